@@ -13,13 +13,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from diffsim.cli.arguments import names
+from diffsim.cli.arguments import add_executor, names
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
-from diffsim.core import interruptible
+from diffsim.core import interruptible, open_executor, run_each
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.averaging import HALF_90, MODEL_FORM, widening
 from diffsim.diagnose.diagnosis import diagnose
@@ -120,6 +121,11 @@ def named_by(inputs: Inputs) -> tuple[str, ...]:
     return tuple(e.name for e in report.best.problem.effects)
 
 
+def _sizes_of_part(chosen: Sequence[str], base: bool, part: tuple[str, Study]) -> list[Size]:
+    name, study = part
+    return list(sizes_of(name, inputs_of(study, seed=0), chosen, base))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print every pair, and the share that agrees."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -127,6 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--effects", type=names, default=(), help="default: what a diagnosis names")
     parser.add_argument("--parts", type=int, default=2, help="of one study (default: 2)")
     parser.add_argument("--base", action="store_true", help="base parameters, too")
+    add_executor(parser, "parts")
     args = parser.parse_args(arguments)
     studies = [read_study(given) for given in args.studies]
     chosen = args.effects or named_by(inputs_of(studies[0], seed=0, quick=True))
@@ -134,11 +141,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parts = [(study.name, study) for study in studies]
     else:
         parts = list(parts_of(studies[0], args.parts))
-    sizes = [
-        size
-        for name, study in parts
-        for size in sizes_of(name, inputs_of(study, seed=0), chosen, args.base)
-    ]
+    with open_executor(args.executor) as executor:
+        made = run_each(partial(_sizes_of_part, chosen, args.base), parts, executor)
+    sizes = [size for part in made for size in part]
     pairs = [Pair(a, b) for a, b in combinations(sizes, 2) if a.name == b.name and a.part != b.part]
     for p in pairs:
         ends = " against ".join(f"{s.value:.4g} +- {s.half:.2g}" for s in (p.first, p.second))

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from pathlib import Path
 
+from diffsim.cli.arguments import add_executor
 from diffsim.cli.diagnose_check import require_ready
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
-from diffsim.core import interruptible
+from diffsim.core import interruptible, open_executor, run_each
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from diffsim.data.study import Study
@@ -98,14 +100,21 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(NAMES), help="names, comma between them")
     parser.add_argument("--quick", action="store_true", help="first answers")
     parser.add_argument("--out", type=Path, help="Markdown file that gets the table, too")
+    add_executor(parser, "data sets")
     args = parser.parse_args()
-    lines = [HEAD]
+    names = args.only.split(",")
+    made: dict[int, str] = {}
     print(HEAD)
-    for name in args.only.split(","):
-        lines.append(row(name, quick=args.quick))
-        print(lines[-1], flush=True)
+
+    def keep(k: int, line: str) -> None:
+        made[k] = line
+        print(line, flush=True)
         if args.out is not None:
+            lines = [HEAD, *(made[i] for i in sorted(made))]
             write_text_atomic(args.out, "\n".join(lines) + "\n")
+
+    with open_executor(args.executor) as executor:
+        run_each(partial(row, quick=args.quick), names, executor, done=keep)
 
 
 if __name__ == "__main__":

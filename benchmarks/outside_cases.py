@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -18,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.case import answer_of
-from diffsim.core import interruptible
+from diffsim.cli.arguments import add_executor
+from diffsim.core import interruptible, open_executor, run_each, run_kept
 from diffsim.core.errors import DiffsimError
-from diffsim.core.files import write_json_atomic
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.identify import fit
 from diffsim.identify.setup import DiagnosisSetup
@@ -165,6 +164,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="cases, or beginnings of names")
     parser.add_argument("--seed", type=int, default=SEED, help="default: %(default)s")
     parser.add_argument("--out", type=Path, help="folder of the answers; goes on from there")
+    add_executor(parser, "cases")
     parser.add_argument("--list", action="store_true", help="name the cases and stop")
     args = parser.parse_args(argv)
     names = [n for n in CASES if not args.only or n.startswith(tuple(args.only))]
@@ -174,24 +174,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.list:
         print("\n".join(names))
         return 0
-    rows = []
+    items = {}
     for name in names:
         package = CASES[name][0]
         if importlib.util.find_spec(package) is None:
             print(f"{name}: left out, {package} is not installed", file=sys.stderr)
             continue
-        kept = None if args.out is None else args.out / f"{name}_{args.seed}.json"
-        if kept is not None and kept.is_file():
-            row = json.loads(kept.read_text(encoding="utf-8"))
+        items[f"{name}_{args.seed}"] = (name, args.seed)
+
+    def say(row: Mapping[str, Any]) -> None:
+        judgment = "right" if row["right"] else "WRONG"
+        print(f"{row['case']}: {judgment}, {row['cpu_s']:.0f} s", flush=True)
+
+    with open_executor(args.executor) as executor:
+        if args.out is None:
+            rows = run_each(_judged, list(items.values()), executor, done=lambda _, row: say(row))
         else:
-            row = judged(name, args.seed)
-            if kept is not None:
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                write_json_atomic(kept, row)
-        rows.append(row)
-        print(f"{name}: {'right' if row['right'] else 'WRONG'}, {row['cpu_s']:.0f} s", flush=True)
+            kept = run_kept(_judged, items, args.out, executor, done=lambda _, row: say(row))
+            rows = list(kept.values())
     print("\n" + table(rows))
     return 0
+
+
+def _judged(case: tuple[str, int]) -> dict[str, Any]:
+    return judged(*case)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from diffsim.core.workers import LostWorkerError, Worker
 
 Result = Any
 
@@ -20,31 +20,20 @@ def run_child(
     Such a process has its own peak memory and may be killed without harm. It is forked from a
     server that has everything imported and has done nothing else.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([task.__module__])
-    receive, send = context.Pipe(duplex=False)
-    child = context.Process(target=_child, args=(task, settings, send), daemon=True)
-    child.start()
-    send.close()
+    worker = Worker(task.__module__)
     try:
-        if not receive.poll(timeout):
-            return {"failed": f"not done within {timeout:.0f} s"}
-        return receive.recv()
-    except EOFError:
-        child.join()
-        return {"failed": f"died with exit code {child.exitcode} (-9: most likely out of memory)"}
+        return worker.call(_told, task, settings, timeout=timeout)
+    except (TimeoutError, LostWorkerError) as error:
+        return {"failed": str(error)}
     finally:
-        child.kill()
-        child.join()
-        receive.close()
+        worker.end(at_once=True)
 
 
-def _child(task: Callable[[dict[str, Any]], Result], settings: dict[str, Any], send: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told, and ends this process
+def _told(task: Callable[[dict[str, Any]], Result], settings: dict[str, Any]) -> Result:
     try:
-        send.send(task(settings))
+        return task(settings)
     except Exception as err:  # whatever it is, the parent reports it
-        send.send({"failed": f"{type(err).__name__}: {err}"})
+        return {"failed": f"{type(err).__name__}: {err}"}
 
 
 def memory(which: str = "VmRSS") -> int:

@@ -129,7 +129,7 @@ def _explained_study(study: Any, *options: str) -> dict[str, Any]:
 def _explained(study: str, *options: str) -> dict[str, Any]:
     """What ``diffsim diagnose explain`` finds."""
     with TemporaryDirectory() as folder:
-        command = ["diagnose", "explain", study, "--workers", "1", "--seed", "0", *options]
+        command = ["diagnose", "explain", study, "--threads", "1", "--seed", "0", *options]
         done = subprocess.run(
             [sys.executable, "-m", "diffsim", *command, "--out", folder],
             cwd=ROOT,

@@ -3,6 +3,7 @@
 python -m benchmarks.swim_recipe --task SharkSwim                    # all variants, resumable
 python -m benchmarks.swim_recipe --task SharkSwim --variants recipe sac
 python -m benchmarks.swim_recipe --task SharkSwim --report           # the table of what is there
+python -m benchmarks.swim_recipe --task SharkSwim --executor processes:5
 
 Runs lie in ``--out``/TASK/VARIANT/seed_N; the ratings of all finished ones are kept in
 ``--record``/TASK.jsonl, from which ``--report`` makes the table again. Bodies are coarse.
@@ -15,15 +16,19 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from diffsim.cli.arguments import add_executor
+from diffsim.core import interruptible, open_executor
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.paths import PROJECT
-from diffsim.learn.methods import Options, train_once
+from diffsim.core.runs import run_each
+from diffsim.learn.methods import Options, Training
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Row, is_finished, read_rows
 from diffsim.learn.setup import Setup
@@ -74,23 +79,37 @@ def main(argv: Sequence[str] | None = None) -> None:
     add("--out", type=Path, default=Path("runs/recipe"), help="of the runs (runs/recipe)")
     add("--record", type=Path, default=RECORD, help="of the ratings (rl/results/recipe)")
     add("--report", action="store_true", help="run nothing")
+    add_executor(parser, "runs")
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
     record = args.record / f"{args.task}.jsonl"
     known = _read(record)
-    for name in [] if args.report else args.variants:
-        variant = VARIANTS[name]
-        for seed in args.seeds or range(variant.seeds):
-            if (name, seed) in known:
-                continue
-            folder = args.out / args.task / name.replace(" ", "_") / f"seed_{seed}"
-            setup, options = plan(args.task, variant, seed)
-            failure = train_once(setup, variant.method, options, folder, show=False)
-            if failure is None and is_finished(folder):
-                known[name, seed] = read_rows(folder)
-                _keep(known, record)
-            print(f"{name}, seed {seed}: {failure or known[name, seed][-1]}", flush=True)
+    missing = [
+        (name, seed)
+        for name in ([] if args.report else args.variants)
+        for seed in args.seeds or range(VARIANTS[name].seeds)
+        if (name, seed) not in known
+    ]
+    trainings = [_training(args.task, name, seed, args.out) for name, seed in missing]
+
+    def keep(k: int, failure: str | None) -> None:
+        (name, seed), folder = missing[k], trainings[k].folder
+        if failure is None and is_finished(folder):
+            known[name, seed] = read_rows(folder)
+            _keep(known, record)
+        print(f"{name}, seed {seed}: {failure or known[name, seed][-1]}", flush=True)
+
+    with open_executor(args.executor) as executor:
+        run_each(partial(Training.run, show=False), trainings, executor, done=keep)
     print(table(args.task, known))
+
+
+def _training(task: str, name: str, seed: int, out: Path) -> Training:
+    """A run of a variant."""
+    variant = VARIANTS[name]
+    setup, options = plan(task, variant, seed)
+    folder = out / task / name.replace(" ", "_") / f"seed_{seed}"
+    return Training(setup, variant.method, options, folder)
 
 
 def plan(task: str, variant: Variant, seed: int) -> tuple[Setup, dict[str, Any]]:
@@ -149,4 +168,5 @@ def _keep(runs: dict[tuple[str, int], list[Row]], record: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible("the same command goes on"):
+        main()

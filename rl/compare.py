@@ -3,12 +3,15 @@
 python rl/compare.py --preset quick         # a minute
 python rl/compare.py --preset coarse        # copter and coarse swimmers
 python rl/compare.py --preset thesis_short  # 7,020 and 10,017 degrees of freedom: hours
+python rl/compare.py --preset recipe        # swimmers by their recipe, against tuned rivals
+python rl/compare.py --preset thesis_recipe # the same at the thesis's size
 python rl/compare.py --preset thesis        # the same, twenty times the budget: days
 python rl/compare.py --preset coarse --tasks CopterHover --methods gradient ppo --seeds 0 1
 
-Interrupt it at will: finished runs are not repeated, others continue. Several processes may share
-the work by giving each other methods or seeds. ``--report`` only sums up what is there, and so
-makes the documentation's figures again from the records of their runs:
+Interrupt it at will: finished runs are not repeated, others continue. ``--executor processes:4``
+trains four runs at a time, ``--executor dask:ADDRESS`` as many as a cluster has workers.
+``--report`` only sums up what is there, and so makes the documentation's figures again from the
+records of their runs:
 
 python rl/compare.py --preset coarse --report --out rl/results --images docs/images
 """
@@ -21,7 +24,8 @@ from pathlib import Path
 
 import torch
 
-from diffsim.core import interruptible
+from diffsim.cli.arguments import add_executor
+from diffsim.core import interruptible, open_executor
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.learn import METHODS, PRESETS, Plan, comparison, preset
 from diffsim.viz.learning_figures import comparison_figure
@@ -58,6 +62,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     add("--report", action="store_true", help="do not train")
     add("--no-quality", action="store_true", help="do not compare gradients")
     add("--threads", type=int, default=1, help="of torch (1)")
+    add_executor(parser, "runs")
     args = parser.parse_args(argv)
     torch.set_num_threads(args.threads)
     for task, plan in preset(args.preset).items():
@@ -65,12 +70,12 @@ def main(argv: Sequence[str] | None = None) -> None:
             continue
         folder = args.out / args.preset / task
         if not args.report:
-            try:
-                comparison.run_all(plan, folder, methods=args.methods, seeds=args.seeds)
-            except KeyboardInterrupt:
-                raise SystemExit(130) from None
+            asked = {"methods": args.methods, "seeds": args.seeds}
+            with open_executor(args.executor) as executor:
+                comparison.run_all(plan, folder, executor=executor, **asked)
+        kind = "_recipe" if args.preset.endswith("recipe") else ""
         size = "_thesis_size" if args.preset.startswith("thesis") else ""
-        figure = (args.images or folder) / f"learning_{task}{size}.png"
+        figure = (args.images or folder) / f"learning_{task}{kind}{size}.png"
         text = report(task, plan, folder, figure, quality=not args.no_quality)
         if text is not None:
             write_text_atomic(folder / "report.md", text)

@@ -7,6 +7,7 @@ python rl/train_gradient.py --task CopterHover --seed 0
 python rl/train_gradient.py --task StarfishSwim --task-options '{"robot": {"coarse": true}}'
 python rl/train_gradient.py --controller sinusoid --task SharkSwim   # L-BFGS, few parameters
 python rl/train_gradient.py --quick
+torchrun --nproc-per-node 2 rl/train_gradient.py --task CopterHover   # each batch on two processes
 """
 
 from __future__ import annotations

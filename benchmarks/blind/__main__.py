@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -11,8 +10,8 @@ from pathlib import Path
 
 from benchmarks.blind.sessions import kept_scores, planned
 from benchmarks.blind.table import markdown
-from diffsim.cli.arguments import names, positive
-from diffsim.core import interruptible
+from diffsim.cli.arguments import add_executor, names, positive
+from diffsim.core import interruptible, open_executor
 from diffsim.core.errors import DiffsimError
 
 SYSTEMS = ("beam", "copter", "network")  # virtual laboratories, as users call them
@@ -40,13 +39,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument(
         "--timeout", type=float, default=3600.0, metavar="S", help="per case (default: 3600)"
     )
-    parser.add_argument(
-        "--workers",
-        type=positive,
-        default=1,
-        metavar="N",
-        help=f"cases side by side (default: 1; this machine has {os.cpu_count()} processors)",
-    )
+    add_executor(parser, "cases")
     parser.add_argument(
         "--tables",
         type=Path,
@@ -76,7 +69,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         blind = planned(args)
         print(f"seed {blind.seed}; data and answers in {blind.out}, labels in {blind.vault}")
-        page = blind.write(blind.run(args.n, args.workers))
+        with open_executor(args.executor) as executor:
+            page = blind.write(blind.run(args.n, executor))
         print(page.read_text(encoding="utf-8"))
         print(f"wrote {page} and {page.with_suffix('.json')}")
         return 0
@@ -84,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\ninterrupted; finished cases are kept", file=sys.stderr)
         print(f"go on with: python -m benchmarks.blind {shlex.join(given)}", file=sys.stderr)
         return 130
-    except (DiffsimError, ValueError, OSError) as error:
+    except (DiffsimError, ValueError, OSError, ImportError) as error:
         if args.debug:
             raise
         print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)

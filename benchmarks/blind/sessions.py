@@ -12,8 +12,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from concurrent.futures import Executor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from benchmarks.blind.table import by_strength, confusion, figures, markdown
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.runs import run_each
 from diffsim.data.labs.sealed import BENCHES, Bench, draw_label, is_sealed, open_label, seal
 from diffsim.data.study_file import load_study
 
@@ -62,7 +63,6 @@ class Blind:
     setup_file: Path | None = None
     with_lambda: bool = True
     command: str = ""
-    _processes: _Processes = field(default_factory=lambda: _Processes())
 
     @property
     def data(self) -> Path:
@@ -119,7 +119,7 @@ class Blind:
         paths = [*dict.fromkeys(roots), os.environ.get("PYTHONPATH", "")]
         environment = kept | {"PYTHONPATH": os.pathsep.join(p for p in paths if p)}
         try:
-            status, said = self._processes.run(command, folder, environment, self.timeout_s)
+            status, said = _ended(command, folder, environment, self.timeout_s)
         except subprocess.TimeoutExpired:
             return f"no answer within {self.timeout_s:g} s"
         if status in (-signal.SIGINT, -signal.SIGTERM):
@@ -150,21 +150,24 @@ class Blind:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return found
 
-    def run(self, count: int, workers: int = 1) -> list[dict[str, Any]]:
-        """All cases; tables are written after each, so that an interruption loses one case."""
+    def run(self, count: int, executor: Executor | None = None) -> list[dict[str, Any]]:
+        """All cases; tables are written after each, so that an interruption loses one case.
+
+        Args:
+            count: Number of cases.
+            executor: Executor of the cases, whose workers see ``out`` and ``vault``; None: one
+                after another.
+        """
         names = self.seal_all(count)
-        scores: dict[str, dict[str, Any]] = {}
-        with ThreadPoolExecutor(workers) as pool:
-            jobs = {pool.submit(self.score, case): case for case in names}
-            try:
-                for job in tqdm(as_completed(jobs), total=count, desc="blind", unit="case"):
-                    scores[jobs[job]] = job.result()
-                    self.write([scores[c] for c in names if c in scores])
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                self._processes.end()
-                raise
-        return [scores[case] for case in names]
+        scores: dict[int, dict[str, Any]] = {}
+        with tqdm(total=count, desc="blind", unit="case") as bar:
+
+            def keep(k: int, score: dict[str, Any]) -> None:
+                scores[k] = score
+                self.write([scores[i] for i in sorted(scores)])
+                bar.update()
+
+            return run_each(self.score, names, executor, done=keep)
 
     def write(self, scores: Sequence[Mapping[str, Any]]) -> Path:
         """confusion.json and confusion.md, the path of the latter."""
@@ -187,46 +190,29 @@ class Blind:
         return write_text_atomic(self.out / "confusion.md", text)
 
 
-class _Processes:
-    """Running diagnoses, so that an interruption ends them."""
+def _ended(
+    command: list[str], folder: Path, environment: dict[str, str], timeout_s: float
+) -> tuple[int, str]:
+    """Exit status of a process, and what was said on stderr.
 
-    def __init__(self) -> None:
-        self._running: set[subprocess.Popen[str]] = set()
-        self._ended = False
-
-    def run(
-        self, command: list[str], folder: Path, environment: dict[str, str], timeout_s: float
-    ) -> tuple[int, str]:
-        """Exit status and what was said on stderr.
-
-        Raises:
-            subprocess.TimeoutExpired: it ran too long, and was ended.
-        """
-        if self._ended:
-            raise KeyboardInterrupt
-        process = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self._running.add(process)
-        try:
-            _, said = process.communicate(timeout=timeout_s)
-        finally:
-            if process.poll() is None:
-                process.kill()
-                process.wait()
-            self._running.discard(process)
-        return process.returncode, said
-
-    def end(self) -> None:
-        """End all that run; none is started any more."""
-        self._ended = True
-        for process in list(self._running):
-            process.terminate()
+    Raises:
+        subprocess.TimeoutExpired: it ran too long, and was ended.
+    """
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        _, said = process.communicate(timeout=timeout_s)
+    finally:  # an interruption, too
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+    return process.returncode, said
 
 
 def kept_scores(folders: Sequence[Path]) -> list[dict[str, Any]]:

@@ -13,8 +13,11 @@ struct SoftArrays {
   Address pressure = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
+  bool per_member = false;  // parameters and inertia have a batch axis
+
   StepInputs inputs() const {
     StepInputs step;
+    step.per_member = per_member;
     step.parameters.w_mu = in(w_mu);
     step.parameters.w_vol = in(w_vol);
     step.parameters.fiber_stiffness = in(fiber_stiffness);
@@ -26,6 +29,7 @@ struct SoftArrays {
     step.force = in(force);
     step.target = in(target);
     step.guess = in(guess);
+    step.inertia = in(inertia);
     step.x_frame = in(x_frame);
     step.x_velocity = in(x_velocity);
     return step;
@@ -36,6 +40,7 @@ struct SoftArrays {
     grads.y = out(y);
     grads.force = out(force);
     grads.target = out(target);
+    grads.guess = out(guess);
     grads.inertia = out(inertia);
     grads.parameters.w_mu = out(w_mu);
     grads.parameters.w_vol = out(w_vol);

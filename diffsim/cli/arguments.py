@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from diffsim.core.executors import executor_word
+
 DIAGNOSES = "runs/diagnose"  # folder of the results, one folder per study
 
 
@@ -26,3 +28,28 @@ def fact(text: str) -> tuple[str, str]:
     if not (name and equals and value):
         raise argparse.ArgumentTypeError(f"must be name=value, got {text!r}")
     return name.strip(), value.strip()
+
+
+def where(text: str) -> str:
+    """A word of ``--executor``."""
+    try:
+        return executor_word(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def add_executor(parser: argparse.ArgumentParser, runs: str) -> None:
+    """The option ``--executor``, the same for all commands that consist of many runs.
+
+    Args:
+        parser: Parser of the command.
+        runs: What is computed side by side, such as "random designs".
+    """
+    parser.add_argument(
+        "--executor",
+        type=where,
+        default="here",
+        metavar="WHERE",
+        help=f"who computes {runs}: here, one after another (default); processes[:N] of this "
+        "machine; dask:ADDRESS, a cluster; MODULE:FUNCTION, your own",
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from pathlib import Path
 
 from diffsim.core.files import write_json_atomic
@@ -24,6 +25,7 @@ def run(
     num_checked: int | None = None,
     with_export: bool = False,
     size: float = 0.1,
+    executor: Executor | None = None,
 ) -> Optimum:
     """Optimize a device; print the numbers, write them and a picture.
 
@@ -39,13 +41,21 @@ def run(
             names.
         with_export: Write the files of ``export`` into the folder, too.
         size: Longest side of the exported solid's box [m].
+        executor: Executor of random designs and coarse descents.
     """
     folder = None if out is None else Path(out)
     path = None if folder is None else folder / "progress.jsonl"
     if folder is not None and (folder / "progress.json").exists():
         print(f"{folder / 'progress.json'} is of an older version of diffsim; it is not used")
     if coarse is None:
-        optimum = optimize(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
+        optimum = optimize(
+            device,
+            num_samples,
+            seed,
+            max_evaluations=max_evaluations,
+            path=path,
+            executor=executor,
+        )
     else:
         optimum = coarse_to_fine(
             device,
@@ -57,6 +67,7 @@ def run(
             max_evaluations=max_evaluations,
             max_coarse_evaluations=max_coarse_evaluations,
             path=path,
+            executor=executor,
         )
     for name, value in numbers(device, optimum).items():
         print(f"{name:32s} {value if isinstance(value, str) else format(value, '.4g')}")

@@ -6,6 +6,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from diffsim.cli.arguments import add_executor
+
 HELP = "design a fluidic device of slow flow, write its numbers and picture"
 NAMES = ("amplifier", "averager", "funnel", "gate", "twister", "switch")
 
@@ -30,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples", type=int, help="random designs (the thesis's number)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--evaluations", type=int, default=50, help="of loss and gradient, at most")
+    add_executor(parser, "random designs and coarse descents")
     parser.add_argument("--no-slip", action="store_true", help="walls of the twister")
     parser.add_argument(
         "--export",
@@ -52,6 +55,7 @@ def command(args: argparse.Namespace) -> None:
     import torch
 
     from diffsim.cli.device_design import run
+    from diffsim.core.executors import open_executor
     from diffsim.core.optional import ask_for
     from diffsim.stokes.devices import make
 
@@ -65,19 +69,21 @@ def command(args: argparse.Namespace) -> None:
     coarse = None
     if args.sample_resolution is not None:
         coarse = make(args.name, args.sample_resolution, **options)
-    run(
-        device,
-        args.out,
-        coarse=coarse,
-        num_samples=args.samples,
-        seed=args.seed,
-        max_evaluations=args.evaluations,
-        max_coarse_evaluations=args.coarse_evaluations,
-        num_starts=args.starts,
-        num_checked=args.checked,
-        with_export=args.export,
-        size=args.size,
-    )
+    with open_executor(args.executor) as executor:
+        run(
+            device,
+            args.out,
+            coarse=coarse,
+            num_samples=args.samples,
+            seed=args.seed,
+            max_evaluations=args.evaluations,
+            max_coarse_evaluations=args.coarse_evaluations,
+            num_starts=args.starts,
+            num_checked=args.checked,
+            with_export=args.export,
+            size=args.size,
+            executor=executor,
+        )
 
 
 def _conflict(args: argparse.Namespace) -> str:

@@ -56,10 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
 
 
 def _starting(step: argparse.ArgumentParser) -> None:
-    step.add_argument("folder", metavar="FOLDER", type=Path, help="folder of your CSV files")
+    step.add_argument("folder", metavar="FOLDER", type=Path, help="folder of your recordings")
     step.add_argument("--out", type=Path, help="file to write (default: FOLDER/study.yaml)")
     step.add_argument(
         "--system", default="ode", metavar="KIND", help="kind of system, as `ode` (the default)"
+    )
+    step.add_argument(
+        "--part",
+        dest="parts",
+        action="append",
+        default=[],
+        metavar="PART",
+        help="table of files that hold several (a topic, a group); repeated: the record first",
     )
     step.add_argument("--force", action="store_true", help="replace a file that is there")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,12 @@ SKIPPED = ("system", "effects", "effort")  # every description has them, and few
 
 
 def init(
-    folder: Path, out: Path | None = None, *, system: str = "ode", force: bool = False
+    folder: Path,
+    out: Path | None = None,
+    *,
+    system: str = "ode",
+    parts: Sequence[str] = (),
+    force: bool = False,
 ) -> Path:
     """Write a first study of a folder; what was guessed is printed and stands in the file.
 
@@ -43,6 +48,7 @@ def init(
         folder: Folder with the recordings.
         out: File to be written; by default study.yaml in the folder.
         system: Kind of system, a key of ``DESCRIPTIONS``.
+        parts: Tables of files that hold several, the record first; empty: as they look.
         force: Replace a file that is there.
 
     Returns:
@@ -58,7 +64,7 @@ def init(
     out = out or folder / STUDY_FILE
     if out.exists() and not force:
         raise FileExistsError(f"{out} is there already; --force replaces it")
-    guess = guess_study(folder)
+    guess = guess_study(folder, parts)
     text = study_text(guess, folder, out, system)
     write_text_atomic(out, text)
     study = load_study(out)
@@ -143,9 +149,10 @@ def _split_runs(guess: Guess) -> Iterator[str]:
     names = [c.name for c in guess.split]
     for file in dict.fromkeys(run.file for run in guess.runs):
         runs = [run for run in guess.runs if run.file == file]
-        entry: dict[str, Any] = {"file": file, "split": names[0]}
+        entry: dict[str, Any] = {"file": _files(runs[0]), "split": names[0]}
         if len(names) > 1:
-            entry = {"name": " ".join(f"{{{n}}}" for n in names), "file": file, "split": names}
+            name = " ".join(f"{{{n}}}" for n in names)
+            entry = {"name": name, "file": _files(runs[0]), "split": names}
         uses = {u: [r.value for r in runs if r.use == u] for u in ("select", "test")}
         if any(uses.values()):
             entry["use"] = {use: values for use, values in uses.items() if values}
@@ -153,12 +160,16 @@ def _split_runs(guess: Guess) -> Iterator[str]:
 
 
 def _entry(run: GuessedRun) -> dict[str, Any]:
-    entry: dict[str, Any] = {"name": run.name, "file": run.file}
+    entry: dict[str, Any] = {"name": run.name, "file": _files(run)}
     if run.use != "fit":
         entry["use"] = run.use
     if run.repeat_of is not None:
         entry["repeat_of"] = run.repeat_of
     return {**entry, "setup": run.setup} if run.setup else entry
+
+
+def _files(run: GuessedRun) -> str | list[str]:
+    return [run.file, *run.further] if run.further else run.file
 
 
 def _channel(q: Quantity) -> dict[str, Any]:

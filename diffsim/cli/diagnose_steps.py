@@ -45,7 +45,7 @@ def run_step(args: argparse.Namespace) -> None:
 
 def _init(args: argparse.Namespace) -> None:
     """Write a first study of a folder."""
-    init(args.folder, args.out, system=args.system, force=args.force)
+    init(args.folder, args.out, system=args.system, parts=args.parts, force=args.force)
 
 
 def _check(args: argparse.Namespace) -> None:

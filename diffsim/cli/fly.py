@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "design",
         metavar="DESIGN",
-        help="a shipped design, a design or vehicle file (YAML), or MJCF with motors at sites",
+        help="a shipped design, a design or vehicle file (YAML), MJCF with motors at sites, or SDF "
+        "with Gazebo's motor models",
     )
     pilot = parser.add_mutually_exclusive_group()
     pilot.add_argument(
@@ -138,4 +139,11 @@ def _save(
         written.append("flight.rrd")
     except ImportError as error:
         print(f"no picture or scene: {error}", file=sys.stderr)
+    try:
+        from diffsim.viz.flight_page import write_flight_page
+
+        write_flight_page(out / "flight.html", log, design, payload=payload)
+        written.append("flight.html")
+    except ImportError as error:
+        print(f"no page: {error}", file=sys.stderr)
     print(f"written to {out}: {', '.join(written)}")

@@ -9,8 +9,20 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, values_of
+from diffsim.core.values import as_array
 
 GRAVITY = 9.81  # [m/s^2]
+
+_NUMBERS = (
+    "mass",
+    "inertia",
+    "positions",
+    "directions",
+    "spins",
+    "torque_ratios",
+    "max_thrusts",
+    "radii",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +30,8 @@ class Multicopter:
     """Mass properties and rotors of a multicopter, body frame at the center of mass, NED.
 
     m p'' = m g + R M_f u and J w' + w x J w = M_t u (thesis eqs. 3.2-3.5): any number of rotors,
-    any tilt, coaxial pairs, different propellers. Every tensor may carry gradients.
+    any tilt, coaxial pairs, different propellers. Every tensor may carry gradients; numbers, lists
+    and NumPy arrays become tensors.
 
     Attributes:
         mass: () [kg].
@@ -49,6 +62,9 @@ class Multicopter:
     rotor_models: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for name in _NUMBERS:
+            object.__setattr__(self, name, as_array(name, getattr(self, name)))
+        require("positions", self.positions, ("n_rotors", 3), torch.float64)
         n = self.num_rotors
         shapes: dict[str, tuple[int, ...]] = {
             "mass": (),

@@ -1,7 +1,8 @@
 """Own multicopters without a list of parts: mass, inertia, rotors and battery in a short YAML.
 
 ``diffsim.copter.vehicle_keys`` has the schema. MJCF files that name their rotors as motors at sites
-are read as they are (``diffsim.copter.vehicle_mjcf``).
+are read as they are (``diffsim.copter.vehicle_mjcf``), and SDF files with Gazebo's motor models
+(``diffsim.copter.vehicle_sdf``).
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from diffsim.copter.rotor import RotorModel, rotor_model
 from diffsim.copter.vehicle_mjcf import body_of, vehicle_of_mjcf
 from diffsim.copter.vehicle_record import (
     DEFAULT_CELLS,
+    FRD,
     Body,
     FlyingVehicle,
     assembled,
     own_rotor,
 )
+from diffsim.copter.vehicle_sdf import sdf_body, vehicle_of_sdf
 from diffsim.copter.yaml_lines import read_yaml
 
 if TYPE_CHECKING:
@@ -31,14 +34,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_TO_FRD = {"FRD": np.eye(3), "FLU": np.diag([1.0, -1.0, -1.0])}
+_TO_FRD = {"FRD": np.eye(3), "FLU": FRD}
+_WHOLE = {".xml": vehicle_of_mjcf, ".sdf": vehicle_of_sdf}  # they say where rotors are
 
 
 def load_vehicle(path: str | Path) -> FlyingVehicle:
     """Read a vehicle file.
 
     Args:
-        path: YAML in the schema of ``diffsim.copter.vehicle_keys``, or MJCF (``.xml``).
+        path: YAML in the schema of ``diffsim.copter.vehicle_keys``, MJCF (``.xml``)
+            or SDF (``.sdf``).
 
     Returns:
         The vehicle, its rotors and battery.
@@ -51,8 +56,8 @@ def load_vehicle(path: str | Path) -> FlyingVehicle:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no vehicle file {path}")
-    if path.suffix == ".xml":
-        return vehicle_of_mjcf(path)
+    if path.suffix in _WHOLE:
+        return _WHOLE[path.suffix](path)
     return vehicle_from_text(path.read_text(encoding="utf-8"), str(path), path.parent, path.stem)
 
 
@@ -63,7 +68,7 @@ def is_vehicle_file(path: str | Path) -> bool:
         path: A file, or the name of a shipped design.
     """
     path = Path(path)
-    if path.suffix == ".xml":
+    if path.suffix in _WHOLE:
         return True
     if not path.is_file():
         return False
@@ -156,7 +161,8 @@ def _battery(facts: BatteryFacts) -> Battery:
 
 def _body(said: VehicleFile, folder: Path) -> Body:
     if said.body_file is not None:
-        return body_of(folder / said.body_file)
+        path = folder / said.body_file
+        return sdf_body(path) if path.suffix == ".sdf" else body_of(path)
     assert said.mass is not None and said.inertia is not None
     xx, yy, zz, xy, xz, yz = (*said.inertia, 0.0, 0.0, 0.0)[:6]
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -115,7 +115,7 @@ class VehicleFile(Part):
     )
     body_file: str | None = Field(
         None,
-        description="URDF or MJCF beside this file: gives mass, inertia and center of mass (FLU)",
+        description="URDF, MJCF or SDF beside this file: mass, inertia and center of mass (FLU)",
     )
     rotors: tuple[RotorPlace, ...] = Field(min_length=1, description="One entry per rotor")
     rotor: RotorFacts | None = Field(None, description="Of all rotors that have none of their own")
@@ -154,7 +154,7 @@ class VehicleFile(Part):
             if given:
                 raise ValueError(f"body_file gives {', '.join(given)}; leave these keys out")
             if self.body != "FLU":
-                raise ValueError("body must be FLU where body_file is given (URDF's and MJCF's)")
+                raise ValueError("body must be FLU where body_file is given (URDF, MJCF, SDF)")
         if self.rotor is None and any(r.rotor is None for r in self.rotors):
             raise ValueError("give rotor (model, or radius, max_thrust, torque_ratio)")
         return self

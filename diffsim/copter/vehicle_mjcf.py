@@ -13,24 +13,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist
 
 from diffsim.copter.battery import LIPO_NOMINAL
 from diffsim.copter.rotor import RotorModel
 from diffsim.copter.vehicle_record import (
     DEFAULT_CELLS,
+    FRD,
     Body,
     FlyingVehicle,
     assembled,
     own_rotor,
+    usual_radius,
 )
+from diffsim.copter.xml_nodes import read_nodes
 from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
-
-_FRD = np.diag([1.0, -1.0, -1.0])  # MJCF and URDF are forward, left, up
-# Propellers do not overlap; builders leave about a tenth of the distance of two hubs free.
-_RADIUS_PER_DISTANCE = 0.45
 
 
 def body_of(path: Path) -> Body:
@@ -91,18 +89,18 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
         )
     if len(motors) == 1:
         raise ValueError(f"{path}: one rotor only; its radius is not known from distances")
-    radius = _RADIUS_PER_DISTANCE * float(pdist(np.array(places)).min())
+    radius = usual_radius(np.array(places))
     rotors = tuple(_rotor(radius, *motor) for motor in motors)
     vehicle = assembled(
         body.mass,
-        _FRD @ body.inertia @ _FRD,
-        (np.array(places) - body.center_of_mass) @ _FRD,
-        np.array(axes) @ _FRD,
+        FRD @ body.inertia @ FRD,
+        (np.array(places) - body.center_of_mass) @ FRD,
+        np.array(axes) @ FRD,
         spins,
         rotors,
     )
     name = ElementTree.parse(path).getroot().get("model") or path.stem
-    return FlyingVehicle(name, vehicle, rotors, None, _FRD @ body.center_of_mass)
+    return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
 
 
 def _rotor(radius: float, max_thrust: float, torque_ratio: float) -> RotorModel:
@@ -120,6 +118,7 @@ def _compiled(path: Path) -> tuple[Any, Any, Any]:
     """The module, the compiled model, and its state at rest."""
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}")
+    read_nodes(path)  # refuses what is over the bounds of files of strangers
     mujoco: Any = optional("mujoco", purpose=f"reading {path.name}")
     try:
         if path.suffix == ".urdf":

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from diffsim.copter.battery import Battery
 from diffsim.copter.rotor import RotorModel
@@ -21,6 +22,9 @@ USUAL_THRUST_COEFFICIENT = 0.11
 USUAL_EFFICIENCY = 0.52
 USUAL_TIME_CONSTANT = 0.03  # [s]
 DEFAULT_CELLS = 3
+FRD = np.diag([1.0, -1.0, -1.0])  # from forward, left, up: MJCF's, URDF's and SDF's
+# Propellers do not overlap; builders leave about a tenth of the distance of two hubs free.
+_RADIUS_PER_DISTANCE = 0.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,15 @@ class Body:
     center_of_mass: Array
     places: dict[str, Array]
     axes: dict[str, Array]
+
+
+def usual_radius(places: Array) -> float:
+    """Radius of propellers at such hubs, as builders choose it [m].
+
+    Args:
+        places: Of two rotors or more, (n_rotors, 3) [m].
+    """
+    return _RADIUS_PER_DISTANCE * float(pdist(places).min())
 
 
 def assembled(

@@ -1,4 +1,8 @@
-"""XML elements with line numbers and strict reading of their attributes."""
+"""XML elements with line numbers and strict reading of their attributes and contents.
+
+Files of strangers are bounded: no document type, hence no entities that stand for more than they
+show; an end of size, number and nesting of elements.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,10 @@ from xml.parsers import expat
 
 from diffsim.core.check import require_choice
 
+MAX_BYTES = 20_000_000
+MAX_NODES = 1_000_000
+MAX_DEPTH = 50
+
 
 @dataclass
 class Node:
@@ -18,12 +26,14 @@ class Node:
     Attributes:
         tag, attributes, children: Tag, attributes and children of the element in the file.
         where: File and line, for messages.
+        content: Text between its tags, without that of its children.
     """
 
     tag: str
     attributes: dict[str, str]
     where: str
     children: list[Node] = field(default_factory=list)
+    content: str = ""
 
     def error(self, message: str) -> ValueError:
         """A ValueError that names file and line."""
@@ -47,13 +57,39 @@ class Node:
             raise self.error(f'<{self.tag}> needs {name}="..."')
         return self.attributes[name]
 
+    def all(self, tag: str) -> list[Node]:
+        """Children of a tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def one(self, tag: str) -> Node | None:
+        """The child of a tag, None where there is none; two are an error."""
+        found = self.all(tag)
+        if len(found) > 1:
+            raise found[1].error(f"<{tag}> stands twice in <{self.tag}>")
+        return found[0] if found else None
+
+    def value(self, tag: str, default: float | None = None) -> float:
+        """The number in a child."""
+        child = self.one(tag)
+        if child is None:
+            if default is None:
+                raise self.error(f"<{self.tag}> needs <{tag}>")
+            return default
+        return child.content_numbers(1)[0]
+
+    def content_numbers(self, count: int) -> list[float]:
+        """Numbers between the tags, separated by spaces."""
+        return self._numbers(f"<{self.tag}>", self.content.strip(), count)
+
     def numbers(self, name: str, count: int) -> list[float]:
         """Numbers of an attribute, separated by spaces."""
-        text = self.text(name)
+        return self._numbers(name, self.text(name), count)
+
+    def _numbers(self, name: str, text: str, count: int) -> list[float]:
         try:
             values = [float(v) for v in text.split()]
         except ValueError as error:
-            raise self.error(f"{name}={text!r} must be {count} numbers: {error}") from error
+            raise self.error(f"{name}={text!r} must be {count} numbers: {error}") from None
         if not all(math.isfinite(v) for v in values):
             raise self.error(f"{name}={text!r} must be finite")
         if len(values) != count:
@@ -65,18 +101,38 @@ def read_nodes(path: Path) -> Node:
     """Root element of a file.
 
     Raises:
-        ValueError: not well-formed; with the line.
+        ValueError: not well-formed, over the bounds, or with a document type; with the line.
     """
+    if (size := path.stat().st_size) > MAX_BYTES:
+        raise ValueError(f"{path}: must have at most {MAX_BYTES:,} bytes, got {size:,}")
     stack: list[Node] = [Node("", {}, str(path))]
     parser = expat.ParserCreate()
+    count = 0
+
+    def here() -> str:
+        return f"{path.name}, line {parser.CurrentLineNumber}"
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        node = Node(tag, attributes, f"{path.name}, line {parser.CurrentLineNumber}")
+        nonlocal count
+        count += 1
+        if count > MAX_NODES or len(stack) > MAX_DEPTH:
+            bound = f"{MAX_NODES:,} elements" if count > MAX_NODES else f"{MAX_DEPTH} levels"
+            raise ValueError(f"{here()}: more than {bound}")
+        node = Node(tag, attributes, here())
         stack[-1].children.append(node)
         stack.append(node)
 
+    def refuse(*_: object) -> None:
+        raise ValueError(f"{here()}: a document type (<!DOCTYPE ...>) is not read; take it out")
+
+    def text(data: str) -> None:
+        stack[-1].content += data
+
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: stack.pop()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.CharacterDataHandler = text
+    parser.buffer_text = True
     try:
         parser.Parse(path.read_bytes(), True)
     except expat.ExpatError as error:

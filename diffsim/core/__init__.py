@@ -8,7 +8,9 @@ from diffsim.core.errors import (
     InvertedElementError,
     MeshError,
 )
+from diffsim.core.executors import open_executor
 from diffsim.core.interrupts import interruptible
+from diffsim.core.runs import run_each, run_kept
 
 __all__ = [
     "ConvergenceError",
@@ -18,4 +20,7 @@ __all__ = [
     "InvertedElementError",
     "MeshError",
     "interruptible",
+    "open_executor",
+    "run_each",
+    "run_kept",
 ]

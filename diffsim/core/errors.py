@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class DiffsimError(RuntimeError):
-    """Base of everything that the numerics could not do; carries its data."""
+    """Base of everything that the numerics could not do; carries its data, from workers too."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, (type(self), self.args, self.__dict__)
+
+
+def _made_again(kind: type[DiffsimError], args: tuple[Any, ...], data: dict[str, Any]) -> Any:
+    """An error that was pickled; constructors with keywords would not take ``args`` alone."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(data)
+    return error
 
 
 class ConvergenceError(DiffsimError):

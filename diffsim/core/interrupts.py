@@ -44,3 +44,21 @@ def interruptible(hint: str = "") -> Iterator[None]:
         ending_at_once()
         print(f"\ninterrupted{'; ' + hint if hint else ''}", file=sys.stderr)
         raise SystemExit(EXIT_INTERRUPTED) from None
+
+
+@contextmanager
+def postponed_interrupts() -> Iterator[None]:
+    """Ctrl-C and SIGTERM within the block take effect at its end: what it does, it does whole."""
+    if threading.current_thread() is not threading.main_thread():  # others are never interrupted
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {n: signal.signal(n, lambda number, frame: came.append(number)) for n in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])

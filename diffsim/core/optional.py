@@ -19,6 +19,7 @@ _NAMES = {
     "cv2": "opencv-python-headless",
     "elastica": "pyelastica",
     "mcap_ros2": "mcap-ros2-support",
+    "pxr": "usd-core",
     "rerun": "rerun-sdk",
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +13,14 @@ from diffsim.core.check import require, require_number, require_range
 
 Number = float | Tensor
 Vector = Sequence[float] | Tensor
+
+
+# Kinds of NumPy's dtypes that each of ours takes, and their name in messages.
+_KINDS = {
+    torch.float64: ("iuf", "numbers"),
+    torch.int64: ("iu", "whole numbers"),
+    torch.bool: ("b", "True or False"),
+}
 
 
 def scalar(name: str, value: Number, *, hint: str = "", **limits: float) -> Tensor:
@@ -37,35 +44,50 @@ def vector(name: str, value: Vector) -> Tensor:
 
 
 def as_array(name: str, value: Any, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Numbers in lists, arrays or a tensor as a tensor; gradients are kept.
+    """Numbers in lists, arrays or a tensor as a tensor; a tensor stays, with its gradient.
+
+    For arguments that are given once. What is given step by step must be a tensor: there, a
+    conversion would be paid at every step.
+
+    Args:
+        name: The argument's name, for the message.
+        value: What was given.
+        dtype: Dtype of the tensor; entries of another kind are refused, not rounded.
 
     Raises:
-        TypeError: no numbers, rows of different lengths, or a tensor of another kind.
+        TypeError: no numbers, rows of different lengths, entries of another kind, or a list with
+            tensors in it.
     """
     if isinstance(value, Tensor):
         return value
+    if isinstance(value, (list, tuple)) and any(isinstance(entry, Tensor) for entry in value):
+        raise TypeError(
+            f"{name} must be an array of numbers, got a list with tensors in it; join them with "
+            f"torch.stack({name})"
+        )
+    kinds, what = _KINDS[dtype]
     try:
-        given = np.asarray(value, dtype=None if dtype == torch.float64 else np.int64)
-        if given.dtype.kind not in "iuf":
-            raise TypeError(f"entries are of type {given.dtype}")
-        if dtype == torch.int64 and isinstance(value, np.ndarray) and value.dtype.kind == "f":
-            raise TypeError("entries are no whole numbers")
+        given = np.asarray(value)
+        if given.size and given.dtype.kind not in kinds:
+            raise TypeError(f"entries are of type {given.dtype}, not {what}")
+        return torch.tensor(given.astype(given.dtype.newbyteorder("=")), dtype=dtype)
     except (TypeError, ValueError, OverflowError) as error:
-        raise TypeError(f"{name} must be an array of numbers, got {value!r}: {error}") from None
-    return torch.tensor(given, dtype=dtype)
+        shown = repr(value) if len(repr(value)) < 80 else f"{repr(value)[:80]}..."
+        raise TypeError(f"{name} must be an array of numbers, got {shown}: {error}") from None
 
 
 def friction_coefficient(value: Number) -> Tensor:
-    """A coefficient >= 0; ``math.inf`` means that touching nodes stick."""
+    """A coefficient >= 0, () or (batch,); ``math.inf`` means that touching nodes stick."""
     if isinstance(value, Tensor):
-        mu = require("friction", value, (), finite=False)
+        mu = require("friction", value, ("batch",) if value.ndim else (), finite=False)
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         mu = torch.tensor(float(value), dtype=torch.float64)
     else:
         raise TypeError(f"friction must be a number, got {type(value).__name__}")
-    if math.isnan(float(mu.detach())) or float(mu.detach()) < 0:
+    bad = mu.detach()[~(mu.detach() >= 0.0)]  # NaN is not
+    if len(bad):
         raise ValueError(
-            f"friction must lie in [0, inf], got {float(mu.detach()):g}; "
+            f"friction must lie in [0, inf], got {float(bad[0]):g}; "
             "0 slides freely, math.inf sticks"
         )
     return mu

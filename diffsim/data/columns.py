@@ -54,6 +54,15 @@ class Table:
         self.lines = [line for line, _ in numbered]
         self._cells = [row for _, row in numbered]
 
+    @classmethod
+    def of_columns(cls, path: Path, columns: Columns) -> Table:
+        """A table of columns that were read already, (num_rows,) each."""
+        made = cls.__new__(cls)
+        made.path, made.used, made.header = path, set(), list(columns)
+        made._numbers, made._cells, made._arrays = {}, [], columns
+        made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
+        return made
+
     def __len__(self) -> int:
         return len(self.lines)
 

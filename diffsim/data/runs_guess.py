@@ -47,6 +47,7 @@ class GuessedRun:
     use: str = "fit"
     repeat_of: str | None = None
     setup: dict[str, Any] = field(default_factory=dict)
+    further: tuple[str, ...] = ()
 
 
 def facts_of_name(file: str) -> dict[str, Any]:

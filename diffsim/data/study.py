@@ -31,6 +31,7 @@ class Channel:
         kind: Kind of quantity: "position", "angle", "velocity", "pressure", "flow", ...
         sd: Standard deviation of the sensor's noise, in ``unit``; None: estimated from repeats.
         shown_unit: Unit in which a user reads errors, such as "mm"; None: ``unit``.
+        sensor: Instrument that shows it, such as "camera"; None: not stated.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Channel:
     kind: str
     sd: float | None = None
     shown_unit: str | None = None
+    sensor: str | None = None
 
 
 @dataclass(frozen=True)

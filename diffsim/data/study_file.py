@@ -152,7 +152,7 @@ def _channel(entry: ChannelEntry) -> Channel:
     shown = entry.shown_unit or (entry.unit if entry.unit != si.unit else None)
     kind = entry.kind or _KINDS.get(si.unit, "quantity")
     sd = None if entry.sd is None else si.factor * entry.sd
-    return Channel(entry.name, si.unit, kind, sd, shown)
+    return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor)
 
 
 def _command(entry: CommandEntry) -> Command:

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
 from diffsim.data.clock_guess import (
-    TIME,
     guess_clock,
     guess_split,
     is_counter,
     is_late,
 )
-from diffsim.data.columns import Table
+from diffsim.data.folder_tables import Recording, recordings_in
 from diffsim.data.runs_guess import (
     GuessedRun,
     Quantity,
@@ -28,7 +27,7 @@ from diffsim.data.runs_guess import (
     give_uses,
     say,
 )
-from diffsim.data.table_guess import Column, Layout, column_of, layout_of, tables_in
+from diffsim.data.table_guess import Column, Layout
 
 Array = NDArray[np.float64]
 _COMMAND = re.compile(
@@ -39,6 +38,7 @@ _COMMAND = re.compile(
     re.I,
 )
 _QUATERNION = re.compile(r"(^|_)(q|quat|quaternion)_?[wxyz0-3]$", re.I)  # has no unit
+_STAMP = re.compile(r"(^|_)(time)?stamp(_|$)", re.I)  # further clocks of a log
 _FLAG = re.compile(r"(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)", re.I)
 _MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
 _SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
@@ -80,29 +80,35 @@ class Guess:
     todo: list[str]
 
 
-def guess_study(folder: Path) -> Guess:
+def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
     """Look at the tables of a folder; nothing is asked, everything guessed is said.
 
     Args:
-        folder: Folder with the user's CSV files.
+        folder: Folder with the user's files.
+        parts: Tables of each file that are used, the record first; empty: as they look.
 
     Raises:
         ValueError: no table that looks like a recording.
     """
     said: list[str] = []
     todo: list[str] = []
-    layout, tables = _largest_family(folder, said)
+    layout, recordings = recordings_in(folder, said, parts)
+    tables = [one.table for one in recordings]
     time, clock, clock_todo = guess_clock(layout, tables, said)
     todo += clock_todo
     split = guess_split(layout, tables, clock, said)
-    runs = _runs(tables, split, said)
+    runs = _runs(recordings, split, said)
     numbers = {c.name: all(t.is_number[c.name] for t in tables) for c in layout.columns if c.name}
     free = [c for c in layout.columns if c.name and c is not clock]
     numeric = [c for c in free if numbers[c.name] and c not in split]
     labels = [c for c in free if c not in split or not numbers[c.name]]
     facts = [c for c in labels if _is_fact(c, runs)]
     idle = [
-        c for c in numeric if is_counter(c, runs[0].table, runs[0].rows) or _FLAG.search(c.base)
+        c
+        for c in numeric
+        if is_counter(c, runs[0].table, runs[0].rows)
+        or _FLAG.search(c.base)
+        or _STAMP.search(c.base)
     ]
     said_nothing = [c.name for c in free if not numbers[c.name] and c not in (*facts, *split)]
     say(said, "texts and empty columns, not used", said_nothing)
@@ -126,46 +132,22 @@ def guess_study(folder: Path) -> Guess:
     return Guess(layout, time, late, channels, commands, facts, runs, split, every, said, todo)
 
 
-def _largest_family(folder: Path, said: list[str]) -> tuple[Layout, list[Table]]:
-    """Files with the same header: those that most files, then most bytes, have."""
-    layouts = {path: layout for path in tables_in(folder) if (layout := layout_of(path))}
-    families: dict[tuple[Any, ...], list[Path]] = {}
-    for path, layout in layouts.items():
-        names = tuple(c.name for c in layout.columns)
-        families.setdefault((layout.header_line, layout.first_line, names), []).append(path)
-    timed = {k: v for k, v in families.items() if any(TIME.match(_bare(n)) for n in k[2])}
-    if not families:
-        raise ValueError(
-            f"{folder} has no table with a header line and rows of numbers; expected files such as "
-            "run_1.csv with columns divided by comma, semicolon or tab"
-        )
-    best = max(
-        (timed or families).values(), key=lambda p: (len(p), sum(f.stat().st_size for f in p))
-    )
-    others = [p.name for p in layouts if p not in best]
-    say(said, "files with other columns, not used", others)
-    layout = layouts[best[0]]
-    form = {"header_line": layout.header_line, "first_line": layout.first_line}
-    return layout, [Table(path, "run", **form) for path in best]
-
-
-def _bare(name: str) -> str:
-    return column_of(name).base
-
-
-def _runs(tables: Sequence[Table], split: tuple[Column, ...], said: list[str]) -> list[GuessedRun]:
+def _runs(
+    recordings: Sequence[Recording], split: tuple[Column, ...], said: list[str]
+) -> list[GuessedRun]:
     runs = []
-    for table in tables:
-        stem, rows = table.path.stem, np.arange(len(table))
+    for one in recordings:
+        table, rows = one.table, np.arange(len(one.table))
         if not split:
-            runs.append(GuessedRun(stem, table.path.name, table, rows))
+            runs.append(GuessedRun(one.name, one.file, table, rows, further=one.further))
             continue
         cells = np.array(
             [" ".join(row) for row in zip(*map(table.texts, _names(split)), strict=True)]
         )
         for value in dict.fromkeys(cells.tolist()):
-            name = f"{stem}_{value}" if len(split) == 1 else value
-            runs.append(GuessedRun(name, table.path.name, table, rows[cells == value], value))
+            name = f"{one.name}_{value}" if len(split) == 1 else value
+            own = rows[cells == value]
+            runs.append(GuessedRun(name, one.file, table, own, value, further=one.further))
     if not split:
         said.append(f"runs: one for each of {len(runs)} files" if len(runs) > 1 else "runs: one")
     return runs

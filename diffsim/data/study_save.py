@@ -89,7 +89,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
         **({"model": to_plain(dict(study.model or {}))} if described else {"system": study.system}),
         **({"model_folder": str(study.folder.resolve())} if described and study.folder else {}),
         "channels": [
-            _given(c, "sd", "shown_unit", name=c.name, unit=c.unit, kind=c.kind)
+            _given(c, "sd", "shown_unit", "sensor", name=c.name, unit=c.unit, kind=c.kind)
             for c in study.channels
         ],
         "commands": [_command(known[name]) if name in known else name for name in commands],

@@ -133,6 +133,12 @@ class ChannelEntry(Source):
         description="Kind of quantity: position, angle, velocity, force, pressure, flow, ...; "
         "default: what the unit measures",
     )
+    sensor: str | None = Field(
+        None,
+        description="Instrument that shows it, such as camera or encoder: channels of one share "
+        "its clock, lag and scale. Default: tried by kind, and channel by channel where a kind has "
+        "few",
+    )
     sd: Positive | None = Field(
         None,
         description="Standard deviation of the sensor's noise, in `unit`; default: from repeats",

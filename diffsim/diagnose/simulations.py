@@ -7,7 +7,7 @@ that a fit's Broyden updates have changed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import process_time
 
@@ -124,7 +124,11 @@ class Simulations:
         return fit, self.kept(members, at)
 
     def fitted_from(
-        self, members: Members, start: Linearization, best_cost: float
+        self,
+        members: Members,
+        start: Linearization,
+        best_cost: float,
+        begin: Callable[[Problem, Linearization], Linearization] | None = None,
     ) -> tuple[Fit, Linearization]:
         """Fit a set of effects.
 
@@ -132,12 +136,16 @@ class Simulations:
             members: Effects of the set, by index.
             start: Start point in coordinates of all candidates, zero outside the set.
             best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
+            begin: Finds a better start from there; None: the fit begins there.
         """
         own = self.coordinates(members)
         at = Linearization(
             start.x[own], start.record, tuple(range(len(own))), start.slopes(own), start.slope_error
         )
-        return gauss_newton_kept(self.store, self.narrow(members), at, best_cost)
+        narrow = self.narrow(members)
+        if begin is not None:
+            at = begin(narrow, at)
+        return gauss_newton_kept(self.store, narrow, at, best_cost)
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
         """Warm start of a set, from fits of its subsets.

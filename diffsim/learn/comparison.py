@@ -6,13 +6,14 @@ import dataclasses
 import json
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
-from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
+from diffsim.learn.methods import FAILURE, METHODS, Plan, Training, searched, train_all, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows
 from diffsim.learn.setup import untrained_reward
@@ -35,24 +36,32 @@ def run_all(
     *,
     methods: Sequence[str] = METHODS,
     seeds: Sequence[int] | None = None,
+    executor: Executor | None = None,
     show: bool = True,
 ) -> None:
-    """Tune and train; finished runs are not repeated, unfinished ones continue.
+    """Tune all methods, then train; finished runs are not repeated, unfinished ones continue.
 
     Args:
         plan: Task, budgets, candidates.
         folder: Folder of the task's results.
         methods, seeds: Some of them only; None: all. Methods that are not in the plan are passed
             over.
+        executor: Executor of the runs (``core.open_executor``); None: one after another.
         show: Whether to draw progress bars.
     """
-    for seed in plan.seeds if seeds is None else seeds:
-        for method in methods:
-            if method not in plan.candidates:
-                continue
-            options = tune(plan, method, folder, show=show)
-            setup = plan.run_setup(method, seed)
-            train_once(setup, method, options, folder / method / f"seed_{seed}", show=show)
+    known = [method for method in methods if method in plan.candidates]
+    if executor is not None:  # the candidates of all methods at once; alone, one search at a time
+        candidates = [run for method in known for run in searched(plan, method, folder)]
+        train_all(candidates, executor, show=show)
+    options = {method: tune(plan, method, folder, show=show) for method in known}
+    trainings = [
+        Training(
+            plan.run_setup(method, seed), method, options[method], folder / method / f"seed_{seed}"
+        )
+        for seed in (plan.seeds if seeds is None else seeds)
+        for method in known
+    ]
+    train_all(trainings, executor, show=show)
 
 
 def collect(plan: Plan, folder: Path) -> Runs:

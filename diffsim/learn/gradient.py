@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from diffsim.control import MLPController
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task, TaskState
+from diffsim.learn.parallel import Batch, members_of, merged, own_members
 from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down
 
@@ -83,23 +84,10 @@ def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
         group["lr"] = rate
 
 
-@dataclass(frozen=True)
-class Batch:
-    """What a differentiated batch of episodes leaves besides its gradient.
-
-    Attributes:
-        reward: Mean over steps and episodes, without gradient.
-        seen: (n, num_observations) before failures.
-        scalars: Numbers for the log, beside those of all batches.
-    """
-
-    reward: Tensor
-    seen: Tensor
-    scalars: dict[str, float] = field(default_factory=dict)
-
-
 class GradientLearner:
     """Adam on the mean reward of whole episodes.
+
+    Several processes may share the episodes of each batch (``learn.parallel``).
 
     Args:
         setup: Task and seed.
@@ -122,16 +110,19 @@ class GradientLearner:
         """One batch of episodes, one step of Adam; a batch without finite gradient is skipped."""
         o = self.options
         horizon = o.horizon or self.task.max_steps
-        start = self.task.start(o.batch, self.rng)
+        mine = own_members(o.batch)
+        start = members_of(self.task.start(o.batch, self.rng), mine)
         self.adam.zero_grad()
         set_rate(self.adam, cosine_rate(o.learning_rate, progress, o.last_rate))
         batch, norm = None, None
         try:
             batch = self._differentiate(start, horizon)
-            norm = nn.utils.clip_grad_norm_(self.net.parameters(), o.clip)
         except (ArithmeticError, RuntimeError, ValueError) as error:
             if not broke_down(error):
                 raise
+        batch = merged(batch, self.net.parameters(), (mine.stop - mine.start) / o.batch)
+        if batch is not None:
+            norm = nn.utils.clip_grad_norm_(self.net.parameters(), o.clip)
         if self.guard.good(None if batch is None else batch.reward, norm):
             self.adam.step()
             assert self.net.normalizer is not None and batch is not None  # of good updates

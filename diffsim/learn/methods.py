@@ -5,14 +5,18 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.runs import run_each
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
 from diffsim.learn.mixed import MixedLearner, MixedOptions
 from diffsim.learn.run import Learner, is_finished, read_rows, train
@@ -21,7 +25,7 @@ from diffsim.learn.setup import Setup, broke_down
 from diffsim.learn.shac import ShacLearner, ShacOptions
 
 Options = Mapping[str, Any]
-METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "cma")
+METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma")
 FAILURE = "failure.txt"  # why a run ended before its budget
 TUNING_SEED = 100  # of no compared run
 
@@ -52,6 +56,10 @@ def make_learner(method: str, setup: Setup, options: Options) -> Learner:
         from diffsim.learn.sac import SacLearner, SacOptions
 
         return SacLearner(setup, SacOptions(**options))
+    if method == "tqc":
+        from diffsim.learn.tqc import TqcLearner, TqcOptions
+
+        return TqcLearner(setup, TqcOptions(**options))
     from diffsim.learn.ppo import PpoLearner, PpoOptions
 
     return PpoLearner(setup, PpoOptions(**options))
@@ -87,7 +95,57 @@ class Plan:
         return dataclasses.replace(self.setup, seed=seed, steps=steps, evaluate_every=every)
 
 
-def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options:
+@dataclass(frozen=True)
+class Training:
+    """One run of a comparison or of a search.
+
+    Attributes:
+        setup: Task, seed and budget.
+        method: Name of the method.
+        options: Of the method.
+        folder: Folder of the run; on a cluster one that all machines see.
+    """
+
+    setup: Setup
+    method: str
+    options: Options
+    folder: Path
+
+    def run(self, *, show: bool = True) -> str | None:
+        """See ``train_once``."""
+        return train_once(self.setup, self.method, self.options, self.folder, show=show)
+
+
+def train_all(
+    trainings: Sequence[Training], executor: Executor | None = None, *, show: bool = True
+) -> list[str | None]:
+    """Run or continue what is not finished, side by side where there is an executor.
+
+    Each run keeps its own checkpoints: one that lost its worker goes on from its last.
+    """
+    alone = executor is None
+    with tqdm(total=len(trainings), unit="run", disable=alone or not show) as bar:
+        run = partial(Training.run, show=show and alone)
+        return run_each(run, trainings, executor, done=lambda *_: bar.update())
+
+
+def searched(plan: Plan, method: str, folder: Path) -> list[Training]:
+    """The runs of a search, one per candidate; none where nothing is to be chosen or run."""
+    candidates = plan.candidates[method]
+    record = folder / f"tuning_{method}.json"
+    if len(candidates) == 1 or _recorded_best(plan, method, record) is not None:
+        return []
+    setup = plan.run_setup(method, TUNING_SEED)
+    runs = folder / "tuning" / method
+    return [
+        Training(setup, method, options, runs / f"candidate_{k}")
+        for k, options in enumerate(candidates)
+    ]
+
+
+def tune(
+    plan: Plan, method: str, folder: Path, executor: Executor | None = None, *, show: bool = True
+) -> Options:
     """The best of a method's candidates after one run each; every result is written down.
 
     Best by the mean of the last two ratings of one seed that no compared run uses. Candidates that
@@ -98,6 +156,7 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
         plan: Task and candidates.
         method: Name of the method.
         folder: Folder of runs; the record is ``tuning_METHOD.json``.
+        executor: Executor of the candidates; None: one after another.
         show: Whether to draw progress bars.
     """
     candidates = plan.candidates[method]
@@ -107,11 +166,10 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
     if (known := _recorded_best(plan, method, path)) is not None:
         return candidates[known]
     record: list[dict[str, Any]] = []
-    for k, options in enumerate(candidates):
-        run = folder / "tuning" / method / f"candidate_{k}"
-        setup = plan.run_setup(method, TUNING_SEED)
-        error = train_once(setup, method, options, run, show=show)
-        rows = read_rows(run)
+    trainings = searched(plan, method, folder)
+    errors = train_all(trainings, executor, show=show)
+    for training, error in zip(trainings, errors, strict=True):
+        options, rows = training.options, read_rows(training.folder)
         score = float(np.mean([r["reward"] for r in rows[-2:]])) if rows else float("nan")
         used = {key: rows[-1][key] for key in ("steps", "seconds")} if rows else {}
         record.append({"options": dict(options), "score": score, "error": error} | used)

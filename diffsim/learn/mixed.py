@@ -26,7 +26,8 @@ from torch.func import functional_call, vjp, vmap
 from diffsim.core.check import require_choice, require_number
 from diffsim.envs.rollout import Episode, rollout_task
 from diffsim.envs.task import Task, TaskState
-from diffsim.learn.gradient import Batch, GradientLearner, GradientOptions
+from diffsim.learn.gradient import GradientLearner, GradientOptions
+from diffsim.learn.parallel import Batch
 from diffsim.learn.setup import Setup, broke_down
 
 FIXED_WEIGHTS = {"first_order": 1.0, "zeroth_order": 0.0}

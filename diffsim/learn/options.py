@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 import torch
 
 from diffsim.core.interrupts import EXIT_INTERRUPTED
-from diffsim.learn.gradient import GradientOptions
+from diffsim.learn.gradient import GradientLearner, GradientOptions
+from diffsim.learn.parallel import LostProcessError, launched_together, process_group, rank
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Learner, Run, train
 from diffsim.learn.setup import Setup
@@ -117,6 +118,16 @@ def main_training(
     parser = training_parser(description)
     add_options(parser, options, "method")
     args = start_from_recipe(parser, argv, by_gradient=options is GradientOptions)
+    if launched_together() and learner is not GradientLearner:
+        parser.error("torchrun: of all methods rl/train_gradient.py alone shares its episodes")
+    with process_group():
+        return _trained(method, learner, options, quick, args)
+
+
+def _trained(
+    method: str, learner: type, options: type, quick: dict[str, Any], args: argparse.Namespace
+) -> Run:
+    """The run that arguments ask for, from its first update to its last."""
     torch.set_num_threads(args.threads)
     setup = setup_from(args)
     folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"
@@ -126,7 +137,11 @@ def main_training(
         run = train(setup, made, folder, resume=args.resume)
     except KeyboardInterrupt:
         raise SystemExit(EXIT_INTERRUPTED) from None
+    except LostProcessError as error:
+        raise SystemExit(f"LostProcessError: {error}") from None
     last = run.rows[-1]
+    if rank() != 0:
+        return run
     print(
         f"{setup.task}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "
         f"{last['reward']:.4g} in {last['steps']} steps, {last['seconds']:.1f} CPU s; {folder}"

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.core.optional import ask_for
+from diffsim.learn.parallel import rank
 from diffsim.learn.setup import Setup, evaluate
 
 Row = dict[str, Any]
@@ -101,8 +102,9 @@ def train(
     if resume and (run.folder / CHECKPOINT).exists():
         _load(run, setup, learner)
     task = setup.make_task()
-    writer = _writer(run.folder)
-    bar = tqdm(total=setup.steps, initial=run.steps, unit="step", disable=not show)
+    leads = rank() == 0  # of processes that train together one rates and writes
+    writer = _writer(run.folder) if leads else None
+    bar = tqdm(total=setup.steps, initial=run.steps, unit="step", disable=not (show and leads))
     try:
         if not run.rows:
             _rate(run, setup, task, learner)
@@ -116,22 +118,26 @@ def train(
             run.gradient_steps += update.gradient_steps
             run.updates += 1
             bar.update(update.steps)
-            for name, value in update.scalars.items():
-                writer.add_scalar(name, value, run.steps)
+            if writer is not None:
+                for name, value in update.scalars.items():
+                    writer.add_scalar(name, value, run.steps)
             run.finished = run.steps >= setup.steps
             if run.finished or run.steps - run.rows[-1]["steps"] >= setup.evaluate_every:
                 row = _rate(run, setup, task, learner)
-                writer.add_scalar("reward", row["reward"], run.steps)
+                if writer is not None:
+                    writer.add_scalar("reward", row["reward"], run.steps)
                 bar.set_postfix(reward=f"{row['reward']:.4g}")
                 _save(run, setup, learner)
                 _write_rows(run)
     except KeyboardInterrupt:
         # an update cut in half would not be repeatable: the last checkpoint stands
-        bar.write(f"interrupted; continue with --resume (from {run.folder / CHECKPOINT})")
+        if show:
+            bar.write(f"interrupted; continue with --resume (from {run.folder / CHECKPOINT})")
         raise
     finally:
         bar.close()
-        writer.close()
+        if writer is not None:
+            writer.close()
     return run
 
 
@@ -168,20 +174,31 @@ def _rate(run: Run, setup: Setup, task: Any, learner: Learner) -> Row:
         "seconds": run.seconds,
         "wall_seconds": run.wall_seconds,
         "updates": run.updates,
-        "reward": evaluate(task, learner.controller(), setup.evaluation_episodes),
+        "reward": _rating(setup, task, learner),
         "finished": run.finished,
     }
     run.rows.append(row)
     return row
 
 
+def _rating(setup: Setup, task: Any, learner: Learner) -> float:
+    """The rating; other processes of a training wait for the one that rates."""
+    if rank() != 0:
+        return math.nan
+    return evaluate(task, learner.controller(), setup.evaluation_episodes)
+
+
 def _write_rows(run: Run) -> None:
     """The ratings, after the checkpoint that holds them: resuming writes those that a kill lost."""
+    if rank() != 0:
+        return
     lines = [json.dumps(to_plain(r), allow_nan=False) for r in run.rows]
     write_text_atomic(run.folder / RESULTS, "\n".join(lines) + "\n")
 
 
 def _save(run: Run, setup: Setup, learner: Learner) -> None:
+    if rank() != 0:
+        return
     content = io.BytesIO()
     counters = {name: getattr(run, name) for name in _COUNTERS}
     state = {

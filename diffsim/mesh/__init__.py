@@ -9,6 +9,7 @@ from diffsim.mesh.files import load, load_arrays, load_surface, save
 from diffsim.mesh.from_surface import tetrahedralize, voxelize
 from diffsim.mesh.measure import Quality, element_size, element_volumes, quality, total_volume
 from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
+from diffsim.mesh.regions import RegionMesh, load_regions
 from diffsim.mesh.repair import (
     flip_inverted,
     merge_duplicate_nodes,
@@ -41,6 +42,7 @@ __all__ = [
     "HexMesh",
     "Mesh",
     "Quality",
+    "RegionMesh",
     "ShapeGradients",
     "Surface",
     "SurfaceDistance",
@@ -56,6 +58,7 @@ __all__ = [
     "hex_torus",
     "load",
     "load_arrays",
+    "load_regions",
     "load_surface",
     "merge_duplicate_nodes",
     "nodal_shares",

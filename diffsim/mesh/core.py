@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.core.check import require
 from diffsim.core.errors import MeshError
+from diffsim.core.values import as_array
 from diffsim.mesh import validate
 from diffsim.mesh.reference import HEX_EDGES, TET_EDGES, IntArray
 
@@ -34,6 +35,16 @@ class Mesh:
     def elements(self) -> Tensor:
         """Node indices of the elements, (num_elements, nodes_per_element) int64."""
         raise NotImplementedError
+
+    @property
+    def nodes(self) -> Tensor:
+        """Node positions at rest, (num_nodes, 3) [m]: another name of ``x_rest``."""
+        return self.x_rest
+
+    @property
+    def num_nodes(self) -> int:
+        """Number of nodes; ``num_vertices`` in shapes."""
+        return self.x_rest.shape[0]
 
     @property
     def num_vertices(self) -> int:
@@ -66,7 +77,8 @@ class Mesh:
         """Indices of the nodes at which ``predicate(x_rest)`` holds.
 
         Args:
-            predicate: Takes (num_vertices, 3) positions [m], returns (num_vertices,) bool.
+            predicate: Takes (num_vertices, 3) positions [m], returns (num_vertices,) bool, a tensor
+                or an array.
 
         Returns:
             Node indices, ascending, (num_selected,) int64.
@@ -75,7 +87,7 @@ class Mesh:
             TypeError, ValueError: the predicate does not return one bool per node.
             MeshError: no node is selected.
         """
-        chosen = predicate(self.x_rest.clone())
+        chosen = as_array("predicate(x_rest)", predicate(self.x_rest.clone()), torch.bool)
         chosen = require("predicate(x_rest)", chosen, (self.num_vertices,), torch.bool)
         nodes = torch.nonzero(chosen).flatten()
         if nodes.numel() == 0:
@@ -116,9 +128,12 @@ class Mesh:
         for name, value in (("x_rest", self.x_rest), (field, getattr(self, field))):
             if isinstance(value, Tensor) and value.requires_grad:
                 raise ValueError(f"{name} must not require grad; pass {name}.detach()")
-        x = require("x_rest", self.x_rest, ("num_vertices", 3), torch.float64)
+        x = require("x_rest", as_array("x_rest", self.x_rest), ("num_vertices", 3), torch.float64)
         elements = require(
-            field, getattr(self, field), ("num_elements", self.nodes_per_element), torch.int64
+            field,
+            as_array(field, getattr(self, field), torch.int64),
+            ("num_elements", self.nodes_per_element),
+            torch.int64,
         )
         object.__setattr__(self, "x_rest", x.clone())
         object.__setattr__(self, field, elements.clone())
@@ -137,7 +152,8 @@ class HexMesh(Mesh):
     """Trilinear hexahedra.
 
     Attributes:
-        x_rest: Node positions at rest, (num_vertices, 3) float64 [m].
+        x_rest: Node positions at rest, (num_vertices, 3) float64 [m]; also called ``nodes``. A
+            tensor, NumPy array or list.
         hexes: Node indices, (num_elements, 8) int64, local order (di, dj, dk) = 000, 001, 010,
             011, 100, 101, 110, 111. For VTK's order use ``vtk[:, HEX_FROM_VTK]``.
 
@@ -168,7 +184,8 @@ class TetMesh(Mesh):
     """Linear tetrahedra.
 
     Attributes:
-        x_rest: Node positions at rest, (num_vertices, 3) float64 [m].
+        x_rest: Node positions at rest, (num_vertices, 3) float64 [m]; also called ``nodes``. A
+            tensor, NumPy array or list.
         tets: Node indices, (num_elements, 4) int64, right-handed: det[x1-x0, x2-x0, x3-x0] > 0.
 
     Raises:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,45 +18,46 @@ from torch import Tensor
 from diffsim.core.check import require, require_number
 from diffsim.core.errors import MeshError
 from diffsim.core.files import replacing
+from diffsim.core.values import as_array
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
+from diffsim.mesh.reference import VTK_FROM_HEX
 from diffsim.mesh.repair import remove_unreferenced_nodes
 from diffsim.mesh.surface import to_trimesh
 from diffsim.mesh.surface_check import check_file, check_indices
+from diffsim.mesh.volume_files import MESHIO_FORMATS, USD_FORMATS, VolumeFile, read_meshio
 
 if TYPE_CHECKING:
     import trimesh
 
 
-VOLUME_FORMATS = {
-    ".vtu": "vtu",
-    ".vtk": "vtk",
-    ".msh": "gmsh",
-    ".inp": "abaqus",
-    ".mesh": "medit",
-}
-"""Extension to meshio format; all of them number a hexahedron's nodes as VTK does.
-
-Not .xdmf: meshio needs h5py for it, even to read XML."""
+VOLUME_FORMATS = MESHIO_FORMATS
+"""Extensions of volume meshes that are written, with their format's name in meshio."""
 
 SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb")
-
-_BOUNDARY_CELLS = {"vertex", "line", "triangle", "quad"}
 
 
 def load(path: str | Path, scale: float = 1.0) -> HexMesh | TetMesh:
     """Read a volume mesh; nodes that no element uses are dropped.
 
     Args:
-        path: A file with one of the extensions .vtu, .vtk, .msh, .inp, .mesh.
-        scale: Meters per unit of the file, 1e-3 for millimeters.
+        path: A file with one of the extensions .vtu, .vtk, .msh, .inp, .mesh, or of USD: .usd,
+            .usda, .usdc.
+        scale: Meters per unit of the file, 1e-3 for millimeters; USD says its own unit.
 
     Raises:
         FileNotFoundError: no such file.
         ValueError: unknown extension, or a surface file.
         MeshError: mixed or unsupported elements, or a mesh that cannot be simulated.
     """
-    x, elements = load_arrays(path, scale)
+    return mesh_of(Path(path), *load_arrays(path, scale))
+
+
+def mesh_of(path: Path, x: Tensor, elements: Tensor) -> HexMesh | TetMesh:
+    """The mesh of a file's arrays, without the nodes that no element uses.
+
+    Raises:
+        MeshError: a mesh that cannot be simulated; the message names the file.
+    """
     x, elements = remove_unreferenced_nodes(x, elements)
     try:
         return HexMesh(x, elements) if elements.shape[1] == 8 else TetMesh(x, elements)
@@ -69,38 +71,29 @@ def load(path: str | Path, scale: float = 1.0) -> HexMesh | TetMesh:
 
 def load_arrays(path: str | Path, scale: float = 1.0) -> tuple[Tensor, Tensor]:
     """Positions (V, 3) float64 [m] and elements (E, 8) or (E, 4) int64 of a file, unchecked."""
-    path = Path(path)
+    content = read_volume(Path(path), scale)
+    return torch.from_numpy(content.x), torch.from_numpy(content.elements)
+
+
+def read_volume(path: Path, scale: float = 1.0) -> VolumeFile:
+    """What a file of a volume mesh holds, positions times ``scale``.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: unknown extension, or a surface file.
+        MeshError: it cannot be read, or has no elements of one kind.
+    """
     scale = require_number("scale", scale, above=0.0)
-    suffix = _suffix(path, list(VOLUME_FORMATS))
+    suffix = _suffix(path, [*VOLUME_FORMATS, *USD_FORMATS])
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")
-    import meshio
+    if suffix in USD_FORMATS:
+        from diffsim.mesh.usd_files import read_usd
 
-    try:
-        content = meshio.read(path, file_format=VOLUME_FORMATS[suffix])
-    except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
-        raise MeshError(f"{path} could not be read as {VOLUME_FORMATS[suffix]}: {error}") from error
-    cells: dict[str, list[np.ndarray]] = {}
-    for block in content.cells:
-        if block.type not in _BOUNDARY_CELLS and len(block.data):
-            cells.setdefault(block.type, []).append(block.data)
-    if not cells:
-        found = sorted({block.type for block in content.cells}) or ["nothing"]
-        raise MeshError(f"{path} holds no volume elements, only {', '.join(found)}")
-    if len(cells) > 1 or not cells.keys() <= {"tetra", "hexahedron"}:
-        found = [f"{sum(map(len, v))} {k}" for k, v in cells.items()]
-        raise MeshError(
-            f"{path} must hold either tetra or hexahedron elements of first order, got "
-            f"{' and '.join(found)}; export one kind, or split the others into tetrahedra"
-        )
-    kind, blocks = next(iter(cells.items()))
-    elements = np.concatenate(blocks).astype(np.int64)
-    if kind == "hexahedron":
-        elements = elements[:, HEX_FROM_VTK]
-    x = np.asarray(content.points, np.float64) * scale
-    if x.ndim != 2 or x.shape[1] != 3:
-        raise MeshError(f"{path} must hold points in three dimensions, got shape {x.shape}")
-    return torch.from_numpy(np.ascontiguousarray(x)), torch.from_numpy(elements)
+        content = read_usd(path)
+    else:
+        content = read_meshio(path, VOLUME_FORMATS[suffix])
+    return replace(content, x=np.ascontiguousarray(content.x * scale))
 
 
 def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
@@ -169,7 +162,7 @@ def save(
     path = Path(path)
     suffix = _suffix(path, [*VOLUME_FORMATS, *SURFACE_FORMATS])
     if x is not None:
-        x = require("x", x.detach(), (mesh.num_vertices, 3))
+        x = require("x", as_array("x", x).detach(), (mesh.num_vertices, 3))
     data = {
         "node_data": _data("node_data", node_data, mesh.num_vertices),
         "element_data": _data("element_data", element_data, mesh.num_elements),
@@ -227,7 +220,9 @@ def _suffix(path: Path, known: list[str]) -> str:
             f"{path.name} is a surface: read it with diffsim.mesh.load_surface and fill it with "
             "voxelize or tetrahedralize"
         )
-    if suffix in VOLUME_FORMATS:
+    if suffix in USD_FORMATS and ".vtu" in known:
+        raise ValueError(f"{path.name}: USD is read, not written; choose one of {known}")
+    if suffix in VOLUME_FORMATS or suffix in USD_FORMATS:
         raise ValueError(f"{path.name} is a volume mesh: read it with diffsim.mesh.load")
     close = difflib.get_close_matches(suffix, known, n=3, cutoff=0.5)
     hint = f"did you mean {' or '.join(close)}? " if close else ""

@@ -72,6 +72,18 @@ class Log:
             self._has_header = True
         return self._keep(json.loads(line))
 
+    def part(self, name: str) -> Log:
+        """A log in memory that holds one list only: what a worker goes on from."""
+        out = Log()
+        for entry in self[name]:
+            out.append(name, entry)
+        return out
+
+    def take(self, name: str, part: Log) -> None:
+        """Add what a worker appended to the list since ``part`` was made."""
+        for entry in part[name][len(self[name]) :]:
+            self.append(name, entry)
+
     def _keep(self, entry: dict[str, Any]) -> dict[str, Any]:
         name = entry.pop("list")
         self._lists.setdefault(name, []).append(entry)

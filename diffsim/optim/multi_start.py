@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
+from diffsim.core.runs import run_each
 from diffsim.optim.evaluation import (
     Array,
     Callback,
@@ -61,6 +64,7 @@ def screen(
     name: str = "starts",
     failures: tuple[type[Exception], ...] = (DiffsimError,),
     callback: Callback | None = None,
+    executor: Executor | None = None,
 ) -> tuple[Evaluation, ...]:
     """Evaluate an objective at given points.
 
@@ -71,34 +75,52 @@ def screen(
         name: Name of the list in the log.
         failures: Exceptions that make a point infinitely bad, besides values that are not finite.
         callback: Called after every evaluation; screening ends where it returns True.
+        executor: Executor of the evaluations, for which ``value`` must be picklable; None: one
+            after another.
 
     Returns:
         The evaluations, in the order of the points.
     """
-    made: list[Evaluation] = []
-    caught: tuple[type[Exception], ...] = (*failures, NotFiniteError)
-    best = np.inf
-    for point in points:
-        x = np.array(point, dtype=np.float64)
-        kept = None if log is None else log.find(name, x)
-        if kept is None:
-            try:
-                evaluation = evaluate(value, x)
-            except caught as error:
-                evaluation = failed(x, error)
-            if log is not None:
-                evaluation = evaluation_of(log.append(name, entry_of(evaluation)))
-        else:
-            evaluation = evaluation_of(kept)
-        made.append(evaluation)
-        best = min(best, evaluation.value)
+    xs = [np.array(point, dtype=np.float64) for point in points]
+    kept = [None if log is None else log.find(name, x) for x in xs]
+    made: dict[int, Evaluation] = {}
+
+    def ended(k: int, evaluation: Evaluation, replayed: bool) -> None:
+        made[k] = evaluation
         if callback is not None:
+            best = min(e.value for e in made.values())
             progress = Progress(
-                count=len(made), evaluation=evaluation, best=best, replayed=kept is not None
+                count=len(made), evaluation=evaluation, best=best, replayed=replayed
             )
             if callback(progress) is True:
-                break
-    return tuple(made)
+                raise _Enough
+
+    def keep(i: int, evaluation: Evaluation) -> None:
+        if log is not None:
+            evaluation = evaluation_of(log.append(name, entry_of(evaluation)))
+        ended(missing[i], evaluation, False)
+
+    missing = [k for k, entry in enumerate(kept) if entry is None]
+    caught = (*failures, NotFiniteError)
+    try:
+        for k, entry in enumerate(kept):
+            if entry is not None:
+                ended(k, evaluation_of(entry), True)
+        run_each(partial(_tried, value, caught), [xs[k] for k in missing], executor, done=keep)
+    except _Enough:
+        pass
+    return tuple(made[k] for k in sorted(made))
+
+
+class _Enough(Exception):
+    """A callback ended the screening."""
+
+
+def _tried(value: ValueOnly, caught: tuple[type[Exception], ...], x: Array) -> Evaluation:
+    try:
+        return evaluate(value, x)
+    except caught as error:
+        return failed(x, error)
 
 
 def multi_start(
@@ -112,6 +134,7 @@ def multi_start(
     value: ValueOnly | None = None,
     log: Log | None = None,
     callback: Callback | None = None,
+    executor: Executor | None = None,
 ) -> MultiStart:
     """Draw random starts between the bounds, and descend from the best of them.
 
@@ -127,27 +150,53 @@ def multi_start(
         log: Lists "starts" and "descent 1", "descent 2", ...
         callback: Function called after every evaluation of a descent; where it returns True, that
             descent ends.
+        executor: Executor of starts and descents, for which the objective must be picklable; None:
+            one after another. The result is the same; a descent is in the log when it has ended.
 
     Returns:
         ``MultiStart``.
 
     Raises:
         DiffsimError: none of the starts can be evaluated.
+        ValueError: a callback with an executor: descents do not run where it could be called.
     """
     require_number("count", count, at_least=1)
     require_number("keep", keep, at_least=1)
+    if executor is not None and callback is not None:
+        raise ValueError(
+            "callback cannot be called while descents run elsewhere; leave out callback or executor"
+        )
     options = Options() if options is None else options
     failures = (options.wall or Wall(failures=())).failures
     points = uniform_points(bounds, count, seed)
-    starts = screen(value or objective, points, log=log, failures=failures)
+    starts = screen(value or objective, points, log=log, failures=failures, executor=executor)
     possible = [e for e in starts if not e.failure]
     if not possible:
         raise DiffsimError(
             f"none of {count} random starts can be evaluated; the last one: {starts[-1].failure}"
         )
     best = sorted(possible, key=lambda e: e.value)[:keep]
-    descents = tuple(
-        minimize(objective, e.x, bounds, options, log=log, name=f"descent {k}", callback=callback)
-        for k, e in enumerate(best, start=1)
-    )
-    return MultiStart(starts=starts, descents=descents)
+    named = [(f"descent {k}", e.x) for k, e in enumerate(best, start=1)]
+    if executor is None:
+        descents = tuple(
+            minimize(objective, x, bounds, options, log=log, name=name, callback=callback)
+            for name, x in named
+        )
+        return MultiStart(starts=starts, descents=descents)
+    log = Log() if log is None else log
+
+    def taken(k: int, answer: tuple[Result, Log]) -> None:
+        log.take(named[k][0], answer[1])
+
+    asked = [(name, x, log.part(name)) for name, x in named]
+    work = partial(_descended, objective, bounds, options)
+    answers = run_each(work, asked, executor, done=taken)
+    return MultiStart(starts=starts, descents=tuple(result for result, _ in answers))
+
+
+def _descended(
+    objective: Objective, bounds: Bounds, options: Options, asked: tuple[str, Array, Log]
+) -> tuple[Result, Log]:
+    """A descent in a worker, and its evaluations."""
+    name, x, log = asked
+    return minimize(objective, x, bounds, options, log=log, name=name), log

@@ -22,7 +22,7 @@ from diffsim.soft._arrays import StepArrays
 
 _CACHED_SYSTEMS = 4
 PRECONDITIONERS = ("auto", "constant", "multigrid")
-MULTIGRID_METHODS = ("auto", "newton_pcg")
+MULTIGRID_METHODS = ("auto", "newton_pcg", "linearly_implicit")
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
@@ -117,7 +117,7 @@ class SoftContext:
             num_threads: Threads to make it with.
             method, preconditioner: As in :class:`~diffsim.soft.SolverOptions`.
         """
-        by_choice = method == "auto" or preconditioner == "multigrid"
+        by_choice = method in ("auto", "linearly_implicit") or preconditioner == "multigrid"
         kind = preconditioner if by_choice else "constant"
         shared = inputs.shared()  # all that it depends on
         key = tuple(shared.values())
@@ -210,7 +210,9 @@ def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
 
 def soft_addresses(tensors: Mapping[str, Tensor]) -> object:
     """Addresses of a soft body's arrays by name; what is empty or missing stays absent."""
-    return _fill(core.SoftArrays(), tensors)
+    arrays = core.SoftArrays()
+    arrays.per_member = "w_mu" in tensors and tensors["w_mu"].ndim == 2
+    return _fill(arrays, tensors)
 
 
 def contact_addresses(num_contacts: int, tensors: Mapping[str, Tensor]) -> object:

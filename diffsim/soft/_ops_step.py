@@ -21,9 +21,11 @@ from diffsim.soft._arrays import StepArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
 from diffsim.soft._solves import STATS, notify
 
-METHODS = ("auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky")
+LINEAR = "linearly_implicit"
+METHODS = ("auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky", LINEAR)
 TANGENT_HINT = "lower rtol of the steps or raise adjoint_max_iters"
 STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less"
+LINEAR_HINT = "halve dt, or take method='auto', which follows a body through buckling"
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
 
 
@@ -58,6 +60,15 @@ def require_step(ctx: SoftContext, inputs: list[Tensor], batch: int, **nodal: Te
     for name, tensor in nodal.items():
         require_array(name, tensor, (batch, ctx.num_vertices, 3))
     return arrays
+
+
+def require_forward_mode(method: str) -> None:
+    """Refuse a method whose steps have no tangents."""
+    if method == LINEAR:
+        raise NotImplementedError(
+            f"steps of method={LINEAR!r} have no forward-mode derivative; use reverse mode "
+            "(backward, torch.func.grad, vjp, jacrev) or method='auto'"
+        )
 
 
 def new_stats(batch: int) -> Tensor:
@@ -104,7 +115,8 @@ def soft_step(
     )
     notify("step", stats, max_iters)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
-    report_failure(stats, "implicit step", STEP_HINT, on_failure)
+    hint = LINEAR_HINT if method == LINEAR else STEP_HINT
+    report_failure(stats, "implicit step", hint, on_failure)
     return x, stats
 
 
@@ -148,7 +160,7 @@ def soft_step_vjp(
     )
     notify("adjoint", stats, max_iters)
     report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
-    return [*StepArrays.summed(grads), stats]
+    return [*arrays.summed(grads), stats]
 
 
 @soft_step_vjp.register_fake
@@ -204,6 +216,7 @@ def step_tangents(
     Returns:
         (K, V, 3).
     """
+    require_forward_mode(method)
     ctx = context(handle)
     arrays = require_step(ctx, inputs.tensors(), 1, x=x)
     count = next(iter(directions.values())).shape[0]
@@ -253,6 +266,7 @@ def soft_step_jvp(
     Returns:
         (batch, num_vertices, 3).
     """
+    require_forward_mode(method)
     ctx = context(handle)
     x = x.contiguous()
     arrays = require_step(ctx, inputs, x.shape[0], x=x)

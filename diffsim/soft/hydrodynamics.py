@@ -159,11 +159,11 @@ class Hydrodynamics(nn.Module):
         return self._limited(forces)
 
     def drag_coefficient(self, alpha: Tensor) -> Tensor:
-        """C_d at angles of attack in [0, pi/2] [rad], any shape."""
+        """C_d at angles of attack [rad] in [0, pi/2], any shape."""
         return _bezier(self.drag_coefficients, alpha / (0.5 * math.pi))
 
     def thrust_coefficient(self, alpha: Tensor) -> Tensor:
-        """C_t at angles of attack in [-pi/2, pi/2] [rad], any shape."""
+        """C_t at angles of attack [rad] in [-pi/2, pi/2], any shape."""
         return _bezier(self.thrust_coefficients, alpha / math.pi + 0.5)
 
     def extra_repr(self) -> str:

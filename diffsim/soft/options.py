@@ -73,7 +73,9 @@ class SolverOptions:
         method: ``auto``, or ``quasi_newton`` (L-BFGS on the constant factor), ``newton_pcg``
             (Newton, conjugate gradients on the constant factor), ``newton_jacobi``
             (the same with 3x3 Jacobi, as in textbook baselines), ``newton_cholesky`` (Newton,
-            sparse Cholesky of the tangent at every iteration).
+            sparse Cholesky of the tangent at every iteration). ``linearly_implicit`` does not
+            iterate: a step is one Newton step from the old positions, one linear solve, as in
+            the linearly implicit Euler method; see docs/soft.md for what that costs in accuracy.
         preconditioner: What conjugate gradients run on, in the step, its adjoint and its
             derivatives: ``constant`` (the constant factor), ``multigrid`` (smoothed aggregation of
             the tangent; few iterations at any size and any contrast of stiffness; for the methods
@@ -88,7 +90,8 @@ class SolverOptions:
         adjoint_rtol: Tolerance of the adjoint: |H z - dL/dx| must fall below
             ``adjoint_rtol * |dL/dx|``; None: rtol [-].
         max_iters: Largest number of outer iterations [-].
-        adjoint_max_iters: Largest number of Krylov iterations of the adjoint [-].
+        adjoint_max_iters: Largest number of Krylov iterations of the adjoint, and of a linearly
+            implicit step [-].
         cache_columns: Whether steps with obstacles keep columns of the constant matrix's inverse
             from step to step (thesis Alg. 5). False only to measure what that is worth.
         num_threads: Threads of one step; a batch deals its items out to them [-].
@@ -132,12 +135,13 @@ class SolverOptions:
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of the step's op."""
+        linear = self.method == _ops_step.LINEAR
         return {
             "method": self.method,
             "preconditioner": self.preconditioner,
             "rtol": self.rtol,
             "atol": self.atol,
-            "max_iters": self.max_iters,
+            "max_iters": self.adjoint_max_iters if linear else self.max_iters,
             "num_threads": self.num_threads,
             "on_failure": self.on_failure,
             "adjoint_rtol": self.rtol if self.adjoint_rtol is None else self.adjoint_rtol,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torch import Tensor
 
 from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
+from diffsim.soft._ops_step import LINEAR
 from diffsim.soft.inputs import DampingFrame, Loads, energy_arrays, flat
 from diffsim.soft.solid import Solid
 
@@ -20,7 +21,8 @@ class Problem:
 
     Attributes:
         y: Inertial positions, (..., num_vertices, 3) [m].
-        guess: Start of the iteration, (..., num_vertices, 3) [m]; no gradient.
+        guess: Start of the iteration, (..., num_vertices, 3) [m]; no gradient but in linearly
+            implicit steps, which are one Newton step from it.
         inertia: Inertia per displacement of each node, (num_vertices,) [N/m].
         loads: Forces, targets, activations, pressures and physics.
         frame: Reference of the damping energy D; None: undamped.
@@ -39,14 +41,23 @@ class Problem:
             y=flat(self.y),
             force=flat(self.loads.force),
             target=flat(self.loads.target),
-            guess=flat(self.guess.detach()),
+            guess=flat(self.guess if body.solver.method == LINEAR else self.guess.detach()),
             inertia=self.inertia.contiguous(),
         )
 
 
-def solve(body: Solid, problem: Problem) -> Tensor:
-    """The positions (..., num_vertices, 3) that solve a problem [m]."""
+def solve(body: Solid, problem: Problem, *, iterate: bool = False) -> Tensor:
+    """The positions (..., num_vertices, 3) that solve a problem [m].
+
+    Args:
+        body: The body.
+        problem: What is solved.
+        iterate: Whether the solution is asked for where the body's own steps are linearly implicit.
+    """
+    solver = body.solver
+    if iterate and solver.method == LINEAR:
+        solver = replace(solver, method="auto")
     x, _ = _ops_step.soft_step_layer(
-        problem.arrays(body).tensors(), handle=body.handle, **body.solver.arguments()
+        problem.arrays(body).tensors(), handle=body.handle, **solver.arguments()
     )
     return x.reshape(problem.y.shape)

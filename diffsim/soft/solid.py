@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_indices, require_number
+from diffsim.core.check_options import require_count
+from diffsim.core.values import as_array
 from diffsim.mesh import (
     HexMesh,
     TetMesh,
@@ -26,10 +29,12 @@ from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.parameters import Value, as_tensor, hold
 from diffsim.soft.physics import (
     PARAMETERS,
+    PER_ELEMENT,
     LumpedVolume,
     PhysicalValues,
     Physics,
     make_physics,
+    require_distinct,
 )
 from diffsim.soft.plausible import warn_of_units
 from diffsim.soft.state import State
@@ -139,10 +144,14 @@ class Solid(nn.Module):
         """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
-    def physics(self, **overrides: Value) -> Physics:
+    # Any: a checker holds every keyword against what ``**mapping`` of tensors may contain
+    def physics(self, *, batch: Any = None, **overrides: Value) -> Physics:
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
+            batch: Members of a batch of states, an int. Then each override may lead with a batch
+                axis: one number per member is (batch,) or (batch, 1), a number per member and
+                element (batch, num_elements). None: one set for all.
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
                 rayleigh_beta, attached_mass, added_mass, node_mass, fiber_stiffness, as in the
                 constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
@@ -150,15 +159,22 @@ class Solid(nn.Module):
         Returns:
             :class:`~diffsim.soft.Physics`. Gradients: all overrides.
         """
+        if batch is not None:
+            require_count("batch", batch, at_least=1)
         values = {name: getattr(self, name) for name in PARAMETERS}
         for name, value in overrides.items():
             require_choice("physics override", name, PARAMETERS)
             values[name] = None if value is None else as_tensor(name, value)
+            if batch is not None and name in PER_ELEMENT:
+                sizes = {"num_elements": self.mesh.num_elements}
+                if name == "density":
+                    sizes["num_vertices"] = self.mesh.num_vertices
+                require_distinct(name, values[name], batch, sizes)
         volume = LumpedVolume(
             elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
         )
         return make_physics(
-            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles
+            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles, batch
         )
 
     def rest_state(self, batch: int | None = None) -> State:
@@ -201,8 +217,9 @@ def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
     mask = torch.zeros(num_vertices, 3, dtype=torch.bool)
     if fixed is None:
         return mask
-    if not isinstance(fixed, Tensor):
-        raise TypeError(f"fixed must be a torch.Tensor, got {type(fixed).__name__}")
+    if not isinstance(fixed, Tensor):  # a list or an array: of indices, or of True and False
+        is_mask = np.asarray(fixed).dtype.kind == "b"
+        fixed = as_array("fixed", fixed, torch.bool if is_mask else torch.int64)
     if fixed.dtype == torch.bool:
         if fixed.ndim == 1:
             return mask | require("fixed", fixed, (num_vertices,), torch.bool)[:, None]
@@ -218,6 +235,7 @@ def _contact_nodes(given: Tensor | None, mesh: HexMesh | TetMesh, fixed: Tensor)
     if given is None:
         surface = surface_vertices(mesh)
         return surface[~held[surface]]
+    given = as_array("contact_nodes", given, torch.int64)
     nodes = require("contact_nodes", given, ("k",), torch.int64)
     require_indices("contact_nodes", nodes, mesh.num_vertices, "vertices")
     if len(nodes.unique()) < len(nodes):

@@ -25,7 +25,8 @@ def static_equilibrium(
 ) -> State:
     """Positions where all forces balance: a minimum of energy.
 
-    Elastic and muscle forces, gravity, external forces and pressures of chambers.
+    Elastic and muscle forces, gravity, external forces and pressures of chambers. A body whose
+    steps are linearly implicit finds it by the method ``auto``.
 
     Args:
         body: The body; its Dirichlet set must hold it on every axis.
@@ -68,5 +69,5 @@ def static_equilibrium(
         dirichlet_target=dirichlet_target,
     )
     problem = Problem(y=x.detach(), guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
-    x = solve(body, problem)
+    x = solve(body, problem, iterate=True)
     return State(x, torch.zeros_like(x))

@@ -11,6 +11,7 @@ from torch import Tensor
 from diffsim.contact import Obstacle
 from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.errors import DiffsimError
+from diffsim.soft._ops_step import LINEAR
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, flat
@@ -74,6 +75,11 @@ def step(
             f"obstacles need one of the integrators {list(WITH_CONTACT)}, the body has "
             f"{body.integrator!r}; or use contact.penalty_force as an external force"
         )
+    if many and body.solver.method == LINEAR:
+        raise ValueError(
+            f"obstacles need a solver that iterates, the body has method={LINEAR!r}; use "
+            "method='auto', or contact.penalty_force as an external force"
+        )
     if body.integrator in EXPLICIT:
         return _explicit_step(body, state, x, loads)
     if many:
@@ -120,12 +126,17 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
     """
     alpha = loads.physics.rayleigh_alpha * stage.kappa
     return Problem(
-        y=(stage.c * stage.y + alpha * stage.x_velocity) / (stage.c + alpha),
+        y=(stage.c * stage.y + _nodal(alpha) * stage.x_velocity) / (stage.c + _nodal(alpha)),
         guess=guess,
-        inertia=(stage.c + alpha) * loads.physics.mass,
+        inertia=(stage.c + alpha[..., None]) * loads.physics.mass,
         loads=loads,
         frame=DampingFrame(kappa=stage.kappa, x_frame=stage.y, x_velocity=stage.x_velocity),
     )
+
+
+def _nodal(value: Tensor) -> Tensor:
+    """One number, or one per member, as a factor of (..., num_vertices, 3)."""
+    return value[..., None, None]
 
 
 def _explicit_step(body: Solid, state: State, x: Tensor, loads: Loads) -> State:
@@ -133,8 +144,8 @@ def _explicit_step(body: Solid, state: State, x: Tensor, loads: Loads) -> State:
     physics = loads.physics
     frame = DampingFrame(kappa=1.0, x_frame=flat(x), x_velocity=flat(x - state.v))
     gradient, _ = elastic_gradient(body, x, loads, frame)
-    mass = physics.mass[:, None]
-    v = state.v + body.dt * ((loads.force - gradient) / mass - physics.rayleigh_alpha * state.v)
+    mass, alpha = physics.mass[..., None], _nodal(physics.rayleigh_alpha)
+    v = state.v + body.dt * ((loads.force - gradient) / mass - alpha * state.v)
     target = loads.target
     v = torch.where(body.fixed, (target - x) / body.dt, v)
     x = x + body.dt * v

@@ -131,6 +131,16 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
         delay: () or (K,) [s].
         signed: Whether it may be early: then slopes at whole steps are central.
     """
+    late = _held_late(u, grid, delay, signed)
+    if bool((delay != 0.0).all()):
+        return late
+    # to the last digit the command itself at zero, with the slope by the delay there; that by the
+    # command is in the command
+    slope = _held_late(u.detach(), grid, delay, signed)
+    return torch.where(delay[..., None] != 0.0, late, u + (slope - slope.detach()))
+
+
+def _held_late(u: Tensor, grid: Grid, delay: Tensor, signed: bool) -> Tensor:
     t = grid.times
     t = torch.cat([t, 2.0 * t[-1:] - t[-2:-1]])  # the last sample is held for a step, too
     steps = t.diff()
@@ -139,9 +149,7 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
     ends = -far * u[..., :1], area[..., -1:] + far * u[..., -1:]
     area = torch.cat([ends[0], area, ends[1]], -1)
     whole = _read_at(area, t, t - delay[..., None], both_sides=signed)
-    late = whole.diff(dim=-1) / steps
-    # to the last digit the command itself at zero, with the slope there
-    return torch.where(delay[..., None] != 0.0, late, u + (late - late.detach()))
+    return whole.diff(dim=-1) / steps
 
 
 def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
@@ -198,10 +206,18 @@ def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     return _walked(u, most, lambda now, target, d: _clip(target, now - d, now + d))
 
 
-def with_play(u: Tensor, grid: Grid, half_gap: Tensor) -> Tensor:
-    """Play: rests until the signal has crossed the gap; half_gap is () or (K,)."""
+def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = None) -> Tensor:
+    """Play: rests until the signal has crossed the gap.
+
+    Args:
+        u: Signal, (..., num_times).
+        grid: Times of the signal.
+        half_gap: Half of the play, () or (K,).
+        start: Where in the play it begins, -1 to 1, () or (K,); None: in the middle.
+    """
     gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
-    return _walked(u, gaps, lambda now, target, g: _clip(now, target - g, target + g))
+    away = None if start is None else start * half_gap
+    return _walked(u, gaps, lambda now, target, g: _clip(now, target - g, target + g), away)
 
 
 def affine_scan(factor: Tensor, term: Tensor) -> Tensor:
@@ -233,12 +249,16 @@ def _clip(value: Any, low: Any, high: Any) -> Any:
     return np.minimum(np.maximum(value, low), high)
 
 
-def _walked(u: Tensor, numbers: Tensor, rule: Callable[..., Tensor]) -> Tensor:
-    """State after each time; in numpy where nobody differentiates, ten times quicker."""
-    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:])
+def _walked(
+    u: Tensor, numbers: Tensor, rule: Callable[..., Tensor], away: Tensor | None = None
+) -> Tensor:
+    """State after each time, ``away`` from the signal at first; in numpy where nobody
+    differentiates, ten times quicker."""
+    away = torch.zeros((), dtype=u.dtype) if away is None else away
+    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:], away.shape)
     targets = u.expand(*lead, u.shape[-1]).movedim(-1, 0)
-    if u.requires_grad or numbers.requires_grad:
-        now = targets[0]
+    if u.requires_grad or numbers.requires_grad or away.requires_grad:
+        now = targets[0] + away
         out = [now]
         for target, number in zip(targets[1:], numbers, strict=True):
             now = rule(now, target, number)
@@ -246,7 +266,7 @@ def _walked(u: Tensor, numbers: Tensor, rule: Callable[..., Tensor]) -> Tensor:
         return torch.stack(out, -1)
     plain, given = targets.numpy(), numbers.numpy()
     walked = np.empty((len(plain), *lead))
-    state = walked[0] = plain[0]
+    state = walked[0] = plain[0] + away.numpy()
     for k in range(1, len(plain)):
         state = walked[k] = rule(state, plain[k], given[k - 1])
     return torch.from_numpy(np.moveaxis(walked, 0, -1).copy())

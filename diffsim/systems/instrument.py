@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import torch
 from torch import Tensor
 
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems import grid as signals
 from diffsim.systems.actuator import scaled, shifted
+from diffsim.systems.description import Quantity
 from diffsim.systems.grid import Grid, SizedMap
+
+PLAY_START = "play_start"  # base parameter: where in a play a run starts, -1 to 1
+# anywhere in the play, as likely; it matters only while there is one
+START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run")
+
+
+def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
+    """Values of base parameters; a run that the model was not made for starts in the middle."""
+    name = f"{PLAY_START}@{run.name}"
+    return values if name in values else {**values, name: torch.zeros((), dtype=torch.float64)}
+
+
+def plain(name: str) -> str:
+    """A name as the names of causes are written: lower case, digits, underscores."""
+    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
+    return kept.strip("_") or "x"
 
 
 def _risen(y: Tensor, grid: Grid, size: Tensor, *, longest_s: float) -> Tensor:

@@ -16,12 +16,14 @@ from diffsim.copter.codesign import (
     Limits,
     SearchOptions,
     codesign,
+    pareto_front,
 )
 from diffsim.copter.codesign.alternating import alternate, judge
 from diffsim.copter.codesign.hover import rank_spins
 from diffsim.copter.codesign.joint import random_point
 from diffsim.copter.codesign.spin_condition import spin_conditions
 from diffsim.copter.codesign.task import Task
+from diffsim.core import open_executor
 from tests.copter.codesign_designs import arm_copter, reference_design
 
 pytest.importorskip("cvxpy")
@@ -203,6 +205,34 @@ def test_mix_with_mass_weighs_less():
     mixed = codesign(design, {"payload": 1.0, "mass": 5.0}, search=SearchOptions(num_starts=2))
     assert float(mixed.vehicle.mass) < float(plain.vehicle.mass) - 0.01
     assert mixed.bound <= mixed.objective
+
+
+def test_an_executor_changes_nothing(pentacopter, payload):
+    with open_executor("processes:2") as workers:
+        search = SearchOptions(num_starts=8, seed=1)
+        found = codesign(pentacopter, "payload", search=search, executor=workers)
+        design, few = arm_copter(FOUR), SearchOptions(num_starts=2)
+        options = AlternatingOptions(units="relative", eta=30.0, mu=30.0)
+        turns = [
+            codesign(design, "payload", "alternating", search=few, options=options, executor=given)
+            for given in (None, workers)
+        ]
+        fronts = [
+            pareto_front(
+                design,
+                ["payload", "size"],
+                num_points=2,
+                progress=False,
+                search=few,
+                executor=given,
+            )
+            for given in (None, workers)
+        ]
+    assert torch.equal(found.s, payload.s) and torch.equal(found.thrusts, payload.thrusts)
+    assert [r.value for r in found.starts] == [r.value for r in payload.starts]
+    assert found.max_weight == payload.max_weight
+    assert torch.equal(turns[0].s, turns[1].s) and turns[0].objective == turns[1].objective
+    assert [r.metrics for r in fronts[0]] == [r.metrics for r in fronts[1]]
 
 
 def test_same_seed_same_design():

@@ -7,12 +7,13 @@ import json
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from diffsim.cli.arguments import add_executor
+from diffsim.core import interruptible, open_executor, run_each
 from diffsim.diagnose import diagnose
 from diffsim.identify import SimModel, Whitener, fit
 from tests.diagnose import toy
@@ -129,7 +130,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("seed", type=int)
     parser.add_argument("--scale", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
+    add_executor(parser, "cases")
     parser.add_argument(
         "--out", default="runs/confusion.jsonl", help="of one seed; a part is completed"
     )
@@ -137,16 +138,20 @@ def main() -> None:
     path = Path(args.out)
     path.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    with ProcessPoolExecutor(args.workers) as pool, path.open("a") as file:
-        plan = list(cases(args.seed, args.scale))
-        # in random order: a run that is cut short still saw every kind
-        plan = [plan[i] for i in np.random.default_rng(args.seed).permutation(len(plan))]
-        # goes on after the cases that the file holds already
-        for case in pool.map(solve, plan[len(done) :]):
+    plan = list(cases(args.seed, args.scale))
+    # in random order: a run that is cut short still saw every kind; each has a seed of its own
+    plan = [plan[i] for i in np.random.default_rng(args.seed).permutation(len(plan))]
+    solved = {case["seed"] for case in done}
+    with open_executor(args.executor) as executor, path.open("a") as file:
+
+        def keep(_: int, case: Case) -> None:
             case["right"] = is_right(case)
             done.append(case)
             file.write(json.dumps(case) + "\n")
             file.flush()
+
+        missing = [case for case in plan if case["seed"] not in solved]
+        run_each(solve, missing, executor, done=keep)
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for case in done:
         table[case["kind"]][case["verdict"]] += 1
@@ -156,4 +161,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible("the same command goes on"):
+        main()

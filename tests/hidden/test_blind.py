@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,8 @@ from benchmarks.blind.score import score_answer, true_sizes, with_strength
 from benchmarks.blind.sessions import Blind
 from benchmarks.blind.strength import score_simulated
 from benchmarks.blind.table import by_strength, confusion, figures, markdown
-from diffsim.data.labs.sealed import seal
+from diffsim.core import open_executor
+from diffsim.data.labs.sealed import BENCHES, seal
 from diffsim.identify.model import Numerics, SimModel
 from tests.diagnose import toy, toy_setup
 from tests.hidden.toy_lab import TOY
@@ -166,6 +169,23 @@ def test_cases_are_diagnosed_in_their_own_process_and_scored(solved):
     assert page.startswith("# Sealed cases of the toy") and f"--seed {QUICK_SEED}" in page
 
 
+@pytest.mark.slow
+def test_an_executor_changes_nothing(solved, tmp_path):
+    blind, scores = solved
+    other = replace(blind, out=tmp_path / "out", vault=tmp_path / "vault")
+    with open_executor("processes:2") as workers:
+        found = other.run(2, workers)
+    timed = ("cpu_s", "wall_s")
+    assert [{k: v for k, v in s.items() if k not in timed} for s in found] == [
+        {k: v for k, v in s.items() if k not in timed} for s in scores
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(BENCHES))
+def test_every_bench_can_be_sent_to_a_worker(name):
+    assert pickle.loads(pickle.dumps(BENCHES[name])) is not None
+
+
 def test_answers_and_scores_are_kept(solved, monkeypatch):
     blind, scores = solved
     monkeypatch.setattr(Blind, "_run", lambda *_: pytest.fail("the case was diagnosed again"))
@@ -203,7 +223,7 @@ def test_the_process_gets_the_data_and_a_bare_environment(solved, monkeypatch, t
         seen.update(command=command, environment=environment, files=sorted(Path(folder).iterdir()))
         return 1, "stop here"
 
-    monkeypatch.setattr(blind._processes, "run", spy)
+    monkeypatch.setattr(blind_module, "_ended", spy)
     (blind.out / "answers" / "case_000.json").rename(tmp_path / "kept.json")
     try:
         given = blind.answer("case_000")

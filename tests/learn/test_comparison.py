@@ -18,6 +18,7 @@ pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
 pytest.importorskip("matplotlib", reason="the comparison draws a figure")
 pytest.importorskip("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
+from diffsim.core import open_executor
 from diffsim.envs.registry import make_task
 from diffsim.learn import comparison, methods, presets
 from diffsim.learn.gradient import BadGradients
@@ -234,3 +235,26 @@ def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) 
     both = comparison.collect(plan, alone)
     assert {m: sorted(r) for m, r in both.items()} == {"gradient": [1, 2], "ppo": [3]}
     assert both["gradient"] == runs["gradient"]
+
+
+def test_an_executor_changes_nothing(tmp_path: Path) -> None:
+    plan = dataclasses.replace(
+        tiny_plan(),
+        candidates={**tiny_plan().candidates, "sac": ({"passes": 2, "learning_rate": 1e-3},)},
+        steps={"gradient": 160, "sac": 160},
+    )
+    ratings = {}
+    for word in ("here", "processes:2"):
+        folder = tmp_path / word.partition(":")[0]
+        with open_executor(word) as executor:
+            comparison.run_all(plan, folder, executor=executor, show=False)
+        runs = comparison.collect(plan, folder)
+        ratings[word] = {
+            (method, seed): [(row["steps"], row["reward"]) for row in rows]
+            for method, by_seed in runs.items()
+            for seed, rows in by_seed.items()
+        }
+        ratings[word, "chosen"] = json.loads((folder / "tuning_gradient.json").read_text())["best"]
+    assert len(ratings["here"]) == 2
+    assert ratings["processes:2"] == ratings["here"]
+    assert ratings["processes:2", "chosen"] == ratings["here", "chosen"]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diffsim.core import open_executor
 from diffsim.core.errors import DiffsimError
-from diffsim.optim import Budget, Options, minimize, multi_start, screen, uniform_points
+from diffsim.optim import Budget, Log, Options, minimize, multi_start, screen, uniform_points
 
 BOUNDS = (np.array([-2.0, -1.0]), np.array([2.0, 1.0]))
 
@@ -68,3 +69,21 @@ def test_failed_starts_are_left_out():
 def test_screening_may_be_ended():
     made = screen(valleys, uniform_points(BOUNDS, 9), callback=lambda p: p.count == 4)
     assert len(made) == 4
+
+
+def test_an_executor_changes_nothing(tmp_path):
+    alone_log, log = Log(tmp_path / "alone.jsonl"), Log(tmp_path / "log.jsonl")
+    options = Options(Budget(20))
+    alone = multi_start(valleys, BOUNDS, options, count=6, keep=3, seed=1, log=alone_log)
+    with open_executor("processes:2") as workers:
+        found = multi_start(
+            valleys, BOUNDS, options, count=6, keep=3, seed=1, log=log, executor=workers
+        )
+        with pytest.raises(ValueError, match="leave out callback or executor"):
+            multi_start(valleys, BOUNDS, count=2, callback=print, executor=workers)
+    for one, other in zip(alone.descents, found.descents, strict=True):
+        np.testing.assert_array_equal([e.x for e in one.history], [e.x for e in other.history])
+    assert [e.value for e in alone.starts] == [e.value for e in found.starts]
+    for name in ("descent 1", "descent 2", "descent 3"):  # the file holds all, to be gone on from
+        again = [entry["x"] for entry in Log(log.path)[name]]
+        assert again == [entry["x"] for entry in alone_log[name]] and again

@@ -90,7 +90,8 @@ BAD_BODIES = [
     ),
     ({"node_mass": zeros(NODES)}, ValueError, "node_mass must lie in.*got 0"),
     ({"node_mass": zeros(2)}, ValueError, "node_mass must have shape"),
-    ({"fixed": [0, 1]}, TypeError, "fixed must be a torch.Tensor, got list"),
+    ({"fixed": [0.0, 1.5]}, TypeError, "fixed must be an array of numbers.*not whole numbers"),
+    ({"fixed": "left"}, TypeError, "fixed must be an array of numbers, got 'left'"),
     (
         {"fixed": torch.tensor([0, NODES])},
         ValueError,

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
+from dataclasses import replace
+
 import pytest
 import torch
 
+from diffsim.core import open_executor
 from diffsim.core.errors import DiffsimError
 from diffsim.optim import Log
 from diffsim.stokes import devices
@@ -118,3 +122,36 @@ def test_refuses_what_is_not_a_coarser_grid_of_the_same_device():
         devices.coarse_to_fine(device, coarse, num_checked=11)
     with pytest.raises(ValueError, match="num_starts must be at least 1"):
         devices.coarse_to_fine(device, coarse, num_starts=0)
+
+
+def test_an_executor_changes_nothing(tmp_path):
+    device, coarse = amplifiers()
+    options = {"num_starts": 2, "num_checked": 2, "max_evaluations": 3, "progress": False}
+    options |= {"max_coarse_evaluations": 4}
+    alone = devices.coarse_to_fine(device, coarse, 5, seed=3, **options)
+    with open_executor("processes:2") as workers:
+        path = tmp_path / "progress.jsonl"
+        found = devices.coarse_to_fine(
+            device, coarse, 5, seed=3, path=path, executor=workers, **options
+        )
+    assert torch.equal(found.x, alone.x) and found.loss == alone.loss
+    assert torch.equal(found.samples, alone.samples) and found.num_rejected == alone.num_rejected
+    assert alone.coarse is not None and found.coarse is not None
+    for one, other in zip(alone.coarse.descents, found.coarse.descents, strict=True):
+        assert torch.equal(one.designs, other.designs) and torch.equal(one.losses, other.losses)
+
+    # the log is whole: the same search goes on from it here, and computes nothing
+    def forbidden(self, x):
+        raise AssertionError("computed again")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(devices.Device, "value", forbidden)
+        patch.setattr(devices.Device, "value_and_gradient", forbidden)
+        again = devices.coarse_to_fine(device, coarse, 5, seed=3, path=path, **options)
+    assert torch.equal(again.x, alone.x)
+
+
+def test_a_device_of_ones_own_says_how_it_comes_to_a_worker():
+    own = replace(amplifiers()[1], remake=None)
+    with pytest.raises(TypeError, match="give it remake, a function of a module"):
+        pickle.dumps(own)

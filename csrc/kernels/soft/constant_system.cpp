@@ -2,6 +2,8 @@
 
 #include <limits>
 
+#include "kernels/linalg/cholesky_symbolic.h"
+
 namespace diffsim {
 namespace {
 
@@ -70,6 +72,9 @@ Vector with_dirichlet(const SoftModel& model, Vector values, const std::uint8_t*
   return values;
 }
 
+// Bodies of more nodes, or more products of blocks in a factor, fill registers by themselves.
+constexpr Index kMostLaneNodes = 500, kMostLaneProducts = 100000;
+
 // Multigrid that needs more iterations than this at rest is compared with the constant factor.
 constexpr double kFewIterations = 12.0;
 
@@ -132,6 +137,24 @@ std::shared_ptr<const RigidHierarchy> SoftPattern::hierarchy() const {
     hierarchy_ = std::make_shared<const RigidHierarchy>(std::move(nodes));
   });
   return hierarchy_;
+}
+
+const LaneTables* SoftPattern::lanes() const {
+  std::call_once(lanes_once_, [this] {
+    if (model_.num_nodes > kMostLaneNodes || model_.chambers.num_chambers > 0) return;
+    std::vector<int> order;
+    std::vector<std::uint8_t> seen(at(model_.num_nodes), 0);
+    for (int unknown : blocks()->unknown) {
+      const int node = unknown / 3;
+      if (!seen[at(node)]) order.push_back(node);
+      seen[at(node)] = 1;
+    }
+    LanePattern pattern(model_.row_start, model_.column, std::move(order));
+    if (pattern.num_products() > kMostLaneProducts) return;
+    LanePlaces places = lane_places(model_, pattern);
+    lanes_.reset(new LaneTables{std::move(pattern), std::move(places)});
+  });
+  return lanes_.get();
 }
 
 ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,

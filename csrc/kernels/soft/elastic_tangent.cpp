@@ -1,6 +1,7 @@
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_matrix.h"
 #include "kernels/soft/element_stage.h"
+#include "kernels/soft/lane_tangent.h"
 
 namespace diffsim {
 namespace {
@@ -105,47 +106,137 @@ void assemble(const SoftModel& model, const ElementBlock& block,
   }
 }
 
+/// Fills in the tangents dP/dF of a stage's groups, of the solid and of the fibers.
 template <typename Group, typename M>
-void tangent_of(const SoftModel& model, const SoftParameters& p,
-                const std::vector<DampingFrame>& frames, const double* x, bool clamp,
-                double* values, ElasticityScratch& scratch, ThreadPool& pool) {
-  const ElementBlock& solid = model.solid;
-  const ElementBlock& fiber = model.fiber;
-  const KeptFrames kept = kept_frames(scratch, model, x);
-  const auto fill_solid = [&](Index first, int count, GroupTangent* tangents) {
-    const Stage<Group> stage(solid, first, count, x, kept, false);
+struct TangentFill {
+  const SoftModel& model;
+  const SoftParameters& p;
+  const std::vector<DampingFrame>& frames;
+  const double* x;
+  bool clamp;
+  KeptFrames kept;
+
+  void solid(Index first, int count, GroupTangent* tangents) const {
+    const ElementBlock& block = model.solid;
+    const Stage<Group> stage(block, first, count, x, kept, false);
     for (int r = 0; r < count * kParts; ++r) {
       const Index g = first + r / kParts;
       const int part = r % kParts;
       Native* H = tangents[r / kParts].H[part];
       const typename M::template Sample<Native> sample(stage.frame(r));
-      PrincipalTangent<Native> core = M::tangent(sample, Group::part_value(solid, g, part, p.w_mu),
-                                                 Group::part_value(solid, g, part, p.w_vol));
+      PrincipalTangent<Native> core = M::tangent(sample, Group::part_value(block, g, part, p.w_mu),
+                                                 Group::part_value(block, g, part, p.w_vol));
       if (clamp) clamp_tangent(core);
       expand_tangent(stage.frame(r), core, H);
       if (!p.damp_mu) continue;
       Native Fn[9];
       split_matrix(frames[at(g)].Fn, part, Fn);
-      add_viscous_tangent(Fn, Group::part_value(solid, g, part, p.damp_mu),
-                          Group::part_value(solid, g, part, p.damp_lambda), H);
+      add_viscous_tangent(Fn, Group::part_value(block, g, part, p.damp_mu),
+                          Group::part_value(block, g, part, p.damp_lambda), H);
     }
-  };
-  const auto fill_fiber = [&](Index first, int count, GroupTangent* tangents) {
+  }
+
+  void fiber(Index first, int count, GroupTangent* tangents) const {
     for (int n = 0; n < count; ++n) {
       Native F[kParts][9];
-      deformation_gradient<Group>(fiber, first + n, x, F);
+      deformation_gradient<Group>(model.fiber, first + n, x, F);
       for (int part = 0; part < kParts; ++part) {
         const FiberPart f = fiber_part<Group>(model, p, first + n, part, F[part]);
         fiber_tangent(f.state, f.pull, clamp, tangents[n].H[part]);
       }
     }
-  };
+  }
+};
+
+template <typename Group, typename M>
+void tangent_of(const SoftModel& model, const SoftParameters& p,
+                const std::vector<DampingFrame>& frames, const double* x, bool clamp,
+                double* values, ElasticityScratch& scratch, ThreadPool& pool) {
+  const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_frames(scratch, model, x)};
+  const auto solid = [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); };
+  const auto fiber = [&](Index g, int count, GroupTangent* out) { fill.fiber(g, count, out); };
   std::fill(values, values + model.values_size(), 0.0);
-  assemble<Group>(model, solid, model.solid_slot, fill_solid, values, scratch, pool);
-  assemble<Group>(model, fiber, model.fiber_slot, fill_fiber, values, scratch, pool);
+  assemble<Group>(model, model.solid, model.solid_slot, solid, values, scratch, pool);
+  assemble<Group>(model, model.fiber, model.fiber_slot, fiber, values, scratch, pool);
+}
+
+/// Adds the matrices of one block to one lane; fill(first, count, tangents) as in assemble().
+template <typename Group, typename Fill>
+void add_to_lane(const ElementBlock& block, const std::vector<std::int32_t>& places, Fill&& fill,
+                 LaneCholesky& to, int lane) {
+  using Matrices = MatricesOf<Group>;
+  constexpr int n = Group::kNodes, kPairs = n * (n + 1) / 2, kStep = LaneCholesky::kCount;
+  for_stages(0, block.num_groups, [&](Index first, int count) {
+    GroupTangent tangents[kStage];
+    fill(first, count, tangents);
+    for (int k = 0; k < count; ++k) {
+      const Index g = first + k, begin = g * Matrices::kElements;
+      alignas(64) double matrix[Matrices::kSize];
+      Matrices::make(block, g, tangents[k], matrix);
+      const Index end = std::min(block.num_elements, begin + Matrices::kElements);
+      for (Index e = begin; e < end; ++e) {
+        const std::int32_t* place = places.data() + e * kPairs;
+        for (int b = 0; b < n; ++b)
+          for (int a = 0; a <= b; ++a, ++place) {
+            double K[9];
+            Matrices::read(matrix, static_cast<int>(e - begin), a, b, K);
+            const bool transposed = *place < 0;
+            double* out = to.block(transposed ? ~*place : *place, lane);
+            const int row = transposed ? 1 : 3, column = transposed ? 3 : 1;
+            for (int i = 0; i < 3; ++i)
+              for (int j = 0; j < 3; ++j) out[(row * i + column * j) * kStep] += K[3 * i + j];
+          }
+      }
+    }
+  });
+}
+
+template <typename Group, typename M>
+void tangent_in_lane_of(const SoftModel& model, const SoftParameters& p,
+                        const std::vector<DampingFrame>& frames, const double* x,
+                        const LanePlaces& places, ElasticityScratch& scratch, LaneCholesky& to,
+                        int lane) {
+  const TangentFill<Group, M> fill{model, p, frames, x, false, kept_frames(scratch, model, x)};
+  add_to_lane<Group>(
+      model.solid, places.solid,
+      [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); }, to, lane);
+  add_to_lane<Group>(
+      model.fiber, places.fiber,
+      [&](Index g, int count, GroupTangent* out) { fill.fiber(g, count, out); }, to, lane);
+}
+
+std::vector<std::int32_t> places_of(const SoftModel& model, const ElementBlock& block,
+                                    const std::vector<std::int32_t>& slots,
+                                    const LanePattern& pattern) {
+  const int n = block.nodes_per_element();
+  std::vector<std::int32_t> places;
+  for (Index e = 0; e < block.num_elements; ++e)
+    for (int b = 0; b < n; ++b)
+      for (int a = 0; a <= b; ++a) {
+        const Index row = block.nodes[at(e * n + a)];
+        const auto [index, transposed] =
+            pattern.place(model.row_start[at(row)] + slots[at((e * n + a) * n + b)]);
+        places.push_back(transposed ? ~index : index);
+      }
+  return places;
 }
 
 }  // namespace
+
+LanePlaces lane_places(const SoftModel& model, const LanePattern& pattern) {
+  return {places_of(model, model.solid, model.solid_slot, pattern),
+          places_of(model, model.fiber, model.fiber_slot, pattern)};
+}
+
+void tangent_in_lane(const SoftModel& model, const SoftParameters& p,
+                     const std::vector<DampingFrame>& frames, const double* x,
+                     const LanePlaces& places, ElasticityScratch& scratch, LaneCholesky& to,
+                     int lane) {
+  with_types(model, [&](auto group, auto material) {
+    tangent_in_lane_of<decltype(group), decltype(material)>(model, p, frames, x, places, scratch,
+                                                            to, lane);
+  });
+}
 
 void tangent(const SoftModel& model, const SoftParameters& p,
              const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,

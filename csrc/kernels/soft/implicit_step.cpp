@@ -1,9 +1,7 @@
 #include "kernels/soft/implicit_step.h"
 
-#include <deque>
-
 #include "kernels/soft/descent.h"
-#include "kernels/soft/step_problem.h"
+#include "kernels/soft/step_search.h"
 
 namespace diffsim {
 namespace {
@@ -13,110 +11,11 @@ namespace {
 // tangent is closer to it: with 15 the first step of a twisted beam of contrast 100 takes 27
 // iterations, with 40 it takes 46.
 constexpr int kFarIterations = 40, kFarIterationsMultigrid = 15;
-// A line search gives up after so many trials, and extends a full step by so many doublings while
-// the slope there is at least this of the first.
-constexpr int kMaxTrials = 30, kMaxDoublings = 10;
-constexpr double kSteep = 0.5;
-// Pairs that L-BFGS keeps, and the least cosine of the angle between their members.
-constexpr std::size_t kHistory = 10;
-constexpr double kLeastCurvature = 1e-14;
 // A Newton direction's residual need not be lowered below this of the step's tolerance; it is
 // lowered to this of the right-hand side at least.
 constexpr double kEnoughOfTolerance = 0.5, kLargestForcing = 0.5;
 // Steps on an old factor are taken where so many of them are expected to end the search.
 constexpr int kMaxOldSteps = 2;
-
-/// Takes longer and longer steps along d while the energy falls about as steeply as at its start.
-/// Directions on a clamped Hessian are far too short where a body buckles: it is stiffer than the
-/// energy, and full steps would leave a saddle by a fifth more each.
-void extend(StepProblem& problem, const Vector& d, double slope, const Vector& start, Vector& x,
-            double& value, Vector& gradient) {
-  Vector farther, gradient_there;
-  double step = 1.0;
-  for (int k = 0; k < kMaxDoublings && problem.ops().dot(gradient, d) < kSteep * slope; ++k) {
-    step *= 2.0;
-    farther = start;
-    problem.ops().add(step, d, farther);
-    const double value_there = problem.value_gradient(farther, gradient_there);
-    const double added = 0.5 * step;
-    if (!(value_there < value + kArmijo * added * slope)) {
-      value = problem.value_gradient(x, gradient);  // what the problem remembers is that of x again
-      return;
-    }
-    x.swap(farther);
-    gradient.swap(gradient_there);
-    value = value_there;
-  }
-}
-
-/// Backtracks along d until the energy falls enough, or the slope where that says no more
-/// (descent.h); updates x, value and gradient.
-bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x, double& value,
-                 Vector& gradient) {
-  const Vector start = x;
-  const double start_value = value;
-  const double rounding = kEnergyRounding * problem.magnitude();
-  double step = 1.0;
-  for (int trial = 0; trial < kMaxTrials; ++trial, step *= 0.5) {
-    x = start;
-    problem.ops().add(step, d, x);
-    value = problem.value_gradient(x, gradient);
-    if (!std::isfinite(value)) continue;  // beyond the reach of the energy: inverted, or overflow
-    if (value <= start_value + kArmijo * step * slope + rounding) {
-      if (step == 1.0) extend(problem, d, slope, start, x, value, gradient);
-      return true;
-    }
-    if (value <= start_value + kFlatEnergy * problem.magnitude() &&
-        std::abs(problem.ops().dot(gradient, d)) <= -kWolfe * slope)
-      return true;
-  }
-  x = start;
-  value = problem.value_gradient(x, gradient);
-  return false;
-}
-
-/// L-BFGS whose initial inverse Hessian is the preconditioner: on the constant factor, A^-1 (Liu et
-/// al. 2017).
-class QuasiNewton {
- public:
-  explicit QuasiNewton(StepProblem& problem) : problem_(problem) {}
-
-  void direction(const Vector& gradient, Vector& d) {
-    VectorOps& ops = problem_.ops();
-    Vector q = gradient;
-    std::vector<double> alpha(pairs_.size());
-    for (std::size_t k = pairs_.size(); k-- > 0;) {
-      alpha[k] = ops.dot(pairs_[k].s, q) / pairs_[k].sy;
-      ops.add(-alpha[k], pairs_[k].y, q);
-    }
-    problem_.precondition(q, d);
-    for (std::size_t k = 0; k < pairs_.size(); ++k)
-      ops.add(alpha[k] - ops.dot(pairs_[k].y, d) / pairs_[k].sy, pairs_[k].s, d);
-    for (double& v : d) v = -v;
-  }
-
-  void update(const Vector& x_old, const Vector& g_old, const Vector& x, const Vector& g) {
-    Pair pair{x, g, 0.0};
-    problem_.ops().add(-1.0, x_old, pair.s);
-    problem_.ops().add(-1.0, g_old, pair.y);
-    pair.sy = problem_.ops().dot(pair.s, pair.y);
-    // A pair without positive curvature would make the update indefinite.
-    if (!(pair.sy > kLeastCurvature * problem_.ops().norm(pair.s) * problem_.ops().norm(pair.y)))
-      return;
-    if (pairs_.size() == kHistory) pairs_.pop_front();
-    pairs_.push_back(std::move(pair));
-  }
-
-  void forget() { pairs_.clear(); }
-
- private:
-  struct Pair {
-    Vector s, y;
-    double sy;
-  };
-  StepProblem& problem_;
-  std::deque<Pair> pairs_;
-};
 
 /// Inexact Newton directions by conjugate gradients on one of three preconditioners.
 class Newton {
@@ -289,15 +188,8 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
     follow_targets(problem, system, inputs, x);
     value = problem.value_gradient(x, gradient);
   }
-  StepStats stats;
-  stats.residual_norm = problem.ops().norm(gradient);
-  // A static problem without load has no force scale of its own: measure from the start, which may
-  // be rounding already.
-  const bool unloaded = !(problem.scale() > 0.0);
-  stats.scale = unloaded ? stats.residual_norm : problem.scale();
-  stats.tolerance = options.rtol * stats.scale + options.atol;
   const double rounding = system.rounding_floor(x);
-  if (unloaded) stats.tolerance = std::max(stats.tolerance, rounding);
+  StepStats stats = begin_stats(problem, options, gradient, rounding);
   double best = stats.residual_norm;
   int since_best = 0;
 

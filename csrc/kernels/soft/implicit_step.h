@@ -15,7 +15,15 @@
 namespace diffsim {
 
 /// How the minimum is found; all meet the same tolerance (see implicit_step.cpp).
-enum class StepMethod { kAuto, kQuasiNewton, kNewtonPcg, kNewtonJacobi, kNewtonCholesky };
+/// kLinearlyImplicit does not look for the minimum: one Newton step from the guess, linear_step.h.
+enum class StepMethod {
+  kAuto,
+  kQuasiNewton,
+  kNewtonPcg,
+  kNewtonJacobi,
+  kNewtonCholesky,
+  kLinearlyImplicit
+};
 
 struct StepOptions {
   StepMethod method = StepMethod::kAuto;
@@ -26,10 +34,14 @@ struct StepOptions {
 
 struct StepInputs {
   SoftParameters parameters;
+  /// Whether parameters and inertia have a batch axis, as all else has; the constant system is then
+  /// one for all members, and serves to precondition only.
+  bool per_member = false;
   const double* y = nullptr;           // (num_nodes, 3) [m]
   const double* force = nullptr;       // (num_nodes, 3) [N]
   const double* target = nullptr;      // (num_nodes, 3) [m], read at fixed unknowns
   const double* guess = nullptr;       // (num_nodes, 3) [m], start of the iteration
+  const double* inertia = nullptr;     // (num_nodes,) [N/m]; null: the system's
   const double* x_frame = nullptr;     // (num_nodes, 3) [m], with damping only
   const double* x_velocity = nullptr;  // (num_nodes, 3) [m], with damping only
 };
@@ -57,6 +69,7 @@ struct StepAdjoint {
   double* y = nullptr;        // (num_nodes, 3)
   double* force = nullptr;    // (num_nodes, 3)
   double* target = nullptr;   // (num_nodes, 3), zero at free unknowns
+  double* guess = nullptr;    // (num_nodes, 3), of linearly implicit steps only
   double* inertia = nullptr;  // (num_nodes,)
   ParameterAdjoint parameters;
 };
@@ -87,7 +100,7 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
                                 const StepDirections& directions, double* dx, ThreadPool& pool);
 
 /// Pointers of batch item k: leading batch axes on states, forces, activations and pressures;
-/// parameters shared.
+/// parameters shared but where they are given per member.
 StepInputs batch_item(const StepInputs& inputs, const SoftModel& model, std::int64_t k);
 StepAdjoint batch_item(const StepAdjoint& adjoint, const SoftModel& model, std::int64_t k);
 

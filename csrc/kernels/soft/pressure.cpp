@@ -170,4 +170,41 @@ void pressure_adjoint(const SoftModel& model, const double* x, const double* z, 
   });
 }
 
+void linearized_pressure_adjoint(const SoftModel& model, const double* pressure, const double* x,
+                                 const double* d, const double* z, double* force, double* out,
+                                 ThreadPool& pool) {
+  const std::size_t count = static_cast<std::size_t>(model.chambers.num_chambers);
+  if (!count) return;
+  // The gradient G is a homogeneous quadratic form of positions, so that polarization is exact:
+  // its second derivative along z and d is G(z + d) - G(z) - G(d), and G(x) + H d is
+  // G(x + d) - G(d).
+  const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
+  double most_z = 0.0, most_d = 0.0;
+  for (std::size_t i = 0; i < size; ++i) {
+    most_z = std::max(most_z, std::abs(z[i]));
+    most_d = std::max(most_d, std::abs(d[i]));
+  }
+  // Of one size, so that the difference keeps its digits.
+  const double scale = most_z > 0.0 && most_d > 0.0 ? most_d / most_z : 1.0;
+  std::vector<double> z_scaled(size), both(size), end(size), gradient(size);
+  for (std::size_t i = 0; i < size; ++i) {
+    z_scaled[i] = scale * z[i];
+    both[i] = z_scaled[i] + d[i];
+    end[i] = x[i] + d[i];
+  }
+  const auto add = [&](double factor, const double* at) {
+    std::fill(gradient.begin(), gradient.end(), 0.0);
+    add_pressure_gradient(model, pressure, at, gradient.data(), pool);
+    for (std::size_t i = 0; i < size; ++i) force[i] += factor / scale * gradient[i];
+  };
+  add(1.0, both.data());
+  add(-1.0, z_scaled.data());
+  add(-1.0, d);
+  if (!out) return;
+  std::vector<double> rest(count);
+  pressure_adjoint(model, end.data(), z, out, pool);
+  pressure_adjoint(model, d, z, rest.data(), pool);
+  for (std::size_t k = 0; k < count; ++k) out[k] -= rest[k];
+}
+
 }  // namespace diffsim

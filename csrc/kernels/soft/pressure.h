@@ -26,4 +26,11 @@ void add_pressure_tangent(const SoftModel& model, const double* pressure, const 
 void pressure_adjoint(const SoftModel& model, const double* x, const double* z, double* out,
                       ThreadPool& pool);
 
+/// Derivatives of z . (gradient(x) + H(x) d), H = d^2(-sum p V)/dx^2, nothing for a null `out`.
+/// @param[out] force  (num_nodes, 3) added: d/dx with x + d held fixed
+/// @param[out] out    (num_chambers,) by the pressures, overwritten
+void linearized_pressure_adjoint(const SoftModel& model, const double* pressure, const double* x,
+                                 const double* d, const double* z, double* force, double* out,
+                                 ThreadPool& pool);
+
 }  // namespace diffsim

@@ -1,12 +1,38 @@
 #include "kernels/soft/batch.h"
 #include "kernels/soft/implicit_step.h"
+#include "kernels/soft/lane_steps.h"
+#include "kernels/soft/linear_step.h"
 
 namespace diffsim {
+namespace {
+
+/// Calls f(first, count, pool) for groups that fill the lanes of a register.
+template <typename F>
+void for_lanes(std::int64_t batch, int num_threads, F&& f) {
+  constexpr int kCount = LaneCholesky::kCount;
+  for_batch((batch + kCount - 1) / kCount, num_threads, [&](std::int64_t group, ThreadPool& pool) {
+    const std::int64_t first = group * kCount;
+    f(first, static_cast<int>(std::min<std::int64_t>(kCount, batch - first)), pool);
+  });
+}
+
+}  // namespace
+
 StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t k) {
   const std::int64_t size = 3 * model.num_nodes;
   StepInputs item = in;
   item.parameters.activation = offset(in.parameters.activation, k, model.fiber.num_elements);
   item.parameters.pressure = offset(in.parameters.pressure, k, model.chambers.num_chambers);
+  if (in.per_member) {
+    const std::int64_t elements = model.solid.num_elements;
+    item.parameters.w_mu = offset(in.parameters.w_mu, k, elements);
+    item.parameters.w_vol = offset(in.parameters.w_vol, k, elements);
+    item.parameters.fiber_stiffness =
+        offset(in.parameters.fiber_stiffness, k, model.fiber.num_elements);
+    item.parameters.damp_mu = offset(in.parameters.damp_mu, k, elements);
+    item.parameters.damp_lambda = offset(in.parameters.damp_lambda, k, elements);
+    item.inertia = offset(in.inertia, k, model.num_nodes);
+  }
   item.y = offset(in.y, k, size);
   item.force = offset(in.force, k, size);
   item.target = offset(in.target, k, size);
@@ -23,6 +49,7 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
   item.y = offset(out.y, k, size);
   item.force = offset(out.force, k, size);
   item.target = offset(out.target, k, size);
+  item.guess = offset(out.guess, k, size);
   item.inertia = offset(out.inertia, k, model.num_nodes);
   item.parameters.w_mu = offset(out.parameters.w_mu, k, elements);
   item.parameters.w_vol = offset(out.parameters.w_vol, k, elements);
@@ -39,9 +66,18 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
 void implicit_step_batch(const ConstantSystem& system, const StepInputs& inputs,
                          const StepOptions& options, std::int64_t batch, double* x,
                          StepStats* stats, int num_threads) {
+  if (steps_in_lanes(system, options)) {
+    for_lanes(batch, num_threads, [&](std::int64_t first, int count, ThreadPool& pool) {
+      const auto steps =
+          options.method == StepMethod::kLinearlyImplicit ? lane_linear_steps : lane_steps;
+      steps(system, inputs, options, first, count, x, stats, pool);
+    });
+    return;
+  }
   for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
-    stats[k] = implicit_step(system, batch_item(inputs, system.model(), k), options,
-                             x + 3 * k * system.model().num_nodes, pool);
+    const auto step = options.method == StepMethod::kLinearlyImplicit ? linear_step : implicit_step;
+    stats[k] = step(system, batch_item(inputs, system.model(), k), options,
+                    x + 3 * k * system.model().num_nodes, pool);
   });
 }
 
@@ -50,10 +86,17 @@ void implicit_step_adjoint_batch(const ConstantSystem& system, const StepInputs&
                                  const double* grad_x, const StepAdjoint& out, StepStats* stats,
                                  int num_threads) {
   const std::int64_t size = 3 * system.model().num_nodes;
+  if (adjoints_in_lanes(system, options)) {
+    for_lanes(batch, num_threads, [&](std::int64_t first, int count, ThreadPool& pool) {
+      lane_adjoints(system, inputs, options, first, count, x, grad_x, out, stats, pool);
+    });
+    return;
+  }
   for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
-    stats[k] =
-        implicit_step_adjoint(system, batch_item(inputs, system.model(), k), options, x + k * size,
-                              grad_x + k * size, batch_item(out, system.model(), k), pool);
+    const auto adjoint = options.method == StepMethod::kLinearlyImplicit ? linear_step_adjoint
+                                                                         : implicit_step_adjoint;
+    stats[k] = adjoint(system, batch_item(inputs, system.model(), k), options, x + k * size,
+                       grad_x + k * size, batch_item(out, system.model(), k), pool);
   });
 }
 

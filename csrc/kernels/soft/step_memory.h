@@ -9,6 +9,7 @@
 #include <mutex>
 #include <vector>
 
+#include "kernels/linalg/lane_cholesky.h"
 #include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/soft/elasticity.h"
 
@@ -20,26 +21,46 @@ struct StepMemory {
   std::unique_ptr<RigidMultigrid> multigrid;  // none where no step has used one
 };
 
-/// Memories that no step uses at the moment; as many as steps have run at the same time.
-class StepMemories {
+/// What several small bodies factor and solve in.
+struct LaneMemory {
+  LaneCholesky matrices;
+  LaneCholesky::Columns columns, product, residual;
+};
+
+/// Memories that nobody uses at the moment; as many as were used at the same time.
+template <typename Memory>
+class IdleMemories {
  public:
-  std::unique_ptr<StepMemory> take() {
+  std::unique_ptr<Memory> take() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (idle_.empty()) return std::make_unique<StepMemory>();
-    std::unique_ptr<StepMemory> memory = std::move(idle_.back());
+    if (idle_.empty()) return std::make_unique<Memory>();
+    std::unique_ptr<Memory> memory = std::move(idle_.back());
     idle_.pop_back();
-    if (memory->multigrid) memory->multigrid->forget();
-    memory->elastic.kept_at.clear();
     return memory;
   }
-  void give_back(std::unique_ptr<StepMemory> memory) {
+  void give_back(std::unique_ptr<Memory> memory) {
     const std::lock_guard<std::mutex> lock(mutex_);
     idle_.push_back(std::move(memory));
   }
 
  private:
   std::mutex mutex_;
-  std::vector<std::unique_ptr<StepMemory>> idle_;
+  std::vector<std::unique_ptr<Memory>> idle_;
+};
+
+/// Memories of steps, which remember nothing of the one before.
+class StepMemories {
+ public:
+  std::unique_ptr<StepMemory> take() {
+    std::unique_ptr<StepMemory> memory = idle_.take();
+    if (memory->multigrid) memory->multigrid->forget();
+    memory->elastic.kept_at.clear();
+    return memory;
+  }
+  void give_back(std::unique_ptr<StepMemory> memory) { idle_.give_back(std::move(memory)); }
+
+ private:
+  IdleMemories<StepMemory> idle_;
 };
 
 }  // namespace diffsim

@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 
+#include "kernels/soft/elastic_second.h"
 #include "kernels/soft/pressure.h"
 
 namespace diffsim {
@@ -11,7 +12,7 @@ std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 double force_scale(const ConstantSystem& system, const StepInputs& in) {
   const std::int64_t n = system.model().num_nodes;
-  const double* inertia = system.inertia();
+  const double* inertia = in.inertia ? in.inertia : system.inertia();
   double mean[3] = {0, 0, 0};
   for (std::int64_t i = 0; i < n; ++i)
     for (int axis = 0; axis < 3; ++axis) mean[axis] += in.y[3 * i + axis] / static_cast<double>(n);
@@ -51,7 +52,7 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
                                                  gradient.data(), pool_);
   double kinetic = 0.0, work = 0.0;
   for (std::size_t i = 0; i < size_; ++i) {
-    const double m = system_.inertia()[i / 3], step = x[i] - in_.y[i];
+    const double m = inertia()[i / 3], step = x[i] - in_.y[i];
     if (!system_.fixed()[i]) {
       kinetic += 0.5 * m * step * step;
       work += in_.force[i] * step;
@@ -64,9 +65,9 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
 }
 
 void StepProblem::assemble(const Vector& x, bool clamp) {
-  if (by_multigrid_ && !is_multigrid_kept_) {
+  if (!is_multigrid_kept_) {
     assembled_at_ = x;
-    is_multigrid_stale_ = true;
+    is_multigrid_stale_ = by_multigrid_;
   }
   memory_->values.resize(at(system_.model().values_size()));
   tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, memory_->values.data(),
@@ -77,10 +78,20 @@ void StepProblem::assemble(const Vector& x, bool clamp) {
                          pool_);
 }
 
+void StepProblem::assemble_lane(const Vector& x, const LaneTables& tables, LaneCholesky& to,
+                                int lane) {
+  const SoftModel& model = system_.model();
+  tangent_in_lane(model, in_.parameters, frames_, x.data(), tables.places, memory_->elastic, to,
+                  lane);
+  for (std::int64_t i = 0; i < model.num_nodes; ++i) {
+    double* block = to.block(tables.pattern.place(model.diagonal[at(i)]).block, lane);
+    for (int axis = 0; axis < 3; ++axis) block[4 * axis * LaneCholesky::kCount] += inertia()[i];
+  }
+}
+
 void StepProblem::multiply_all(const Vector& in, Vector& out) {
   out.resize(size_);
-  block_multiply(system_.model(), memory_->values.data(), system_.inertia(), in.data(), out.data(),
-                 pool_);
+  block_multiply(system_.model(), memory_->values.data(), inertia(), in.data(), out.data(), pool_);
 }
 
 void StepProblem::multiply(const Vector& in, Vector& out) {
@@ -95,7 +106,7 @@ void StepProblem::zero_fixed(Vector& v) const {
 
 void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector& rest,
                                   const StepAdjoint& out) {
-  const double* inertia = system_.inertia();
+  const double* inertia = this->inertia();
   for (std::size_t i = 0; i < size_; ++i) {
     out.y[i] = inertia[i / 3] * z[i];
     out.force[i] = z[i];
@@ -108,6 +119,21 @@ void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector
   parameter_adjoint(system_.model(), in_.parameters, frames_, x.data(), minus_z.data(),
                     out.parameters, memory_->elastic, pool_);
   pressure_adjoint(system_.model(), x.data(), minus_z.data(), out.parameters.pressure, pool_);
+}
+
+void StepProblem::linear_input_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                                         const StepAdjoint& out) {
+  // Inertia, loads and damping are linear in x already: theirs are those of a step that ends in x.
+  input_gradients(x, z, rest, out);
+  const SoftModel& model = system_.model();
+  Vector minus_z(z), d(x);
+  const Vector q(in_.guess, in_.guess + size_);
+  for (double& v : minus_z) v = -v;
+  for (std::size_t i = 0; i < size_; ++i) d[i] -= q[i];
+  linearized_adjoint(model, in_.parameters, q.data(), d.data(), minus_z.data(), out.guess,
+                     out.parameters, memory_->elastic, pool_);
+  linearized_pressure_adjoint(model, in_.parameters.pressure, q.data(), d.data(), minus_z.data(),
+                              out.guess, out.parameters.pressure, pool_);
 }
 
 void StepProblem::parameter_tangent(const Vector& x, std::int64_t count,
@@ -127,7 +153,7 @@ void StepProblem::load_tangents(const Vector& x, const StepDirections& d, double
                             x.data(), b, pool_);
     for (std::int64_t i = 0; i < size; ++i) {
       b[i] = -b[i];
-      if (d.y) b[i] += system_.inertia()[i / 3] * d.y[k * size + i];
+      if (d.y) b[i] += inertia()[i / 3] * d.y[k * size + i];
       if (d.force) b[i] += d.force[k * size + i];
       if (d.inertia) b[i] -= d.inertia[k * model.num_nodes + i / 3] * (x[at(i)] - in_.y[i]);
     }
@@ -139,7 +165,7 @@ void StepProblem::prepare_multigrid() {
     memory_->multigrid = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());
   const SoftModel& model = system_.model();
   const StripMatrix matrix{model.num_nodes, model.strip_start.data(), memory_->values.data(),
-                           system_.inertia(), system_.fixed()};
+                           inertia(), system_.fixed()};
   memory_->multigrid->prepare(matrix, assembled_at_.data(), pool_);
   is_multigrid_stale_ = false;
 }
@@ -184,7 +210,7 @@ void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
       for (int c = 0; c < 3; ++c)
         block(a, c) = fixed || system_.fixed()[3 * i + c]
                           ? (a == c ? 1.0 : 0.0)
-                          : strip[a * width + c] + (a == c ? system_.inertia()[i] : 0.0);
+                          : strip[a * width + c] + (a == c ? inertia()[i] : 0.0);
     }
     // Jacobi preconditions by the diagonal where the block is not positive definite.
     const Eigen::LLT<Block> llt(block);
@@ -200,9 +226,9 @@ bool StepProblem::factorize(const std::function<void(double*)>& edit) {
   const SoftModel& model = system_.model();
   blocks_.resize(at(9 * model.num_blocks()));
   double diagonal = 0.0;
-  for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += system_.inertia()[i];
+  for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += inertia()[i];
   for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += diagonal_block(i)[0];
-  export_blocks(model, memory_->values.data(), system_.inertia(), system_.fixed(),
+  export_blocks(model, memory_->values.data(), inertia(), system_.fixed(),
                 diagonal / static_cast<double>(model.num_nodes), blocks_.data(), pool_);
   if (edit) edit(blocks_.data());
   if (factor_.empty()) factor_.emplace_back(system_.pattern().blocks());

@@ -13,7 +13,8 @@ namespace diffsim {
 /// Whether a method's iterations are preconditioned by multigrid; the baselines' are not.
 inline bool uses_multigrid(const ConstantSystem& system, StepMethod method) {
   return system.plan().preconditioner == Preconditioner::kMultigrid &&
-         (method == StepMethod::kAuto || method == StepMethod::kNewtonPcg);
+         (method == StepMethod::kAuto || method == StepMethod::kNewtonPcg ||
+          method == StepMethod::kLinearlyImplicit);
 }
 
 class StepProblem {
@@ -38,6 +39,10 @@ class StepProblem {
 
   /// Assembles d^2 g/dx^2 at x.
   void assemble(const Vector& x, bool clamp);
+  /// Where it was assembled last, or what multigrid is kept of (num_nodes, 3) [m].
+  const Vector& assembled_at() const { return assembled_at_; }
+  /// Adds the same, not clamped, to one lane; of bodies without chambers.
+  void assemble_lane(const Vector& x, const LaneTables& tables, LaneCholesky& to, int lane);
   /// out = H in on free unknowns; fixed entries of `in` must be zero, those of `out` are zeroed.
   void multiply(const Vector& in, Vector& out);
   /// The same without zeroing: forces that fixed unknowns feel.
@@ -47,6 +52,10 @@ class StepProblem {
   /// @param[in] rest  dL/dx - H z, read at fixed unknowns
   void input_gradients(const Vector& x, const Vector& z, const Vector& rest,
                        const StepAdjoint& out);
+
+  /// The same of a linearly implicit step that led from the guess to x; see linear_step.h.
+  void linear_input_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                              const StepAdjoint& out);
 
   /// d(grad g)/dp along directions in the parameters of the energy, pressures not, overwritten.
   /// @param[out] out  (count, size())
@@ -81,6 +90,7 @@ class StepProblem {
   void prepare_multigrid();
   /// Upper left entry of the diagonal block of node i in its strip.
   const double* diagonal_block(std::int64_t i) const;
+  const double* inertia() const { return in_.inertia ? in_.inertia : system_.inertia(); }
 
   const ConstantSystem& system_;
   const StepInputs& in_;
@@ -94,7 +104,7 @@ class StepProblem {
   CholeskyWorkspace cholesky_;
   AlignedBuffer<double> blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
-  Vector assembled_at_;                 // by multigrid only
+  Vector assembled_at_;
   bool by_multigrid_, is_multigrid_stale_ = true, is_multigrid_kept_ = false;
 };
 

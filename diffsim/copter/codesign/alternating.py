@@ -8,7 +8,9 @@ the start's unless mass is a metric.
 from __future__ import annotations
 
 import time
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from diffsim.copter.codesign.solve import LocalSolution
 from diffsim.copter.codesign.spin_condition import condition_number, most_controllable
 from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
 from diffsim.copter.codesign.task import Point, Task
+from diffsim.core.runs import run_each
 
 Array = NDArray[np.float64]
 
@@ -86,6 +89,7 @@ def alternating(
     spins: Array | None,
     options: AlternatingOptions,
     starts: list[Point],
+    executor: Executor | None = None,
 ) -> tuple[Point, Alternation, list[StartRecord]]:
     """The best of several starts, judged by the hard-hover objective of where they end.
 
@@ -97,9 +101,8 @@ def alternating(
     chosen = most_controllable(task, starts[0]) if spins is None else np.asarray(spins, float)
     records: list[StartRecord] = []
     best: tuple[float, Alternation] | None = None
-    for start in starts:
-        end = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
-        value, violation, *_ = judge(task, end)
+    points = [replace(start, spins=chosen, gamma=LEVEL) for start in starts]
+    for end, value, violation in run_each(partial(_judged, task, options), points, executor):
         records.append(
             StartRecord(
                 spins=tuple(chosen.tolist()),
@@ -120,6 +123,15 @@ def alternating(
             residual=min(record.violation for record in records),
         )
     return best[1].point, best[1], records
+
+
+def _judged(
+    task: Task, options: AlternatingOptions, start: Point
+) -> tuple[Alternation, float, float]:
+    """Where a start ends, its objective and its violation."""
+    end = alternate(task, start, options)
+    value, violation, *_ = judge(task, end)
+    return end, value, violation
 
 
 def judge(task: Task, alternation: Alternation) -> tuple[float, float, LocalSolution, Program]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ def codesign(
     limits: Limits | None = None,
     search: SearchOptions | None = None,
     options: AlternatingOptions | None = None,
+    executor: Executor | None = None,
 ) -> CoDesignResult:
     """Optimize a design for a metric, or a non-negative mix, subject to hover (thesis 3.4).
 
@@ -57,6 +59,8 @@ def codesign(
             default.
         search: Number of starts, seed and solver; ``SearchOptions()`` by default.
         options: Weights and stopping rule of the alternation; ``AlternatingOptions()`` by default.
+        executor: Executor of the starts (``core.open_executor``); None: one after another. The
+            result is the same.
 
     Returns:
         The best design, with a bound on how much better any could be.
@@ -81,9 +85,9 @@ def codesign(
         if demands.authority is not None or limits.clearance is not None:
             raise ValueError("method 'alternating' knows no authority or clearance; use 'joint'")
         options = AlternatingOptions() if options is None else options
-        solved = _by_alternation(task, chosen, options, search.num_starts, rng)
+        solved = _by_alternation(task, chosen, options, search.num_starts, rng, executor)
     else:
-        solved = _by_joint_program(task, chosen, search, rng)
+        solved = _by_joint_program(task, chosen, search, rng, executor)
     return _result(solved, method, began)
 
 
@@ -114,9 +118,13 @@ class _Solved(NamedTuple):
 
 
 def _by_joint_program(
-    task: Task, spins: NDArray[np.float64] | None, search: SearchOptions, rng: np.random.Generator
+    task: Task,
+    spins: NDArray[np.float64] | None,
+    search: SearchOptions,
+    rng: np.random.Generator,
+    executor: Executor | None,
 ) -> _Solved:
-    best = refine(joint(task, spins, search, rng), search.solver)
+    best = refine(joint(task, spins, search, rng, executor), search.solver)
     first = min(best.records, key=lambda r: r.value)
     return _Solved(
         best.task,
@@ -137,9 +145,10 @@ def _by_alternation(
     options: AlternatingOptions,
     num_starts: int,
     rng: np.random.Generator,
+    executor: Executor | None,
 ) -> _Solved:
     starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
-    point, best, records = alternating(task, spins, options, starts)
+    point, best, records = alternating(task, spins, options, starts, executor)
     _, _, solution, program = judge(task, best)
     s, d, gamma, _, _ = program.split(solution.x)
     return _Solved(

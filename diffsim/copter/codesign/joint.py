@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from diffsim.copter.codesign.result import StartRecord
 from diffsim.copter.codesign.solve import LocalSolution, second_solver
 from diffsim.copter.codesign.space import ShapeModel
 from diffsim.copter.codesign.task import Point, Task, hover_residual
+from diffsim.core.runs import run_each
 
 Array = NDArray[np.float64]
 
@@ -49,9 +52,13 @@ class Joint(NamedTuple):
 
 
 def joint(
-    task: Task, spins: Array | None, options: SearchOptions, rng: np.random.Generator
+    task: Task,
+    spins: Array | None,
+    options: SearchOptions,
+    rng: np.random.Generator,
+    executor: Executor | None = None,
 ) -> Joint:
-    """The best of ``options.num_starts`` local solves.
+    """The best of ``options.num_starts`` local solves, which ``executor`` may do side by side.
 
     Raises:
         CoDesignError: no start came to hover; the message has the best residual.
@@ -59,20 +66,19 @@ def joint(
     warnings: list[str] = []
     task, candidates = spin_candidates(task, spins, options.num_spins, rng, warnings)
     origin = task.start
+    points = [
+        replace(
+            origin if k < len(candidates) else random_point(task, origin, rng),
+            spins=candidates[k % len(candidates)],
+        )
+        for k in range(options.num_starts)
+    ]
+    solved = run_each(partial(_solve_start, task, options), points, executor)
     records: list[StartRecord] = []
-    best: tuple[LocalSolution, Program, Array] | None = None
+    best: tuple[LocalSolution, Array] | None = None
     least = np.inf
-    for k in range(options.num_starts):
-        chosen = candidates[k % len(candidates)]
-        point = origin if k < len(candidates) else random_point(task, origin, rng)
-        began = time.perf_counter()
-        point = replace(point, spins=chosen)
-        solution, program = task.solve(point, solver=options.solver, max_iters=options.max_iters)
-        # SQP may stop at a stationary point of the violation.
-        if solution.violation > FEASIBLE and options.solver is None:
-            solution, program = task.solve(
-                point, solver=second_solver(), max_iters=options.max_iters
-            )
+    for point, (solution, seconds) in zip(points, solved, strict=True):
+        chosen = point.spins
         feasible = solution.violation <= FEASIBLE and np.isfinite(solution.value)
         least = min(least, solution.violation)
         records.append(
@@ -82,11 +88,11 @@ def joint(
                 violation=solution.violation,
                 status=solution.message,
                 num_iters=solution.num_iters,
-                seconds=time.perf_counter() - began,
+                seconds=seconds,
             )
         )
         if feasible and (best is None or solution.value < best[0].value - 1e-12):
-            best = solution, program, chosen
+            best = solution, chosen
     if best is None:
         raise CoDesignError(
             f"no hover within the thrust bounds was found for {len(candidates)} spin assignments "
@@ -95,12 +101,23 @@ def joint(
             f"num_starts and num_spins",
             residual=float(least),
         )
-    solution, program, chosen = best
+    solution, chosen = best
+    program = task.program(chosen)
     s, d, gamma, _, _ = program.split(solution.x)
     point = Point(s, d, chosen, gamma)
     if control_margin(task, point, chosen) < CONTROLLABLE:
         warnings.append("the best design cannot be controlled: its thrusts miss a torque or lift")
     return Joint(task, point, solution, program, records, warnings)
+
+
+def _solve_start(task: Task, options: SearchOptions, point: Point) -> tuple[LocalSolution, float]:
+    """A local solve, and the wall time that it took [s]."""
+    began = time.perf_counter()
+    solution, _ = task.solve(point, solver=options.solver, max_iters=options.max_iters)
+    # SQP may stop at a stationary point of the violation.
+    if solution.violation > FEASIBLE and options.solver is None:
+        solution, _ = task.solve(point, solver=second_solver(), max_iters=options.max_iters)
+    return solution, time.perf_counter() - began
 
 
 def refine(best: Joint, solver: str | None) -> Joint:

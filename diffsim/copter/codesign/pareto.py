@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from diffsim.copter.codesign.metrics import parse_objective
 from diffsim.copter.codesign.result import CoDesignResult
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.core.check import require_number
+from diffsim.core.runs import run_each
 
 Array = NDArray[np.float64]
 
@@ -25,6 +28,7 @@ def pareto_front(
     *,
     num_points: int = 9,
     progress: bool = True,
+    executor: Executor | None = None,
     **settings: Any,
 ) -> list[CoDesignResult]:
     """Designs of which none is better than another in every metric, by weighted sums.
@@ -37,6 +41,7 @@ def pareto_front(
         metrics: Two or more names of ``METRICS``.
         num_points: Weights along each edge of the simplex, >= 2.
         progress: Show a progress bar.
+        executor: Executor of the mixes (``core.open_executor``); None: one after another.
         **settings: Further arguments of ``codesign``.
 
     Returns:
@@ -49,12 +54,19 @@ def pareto_front(
     if len(names) < 2 or len(names) != len(metrics):
         raise ValueError(f"metrics must be two or more different names, got {list(metrics)}")
     require_number("num_points", num_points, at_least=2)
-    results = [
-        codesign(design, dict(zip(names, mix, strict=True)), **settings)
-        for mix in tqdm(_simplex(len(names), num_points), disable=not progress, unit="mix")
-    ]
+    mixes = [dict(zip(names, mix, strict=True)) for mix in _simplex(len(names), num_points)]
+    with tqdm(total=len(mixes), disable=not progress, unit="mix") as bar:
+        results = run_each(
+            partial(_designed, design, settings), mixes, executor, done=lambda *_: bar.update()
+        )
     keep = undominated(np.array([[r.metrics[name] for name in names] for r in results]))
     return sorted((results[i] for i in keep), key=lambda r: r.metrics[names[0]])
+
+
+def _designed(
+    design: DesignSpace, settings: Mapping[str, Any], mix: Mapping[str, float]
+) -> CoDesignResult:
+    return codesign(design, mix, **settings)
 
 
 def undominated(values: Array, *, tolerance: float = 1e-6) -> list[int]:

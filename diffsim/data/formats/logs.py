@@ -6,6 +6,7 @@ Every table has ``time_s``, seconds since the log began, so that topics share a 
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,11 @@ def read_rosbag(path: Path, part: str) -> Columns:
 
 
 def _ulog(path: Path) -> Any:
+    return _read_once(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1)  # a log is read whole, and has a hundred topics
+def _read_once(path: Path, changed_ns: int) -> Any:
     return optional("pyulog", purpose="a PX4 log").ULog(str(path))
 
 

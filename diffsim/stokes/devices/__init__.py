@@ -11,6 +11,8 @@ On the command line: ``diffsim devices amplifier --out runs/amplifier``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 from diffsim.core.check import require_choice
 from diffsim.stokes.devices.amplifier import amplifier
@@ -44,7 +46,8 @@ def make(name: str, resolution: float = 1.0, **options: object) -> Device:
         resolution: Factor on the number of cells per axis; 1 is the thesis's grid.
         **options: Options of the device, such as ``wall`` of the twister.
     """
-    return DEVICES[require_choice("name", name, DEVICES)](resolution, **options)
+    device = DEVICES[require_choice("name", name, DEVICES)](resolution, **options)
+    return replace(device, remake=partial(make, name, resolution, **options))
 
 
 __all__ = [

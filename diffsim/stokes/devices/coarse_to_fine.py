@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 
 from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
+from diffsim.core.runs import run_each
 from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
 from diffsim.stokes.devices.optimize import check_counts, search_settings
@@ -30,6 +34,7 @@ def coarse_to_fine(
     ftol: float = 1e-9,
     path: str | Path | None = None,
     progress: bool = True,
+    executor: Executor | None = None,
 ) -> Optimum:
     """Design a device; random designs are drawn and first improved on a coarser grid.
 
@@ -55,6 +60,8 @@ def coarse_to_fine(
         ftol: Relative decrease of the loss below which L-BFGS stops.
         path: File of the state (see ``optim.Log``); none is kept if None.
         progress: Whether to show bars.
+        executor: Executor of the random designs and of L-BFGS on the coarse grid
+            (``core.open_executor``); None: one after another. The result is the same.
 
     Returns:
         ``Optimum``; its ``coarse`` says how the grids compare.
@@ -76,33 +83,49 @@ def coarse_to_fine(
         raise ValueError(f"num_checked must lie in [2, {num_samples}], got {num_checked}")
     settings = search_settings(device, num_samples, seed)
     log = Log(path, {**settings, "coarse": to_plain(dict(coarse.options))})
-    samples = draw(coarse, log, num_samples, seed, progress=progress)
+    samples = draw(coarse, log, num_samples, seed, progress=progress, executor=executor)
     unit = float(samples.losses.mean())
-
-    def improved(on: Device, start: Tensor, name: str, limit: int) -> Descent:
-        return descend(
-            on,
-            start,
-            log,
-            name,
-            unit=unit,
-            max_evaluations=limit,
-            ftol=ftol,
-            progress=progress,
-        )
-
-    starts = samples.best(num_starts)
-    descents = tuple(
-        improved(coarse, x, f"coarse {k + 1}", max_coarse_evaluations) for k, x in enumerate(starts)
-    )
+    improve = partial(descend, unit=unit, ftol=ftol, progress=progress and executor is None)
+    coarsely = partial(improve, max_evaluations=max_coarse_evaluations)
+    descents = tuple(_each(coarsely, coarse, list(samples.best(num_starts)), log, executor))
     improved_designs = [d.x for d in descents]
-    fine = values(device, log, "improved", improved_designs, progress=progress)
+    rate = partial(values, device, log, progress=progress, executor=executor)
+    fine = rate("improved", improved_designs)
     start = improved_designs[int(fine.argmin())]
-    descent = improved(device, start, "evaluations", max_evaluations)
-    checked = values(device, log, "checked", list(samples.x[:num_checked]), progress=progress)
+    descent = improve(
+        device, start, log, "evaluations", max_evaluations=max_evaluations, progress=progress
+    )
+    checked = rate("checked", list(samples.x[:num_checked]))
     fine_unit, error = unit_on_fine_grid(samples, checked)
     stage = CoarseStage(descents, fine, unit, error, samples.losses[:num_checked], checked)
     return as_optimum(samples, start, descent, fine_unit, stage)
+
+
+def _each(
+    improve: Callable[..., Descent],
+    coarse: Device,
+    starts: Sequence[Tensor],
+    log: Log,
+    executor: Executor | None,
+) -> list[Descent]:
+    """A descent from each start; in a worker it has a log of its own, which is taken at its end."""
+    named = [(f"coarse {k + 1}", x) for k, x in enumerate(starts)]
+    if executor is None:
+        return [improve(coarse, x, log, name) for name, x in named]
+
+    def keep(k: int, answer: tuple[Descent, Log]) -> None:
+        log.take(named[k][0], answer[1])
+
+    asked = [(name, x, log.part(name)) for name, x in named]
+    answers = run_each(partial(_improved, improve, coarse), asked, executor, done=keep)
+    return [descent for descent, _ in answers]
+
+
+def _improved(
+    improve: Callable[..., Descent], coarse: Device, asked: tuple[str, Tensor, Log]
+) -> tuple[Descent, Log]:
+    name, x, log = asked
+    return improve(coarse, x, log, name), log
 
 
 def unit_on_fine_grid(samples: Samples, fine: Tensor) -> tuple[float, float]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -73,6 +75,8 @@ class Device:
         slices: Heights of horizontal planes that pictures show, as shares of the box (3D).
         reference: Values of thesis table 4.5: "loss", "seconds" per call on its machine.
         options: Options that the device was made with.
+        remake: Function without arguments that makes the same device, a function of a module or a
+            ``functools.partial`` of one: how the device comes to a worker of an executor.
     """
 
     name: str
@@ -85,6 +89,15 @@ class Device:
     slices: tuple[float, ...] = (0.5,)
     reference: Mapping[str, float] = field(default_factory=dict)
     options: Mapping[str, object] = field(default_factory=dict)
+    remake: Callable[[], Device] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.remake is None:
+            raise TypeError(
+                f"device {self.name} cannot be sent to a worker: give it remake, a function of a "
+                "module that makes it, or take no executor"
+            )
+        return _made_again, (pickle.dumps(self.remake),)
 
     @property
     def grid(self) -> Grid:
@@ -146,6 +159,16 @@ class Device:
         """Loss without gradient."""
         with torch.no_grad():
             return sum(float(s.loss(self.solve(x, k))) for k, s in enumerate(self.states))
+
+
+_MADE: dict[bytes, Device] = {}  # of a worker: the grid's geometry is made once, not per design
+
+
+def _made_again(remake: bytes) -> Device:
+    if remake not in _MADE:
+        _MADE.clear()  # large; a worker has one device at a time
+        _MADE[remake] = pickle.loads(remake)()
+    return _MADE[remake]
 
 
 FAILURES = (ValueError, DiffsimError)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ def optimize(
     start: Tensor | None = None,
     path: str | Path | None = None,
     progress: bool = True,
+    executor: Executor | None = None,
 ) -> Optimum:
     """Design a device.
 
@@ -41,6 +43,8 @@ def optimize(
         start: Start L-BFGS here instead (the samples still set the unit of the loss).
         path: File of the state (see ``optim.Log``); none is kept if None.
         progress: Whether to show bars.
+        executor: Executor of the random designs (``core.open_executor``); None: one after another.
+            The result is the same.
 
     Returns:
         ``Optimum``.
@@ -53,7 +57,7 @@ def optimize(
     check_counts(num_samples=num_samples, max_evaluations=max_evaluations)
     settings = search_settings(device, num_samples, seed)
     log = Log(path, {**settings, "start": None if start is None else start.tolist()})
-    samples = draw(device, log, num_samples, seed, progress=progress)
+    samples = draw(device, log, num_samples, seed, progress=progress, executor=executor)
     unit = float(samples.losses.mean())
     first = samples.best(1)[0] if start is None else start.detach().clone()
     descent = descend(

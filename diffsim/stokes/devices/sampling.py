@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +14,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.runs import run_each
 from diffsim.optim import Log, progress_bar, screen
 from diffsim.stokes.devices.device import FAILURES, Device, quiet
 
@@ -36,32 +40,31 @@ class Samples:
         return self.x[self.losses.argsort(stable=True)[:count]]
 
 
-def draw(device: Device, log: Log, count: int, seed: int, *, progress: bool) -> Samples:
-    """Random designs, those without flow drawn again; the log's are repeated, not their flows."""
+def draw(
+    device: Device,
+    log: Log,
+    count: int,
+    seed: int,
+    *,
+    progress: bool,
+    executor: Executor | None = None,
+) -> Samples:
+    """Random designs, those without flow drawn again; the log's are repeated, not their flows.
+
+    Designs are drawn one after another and accepted in that order, whoever computes their flows.
+    """
     generator = torch.Generator().manual_seed(seed)
     kept = list(log["samples"])
     for entry in kept:
         for _ in range(entry["rejected"] + 1):
             device.sample(generator)
     show = tqdm(desc="random designs", total=count, initial=len(kept), disable=not progress)
-    with show, quiet():
-        while len(kept) < count:
-            for rejected in range(_MAX_REJECTED):
-                x = device.sample(generator)
-                try:
-                    loss = device.value(x)
-                except FAILURES as error:
-                    last = error
-                    continue
-                entry = {"x": x.tolist(), "loss": loss, "rejected": rejected}
-                kept.append(log.append("samples", entry))
-                break
-            else:
-                raise DiffsimError(
-                    f"{_MAX_REJECTED} random designs of {device.name} in a row have no flow; "
-                    f"the last one: {last}"
-                )
-            show.update()
+    with show:
+        accepted = _Accepted(device.name, log, kept, show)
+        while (lacking := count - len(kept)) > 0:
+            designs = [device.sample(generator) for _ in range(lacking)]
+            accepted.begin(designs)
+            run_each(partial(_tried, device), designs, executor, done=accepted.take)
     return Samples(
         torch.tensor([s["x"] for s in kept], dtype=torch.float64),
         torch.tensor([s["loss"] for s in kept], dtype=torch.float64),
@@ -69,22 +72,73 @@ def draw(device: Device, log: Log, count: int, seed: int, *, progress: bool) -> 
     )
 
 
-def values(
-    device: Device, log: Log, name: str, designs: Sequence[Tensor], *, progress: bool
-) -> Tensor:
-    """Losses of given designs, (len(designs),), infinite without flow; kept in the log's list."""
+class _Accepted:
+    """Designs that let fluid through, kept in the order in which they were drawn."""
 
-    def loss(x: np.ndarray) -> float:
+    def __init__(self, device: str, log: Log, kept: list[Mapping[str, Any]], show: tqdm):
+        self.device, self.log, self.kept, self.show = device, log, kept, show
+        self.rejected = 0  # since the last that was accepted
+
+    def begin(self, designs: Sequence[Tensor]) -> None:
+        """A round of designs."""
+        self.designs, self.next = designs, 0
+        self.early: dict[int, float | str] = {}  # ended before one that was drawn earlier
+
+    def take(self, k: int, outcome: float | str) -> None:
+        """A design of the round ended: with a loss, or with why it has no flow."""
+        self.early[k] = outcome
+        while self.next in self.early:
+            self._accept(self.designs[self.next], self.early.pop(self.next))
+            self.next += 1
+
+    def _accept(self, x: Tensor, outcome: float | str) -> None:
+        if isinstance(outcome, str):
+            self.rejected += 1
+            if self.rejected == _MAX_REJECTED:
+                raise DiffsimError(
+                    f"{_MAX_REJECTED} random designs of {self.device} in a row have no flow; "
+                    f"the last one: {outcome}"
+                )
+            return
+        entry = {"x": x.tolist(), "loss": outcome, "rejected": self.rejected}
+        self.kept.append(self.log.append("samples", entry))
+        self.rejected = 0
+        self.show.update()
+
+
+def _tried(device: Device, x: Tensor) -> float | str:
+    """The loss of a design, or why it has no flow."""
+    with quiet():
+        try:
+            return device.value(x)
+        except FAILURES as error:
+            return str(error)
+
+
+def _value(device: Device, x: np.ndarray) -> float:
+    with quiet():
         return device.value(torch.from_numpy(x))
 
+
+def values(
+    device: Device,
+    log: Log,
+    name: str,
+    designs: Sequence[Tensor],
+    *,
+    progress: bool,
+    executor: Executor | None = None,
+) -> Tensor:
+    """Losses of given designs, (len(designs),), infinite without flow; kept in the log's list."""
     label = f"{name}, {device.grid.shape}"
-    with quiet(), progress_bar(label, len(designs), show=progress) as bar:
+    with progress_bar(label, len(designs), show=progress) as bar:
         found = screen(
-            loss,
+            partial(_value, device),
             [x.numpy() for x in designs],
             log=log,
             name=name,
             failures=FAILURES,
             callback=bar,
+            executor=executor,
         )
     return torch.tensor([e.value for e in found], dtype=torch.float64)

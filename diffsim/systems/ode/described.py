@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from torch import Tensor
@@ -17,8 +17,10 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.grid import Grid, delayed, held_delayed
+from diffsim.systems.dials import channels_of, clock_of
+from diffsim.systems.grid import Grid, delayed, held_delayed, smoothly_delayed
 from diffsim.systems.holding import looks_held
+from diffsim.systems.instrument import PLAY_START, START_IN_PLAY, with_play_start
 from diffsim.systems.ode.applying import labels_of
 from diffsim.systems.ode.event_effects import runs_of, timings
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
@@ -56,6 +58,7 @@ class Motion:
     events: tuple[Events, ...] = ()
     time_step: float | None = None
     slow_time: Quantity | None = None
+    clocks: Mapping[str, Quantity] = field(default_factory=dict)
 
 
 class Described:
@@ -82,6 +85,7 @@ class Described:
         self.input_held = self._held()
         self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
         self.unsure -= {name for name, held in self.input_held.items() if held}
+        self.clocks = self._clocks()
         self.quantities = self._quantities()
         facts = fact_names(study)
         self._check_names(facts)
@@ -206,6 +210,9 @@ class Described:
         given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
         for place in motion.places:
             given |= shapes(place)
+        given |= {clock_of(name): q for name, q in motion.clocks.items()}
+        if motion.states and self._may_have_play():
+            given[PLAY_START] = START_IN_PLAY
         if motion.states and (self._given or motion.places):
             kept = self.study.frame.get(LONGEST)
             value = _SLOW_SHARE * (kept or longest(self.study.runs))
@@ -213,6 +220,21 @@ class Described:
                 SLOW_TIME, motion.slow_time or Quantity(value=value, percent=100.0, unit="s")
             )
         return given
+
+    def _clocks(self) -> dict[str, tuple[str, ...]]:
+        """Channels that are late together, by the parameter that says how much."""
+        out = {}
+        for name in self.motion.clocks:
+            try:
+                out[clock_of(name)] = channels_of(self.study.channels, name)
+            except ValueError as error:
+                self._reader.report(f"clocks.{name}", str(error))
+        return out
+
+    def _may_have_play(self) -> bool:
+        """Whether a play is among the causes to be judged."""
+        only = self.keys.effects.only
+        return not only or any(n.startswith(("backlash", "sensor_backlash")) for n in only)
 
     def _check_places(self) -> None:
         reader, states = self._reader, self.motion.states
@@ -275,13 +297,13 @@ class Described:
         known = {
             **scalars(facts_of(run)),
             **scalars(data_values(self.study, run, self.keys.rest)),
-            **self.base.in_run(values, run),
+            **self.base.in_run(with_play_start(values, run), run),
         }
         step = math.inf  # what does not move is at its samples only
         if self.motion.states:
             step = self.motion.time_step or float(np.median(np.diff(run.time_s)))
         grid = _grid(_Times(run), step * numerics.time_step)
-        return OdeScene(
+        scene = OdeScene(
             run=run,
             network=self.network,
             grid=grid,
@@ -291,6 +313,10 @@ class Described:
             channels=tuple(c.name for c in self.study.channels),
             ranges=self.keys.ranges,
         )
+        for name, channels in self.clocks.items():
+            for channel in channels:
+                scene = scene.with_reading(channel, partial(_later, by=known[name]))
+        return scene
 
     def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:
         formula, held = self.inputs[name], self.input_held[name]
@@ -303,6 +329,10 @@ class Described:
         if (late := known.get(f"{name}_delay")) is not None:
             u = (held_delayed if held else delayed)(u, grid, late)
         return u
+
+
+def _later(y: Tensor, grid: Grid, *, by: Tensor) -> Tensor:
+    return smoothly_delayed(y, grid, by)
 
 
 class _Times:

@@ -12,7 +12,8 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.description import chosen_effects, quantity, settings_with
+from diffsim.systems.dials import CLOCKS
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import HELD, LONGEST, Described, Motion
 from diffsim.systems.ode.effects import ode_effects
@@ -74,6 +75,9 @@ class OdeDescription(FormulaKeys):
     slow_time: AnyQuantity | None = Field(
         None, description="Time in which slow shares of inputs and forces come; none: fitted"
     )
+    clocks: dict[str, quantity("s")] = Field(  # type: ignore[valid-type]
+        {}, description=CLOCKS
+    )
 
     @field_validator("states", "rates", mode="before")
     @classmethod
@@ -108,6 +112,7 @@ class OdeDescription(FormulaKeys):
             events=self.events,
             time_step=self.time_step,
             slow_time=self.slow_time,
+            clocks=self.clocks,
         )
         read = Described(self, self.inputs, motion, study, reader)
         check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
@@ -128,6 +133,7 @@ class OdeDescription(FormulaKeys):
             known=read.known,
             held=read.input_held,
             unsure=read.unsure,
+            clocks=frozenset(read.clocks.values()),
             step=read.step,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect, needs_nothing
+from diffsim.identify.effect import Apply, Effect, needs_nothing
 from diffsim.systems.actuator import command_causes, in_words
-from diffsim.systems.grid import SizedMap
+from diffsim.systems.grid import SizedMap, with_play
+from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
 from diffsim.systems.ode.library import Library, needs_order
 from diffsim.systems.ode.network import Change, filled, named
@@ -41,7 +42,9 @@ def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect
             masks=tuple(m + tail for m in model.masks),
             # what a study must have is checked where the input is read
             needs=needs_nothing,
-            apply=by_input(name, change if model.smooth else _or_none(change)),
+            apply=_played(name)
+            if model.name == "backlash"
+            else by_input(name, change if model.smooth else _or_none(change)),
         )
         for model, change in command_causes(
             library.inputs.get(name, 1.0),
@@ -53,6 +56,17 @@ def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect
     found.append(_slow_share(name, tail))
     # after all that changes the input on its way, which it is a copy of
     return [*found, _held_between(name, tail)] if name in library.unsure else found
+
+
+def _played(name: str) -> Apply:
+    """An input behind a play, from where it is in the play at the start."""
+
+    def apply(scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
+        start = scene.values.get(PLAY_START)
+        behind = _or_none(lambda u, grid, half: with_play(u, grid, half, start))
+        return scene.with_input(name, lambda u, grid: behind(u, grid, size[..., 0]))
+
+    return apply
 
 
 def _or_none(change: SizedMap) -> SizedMap:

@@ -23,6 +23,7 @@ from diffsim.systems.ode.network import Network, product
 from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
+RESTS = 1e-3  # of what a channel shows: less is no motion
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 MAGNITUDES = "magnitudes"  # place in a study's frame
 
@@ -86,6 +87,8 @@ class Magnitudes:
         ranges: Least and greatest sample of each channel, by name.
         longest: Duration of the longest run [s].
         several_runs: Whether something may drift from run to run.
+        begins_moving: Whether runs begin in motion or with a jump of an input: then a record that
+            is late as a whole differs from late inputs, of which nobody knows what was before.
     """
 
     places: Mapping[str, PlaceScale]
@@ -96,6 +99,7 @@ class Magnitudes:
     ranges: Mapping[str, tuple[float, float]]
     longest: float
     several_runs: bool
+    begins_moving: bool = False
 
     def saved(self) -> dict[str, Any]:
         """In types that YAML has."""
@@ -131,6 +135,7 @@ class Library:
         step: Longest step of the integrator [s].
         unsure: Inputs of which nobody knows whether they are held between samples.
         usual: Magnitudes of the plain model and of the recordings.
+        clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
     """
 
     study: Study
@@ -140,6 +145,7 @@ class Library:
     stores: tuple[tuple[Store, StoreScale], ...]
     scales: Magnitudes
     unsure: frozenset[str] = frozenset()
+    clocks: frozenset[tuple[str, ...]] = frozenset()
     step: float = math.inf
 
     @property
@@ -169,7 +175,11 @@ class Library:
 
     def spread(self, channel: int) -> float:
         """Range of a channel over the runs to fit [unit of the channel]."""
-        low, high = self.scales.ranges[self.study.channels[channel].name]
+        return self.spread_of(self.study.channels[channel].name)
+
+    def spread_of(self, channel: str) -> float:
+        """The same by the channel's name."""
+        low, high = self.scales.ranges[channel]
         return high - low
 
 
@@ -204,6 +214,8 @@ def magnitudes(
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
     two_sided: set[str] = set()
+    ranges = {c.name: _range(study, i) for i, c in enumerate(study.channels)}
+    begins_moving = False
     for run in study.fit_runs or study.runs:
         scene = model.scene(run, model.at_prior())
         assert isinstance(scene, OdeScene)
@@ -214,15 +226,30 @@ def magnitudes(
         for name, u in scene.inputs.items():
             inputs[name] = max(inputs.get(name, 0.0), float(u.abs().max()))
             two_sided |= {name} if float(u.min()) < 0.0 else set()
+        begins_moving = begins_moving or _moves_at_first(scene, ranges)
     return Magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
         {name: _rms(columns[f"usual {name}"]) for name in between},
         frozenset(inputs) - two_sided,
-        {c.name: _range(study, i) for i, c in enumerate(study.channels)},
+        ranges,
         max(float(r.time_s[-1] - r.time_s[0]) for r in study.runs),
         len({r.order for r in study.fit_runs}) > 2,
+        begins_moving,
+    )
+
+
+def _moves_at_first(scene: OdeScene, ranges: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether the plain model would not rest if its inputs stayed as they are at first."""
+    for name in scene.inputs:
+        scene = scene.with_input(name, lambda u, grid: u[..., :1].expand_as(u))
+    with torch.no_grad():
+        seen = scene.simulate()
+    moved = seen.amax(-2) - seen.amin(-2)
+    return any(
+        not float(m) <= RESTS * (high - low)
+        for m, (low, high) in zip(moved, ranges.values(), strict=True)
     )
 
 

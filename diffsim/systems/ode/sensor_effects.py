@@ -10,8 +10,9 @@ from torch import Tensor
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.grid import Grid, SizedMap
-from diffsim.systems.instrument import sensor_causes
+from diffsim.systems.dials import dials
+from diffsim.systems.grid import Grid, SizedMap, with_play
+from diffsim.systems.instrument import PLAY_START, plain, sensor_causes
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.scene import OdeScene
 
@@ -20,26 +21,37 @@ PER_CHANNEL = ("sensor_offset", "sensor_drift")
 
 
 def sensor_effects(library: Library) -> tuple[Effect, ...]:
-    """Causes of every kind of sensor; offset and drift for each channel."""
-    kinds: dict[str, list[Channel]] = {}
-    for channel in library.study.channels:
-        kinds.setdefault(channel.kind, []).append(channel)
+    """Causes of every instrument; offset and drift for each channel."""
+    by_name = {c.name: c for c in library.study.channels}
+    late_record = library.scales.begins_moving or not library.held
+    found = dials(library.study.channels, late_record=late_record)
+    kinds = {c.kind for c in library.study.channels}
     out = []
-    for kind, own in kinds.items():
-        indices = [list(library.study.channels).index(c) for c in own]
-        usual = SHARE * max(library.spread(i) for i in indices)
-        names = [c.name for c in own]
-        for model, change in sensor_causes(names, own[0].unit, usual, library.longest):
-            if model.name == "sensor_delay" and len(kinds) == 1 and library.held:
-                continue  # of all channels alike it is a delay of the inputs, seen from the clock
-            tail = f"_of_{kind}" if len(kinds) > 1 or model.name in PER_CHANNEL else ""
-            apply = partial(_read, channels=names, change=change)
-            out.append(replace(model, name=model.name + tail, apply=apply))
-        tail = f"_of_{kind}" if len(kinds) > 1 else ""
-        bent = _bent(*_range_of(own, library))
-        apply = partial(_read, channels=names, change=bent)
-        out.append(replace(_CURVATURE, name=_CURVATURE.name + tail, apply=apply))
+    for dial in found:
+        own = [by_name[name] for name in dial.channels]
+        is_whole = not dial.name or len(own) == len(by_name)
+        for model, change in _causes(library, own):
+            if model.name not in dial.causes:
+                continue
+            if model.name == "sensor_delay" and dial.channels in library.clocks:
+                continue
+            is_named = not is_whole or (model.name in PER_CHANNEL and len(kinds) == 1)
+            tail = f"_of_{plain(dial.name)}" if is_named else ""
+            shown = partial(_read, channels=dial.channels, change=change)
+            if model.name == "sensor_backlash":
+                shown = partial(_played, channels=dial.channels)
+            units = {c.shown_unit for c in own} if model.unit == own[0].unit else {None}
+            read = units.pop() if len(units) == 1 else None
+            out.append(replace(model, name=model.name + tail, apply=shown, shown_unit=read))
     return tuple(out)
+
+
+def _causes(library: Library, own: Sequence[Channel]) -> list[tuple[Effect, SizedMap]]:
+    """Causes in the instrument of some channels, each with its map of one channel."""
+    names = [c.name for c in own]
+    usual = SHARE * max(library.spread_of(name) for name in names)
+    bent = _bent(*_range_of(own, library))
+    return [*sensor_causes(names, own[0].unit, usual, library.longest), (_CURVATURE, bent)]
 
 
 def _bent(middle: float, width: float) -> SizedMap:
@@ -66,6 +78,14 @@ def _read(
     own = size.expand(*size.shape[:-1], len(channels)).unbind(-1)
     for channel, k in zip(channels, own, strict=True):
         scene = scene.with_reading(channel, lambda y, grid, k=k: change(y, grid, k))  # type: ignore[misc]
+    return scene
+
+
+def _played(scene: OdeScene, size: Tensor, run: Run, *, channels: Sequence[str]) -> OdeScene:
+    """Channels behind a play, each from where it is in the play at the start."""
+    start = scene.values.get(PLAY_START)
+    for channel in channels:
+        scene = scene.with_reading(channel, lambda y, grid: with_play(y, grid, size[..., 0], start))
     return scene
 
 

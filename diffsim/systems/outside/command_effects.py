@@ -12,7 +12,8 @@ from diffsim.identify.effect import Effect
 from diffsim.systems import grid as signals
 from diffsim.systems.actuator import command_causes
 from diffsim.systems.grid import SizedMap
-from diffsim.systems.outside.hooks import SHARE, Group, plain
+from diffsim.systems.instrument import plain
+from diffsim.systems.outside.hooks import SHARE, Group
 from diffsim.systems.outside.model import OutsideScene
 
 
@@ -31,6 +32,8 @@ def command_effects(group: Group, held: bool) -> list[Effect]:
         if model.name == "delay":
             model, change = replace(model, signed=False), late
         apply = partial(_commanded, names=group.columns, change=change)
+        if model.name == "backlash":
+            apply = partial(_played, names=group.columns)
         masks = tuple(m + end for m in model.masks)
         found.append(replace(model, name=model.name + end, masks=masks, apply=apply))
     return found
@@ -43,3 +46,11 @@ def _commanded(
     if now == 0.0:
         return scene
     return scene.with_command(names, lambda u, grid: change(u, grid, now))
+
+
+def _played(scene: OutsideScene, size: Tensor, run: Run, *, names: tuple[str, ...]) -> OutsideScene:
+    """Commands behind a play, from where they are in it at the start."""
+    now, start = size.detach()[0], scene.play_start
+    if now == 0.0:
+        return scene
+    return scene.with_command(names, lambda u, grid: signals.with_play(u, grid, now, start))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,8 +17,10 @@ from diffsim.systems.description import (
     Part,
     Quantity,
     chosen_effects,
+    quantity,
     settings_with,
 )
+from diffsim.systems.dials import CLOCKS, channels_of
 from diffsim.systems.holding import looks_held
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.setup import outside_setup
@@ -102,6 +105,9 @@ class OutsideDescription(Description):
         description="Between two samples: straight lines, or held until the next sample. None: "
         "held where all commands rest and jump, which `check` says; else straight",
     )
+    clocks: dict[str, quantity("s")] = Field(  # type: ignore[valid-type]
+        {}, description=CLOCKS
+    )
     hooks: HookKeys = Field(HookKeys(), description="What causes may act on")
     environment: EnvironmentKeys = Field(
         EnvironmentKeys(), description="How a simulator with reset and step is read"
@@ -127,10 +133,12 @@ class OutsideDescription(Description):
         out = []
         if problem := self.source(study).problem():
             out.append(Problem("error", "model", problem))
-        for check in (
-            lambda: hooks_of.command_groups(study, self.hooks.command),
-            lambda: hooks_of.output_groups(study, self.hooks.output),
-        ):
+        checks: list[Callable[[], object]] = [
+            partial(hooks_of.command_groups, study, self.hooks.command),
+            partial(hooks_of.output_groups, study, self.hooks.output),
+            *(partial(channels_of, study.channels, name) for name in self.clocks),
+        ]
+        for check in checks:
             try:
                 check()
             except ValueError as error:
@@ -162,6 +170,7 @@ class OutsideDescription(Description):
             commands=self.hooks.command,
             outputs=self.hooks.output,
             held=self._held(study),
+            clocks=self.clocks,
             workers=self.workers,
         )
         return DiagnosisSetup(

@@ -11,9 +11,10 @@ from torch import Tensor
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
+from diffsim.systems.instrument import plain
 from diffsim.systems.outside.command_effects import command_effects
 from diffsim.systems.outside.forces import Knots
-from diffsim.systems.outside.hooks import Hooks, plain
+from diffsim.systems.outside.hooks import Hooks
 from diffsim.systems.outside.model import OutsideScene
 from diffsim.systems.outside.output_effects import output_effects
 from diffsim.systems.outside.place_effects import place_effects
@@ -34,9 +35,9 @@ def outside_library(hooks: Hooks, channels: Sequence[str], *, held: bool = False
         out += command_effects(group, held)
     for i, place in enumerate(hooks.places):
         out += place_effects(place, i)
-    # alone and at rest before, a late instrument is a late command
-    may_be_late = len(hooks.outputs) > 1 or not hooks.commands
     for group in hooks.outputs:
+        # of all channels, and at rest before, a late instrument is a late command
+        may_be_late = set(group.columns) != set(channels) or not hooks.commands
         idx = tuple(channels.index(c) for c in group.columns)
         out += output_effects(group, idx, may_be_late)
     return out

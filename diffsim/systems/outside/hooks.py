@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
+from diffsim.systems.dials import WHOLE, dials
 
 Array = NDArray[np.float64]
 COMMANDS, OUTPUTS = "commands", "outputs"  # their places in a study's frame
@@ -28,6 +29,7 @@ class Group:
         unit: Unit of the columns, if they share one, else "command" or "channel".
         one_sided: No command is ever below zero.
         longest_s: Duration of the longest run [s].
+        causes: Causes in an instrument that are tried, without what they are of.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Group:
     unit: str
     one_sided: bool = False
     longest_s: float = 1.0
+    causes: tuple[str, ...] = WHOLE
 
 
 @dataclass(frozen=True)
@@ -103,11 +106,11 @@ def command_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) ->
 
 
 def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> tuple[Group, ...]:
-    """Channels by instrument: as named, else those of one kind.
+    """Channels by instrument: as named, else those of one sensor, kind, or one alone.
 
     Args:
         study: Recorded runs with their channels.
-        by_name: Names of the channels of each instrument; None: those of one kind.
+        by_name: Names of the channels of each instrument; None: as ``dials`` has it.
 
     Raises:
         ValueError: an instrument without channels, or a channel that the study lacks.
@@ -116,11 +119,15 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
         return _kept(study.frame[OUTPUTS])
     known = [c.name for c in study.channels]
     longest = max(float(run.time_s[-1] - run.time_s[0]) for run in study.runs)
-    kinds = dict.fromkeys(c.kind for c in study.channels)
-    of_kind = {kind: [c.name for c in study.channels if c.kind == kind] for kind in kinds}
-    given = of_kind if by_name is None else by_name
+    if by_name is None:
+        # nobody knows what a simulator was commanded before: lateness of all is the commands'
+        is_driven = any(run.command for run in study.runs)
+        found = dials(study.channels, late_record=not is_driven)
+        given = {d.name or "record": (d.channels, d.causes) for d in found}
+    else:
+        given = {name: (tuple(columns), WHOLE) for name, columns in by_name.items()}
     out = []
-    for name, columns in given.items():
+    for name, (columns, causes) in given.items():
         _require_all(f"hooks.output.{name}", columns, known)
         if not columns:
             raise ValueError(f"hooks.output.{name} has no channels")
@@ -134,9 +141,17 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
                 reach or 1.0,
                 units.pop() if len(units) == 1 else "channel",
                 longest_s=longest,
+                causes=causes,
             )
         )
     return tuple(out)
+
+
+def without_clock(group: Group, known: Collection[tuple[str, ...]]) -> Group:
+    """The group without the cause that it is late, if its clock is known or fitted already."""
+    if group.columns not in known:
+        return group
+    return replace(group, causes=tuple(c for c in group.causes if c != "sensor_delay"))
 
 
 def frame_of(hooks: Hooks) -> dict[str, list[dict[str, Any]]]:
@@ -148,13 +163,12 @@ def frame_of(hooks: Hooks) -> dict[str, list[dict[str, Any]]]:
 
 
 def _kept(groups: Sequence[Mapping[str, Any]]) -> tuple[Group, ...]:
-    return tuple(Group(**{**g, "columns": tuple(g["columns"])}) for g in groups)
-
-
-def plain(name: str) -> str:
-    """A name as the names of causes are written: lower case, digits, underscores."""
-    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
-    return kept.strip("_") or "x"
+    lists = ("columns", "causes")  # YAML has no tuples
+    out = []
+    for group in groups:
+        given: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in group.items()}
+        out.append(Group(**given))
+    return tuple(out)
 
 
 def _finite(run: Run, command: str) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -18,11 +19,13 @@ from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
-from diffsim.systems.grid import Grid
+from diffsim.systems.grid import Grid, smoothly_delayed
+from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.outside.forces import Knots, PlaceForces, Term
 from diffsim.systems.outside.source import Predict, Source, offers_of
 
 Array = NDArray[np.float64]
+MAX_KEPT = 64  # records
 SignalMap = Callable[[Tensor, Grid], Tensor]  # signals (width, num_samples), grid -> the same
 
 
@@ -95,6 +98,36 @@ def _shaped(given: Any, label: str, job: Job) -> Array:
     return out
 
 
+class Records:
+    """The last records of a simulator, by everything that it was given: what happens behind it
+    (sensors, clocks) needs no further call."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Array] = OrderedDict()
+
+    @staticmethod
+    def key(job: Job) -> Hashable | None:
+        """What the record depends on; None for forces, which are functions."""
+        if job.forces is not None and job.forces.acts:
+            return None
+        run = job.run
+        command = tuple((n, np.asarray(u).tobytes()) for n, u in run.command.items())
+        seen = (run.name, run.time_s.tobytes(), run.measured.tobytes(), command)
+        return *seen, *job.values.items(), job.numerics
+
+    def get(self, job: Job) -> Array | None:
+        """The record of a job, if it is among the last."""
+        return self._kept.get(self.key(job))
+
+    def keep(self, job: Job, record: Array) -> Array:
+        """The record, remembered."""
+        if (key := self.key(job)) is not None:
+            self._kept[key] = record
+            while len(self._kept) > MAX_KEPT:
+                self._kept.popitem(last=False)
+        return record
+
+
 @dataclass(frozen=True, eq=False)
 class OutsideScene:
     """One run of an outside simulator; effects change commands, forces and channels.
@@ -135,17 +168,26 @@ class OutsideScene:
         """A copy with one more force over time."""
         return replace(self, knots=(*self.knots, knots))
 
+    @property
+    def play_start(self) -> Tensor | None:
+        """Where in a play the run starts, -1 to 1; None: not known to the model."""
+        return self.values.get(PLAY_START)
+
     def simulate(self) -> Tensor:
         """(num_samples, num_channels) predicted channels."""
-        with self.model.one_at_a_time:  # most simulators hold state, and threads share this one
-            record = call(self.model.predict_run, self.model.source.label, self.job())
+        job, model = self.job(), self.model
+        with model.one_at_a_time:  # most simulators hold state, and threads share this one
+            record = model.made.get(job)
+            if record is None:
+                record = model.made.keep(job, call(model.predict_run, model.source.label, job))
         return self.read(record)
 
     def job(self) -> Job:
         """The call of the simulator that this scene asks for."""
         model = self.model
         forces = PlaceForces(model.places, self.terms, self.knots) if model.places else None
-        values = {name: float(v.detach()) for name, v in self.values.items()}
+        own = (PLAY_START, *self.model.clocks)  # what happens behind the simulator
+        values = {name: float(v.detach()) for name, v in self.values.items() if name not in own}
         run = replace(self.run, command=self._commands())
         return Job(run, values, forces, self.numerics, model.channels)
 
@@ -156,10 +198,14 @@ class OutsideScene:
             predicted: What the simulator returned, (num_samples, num_channels).
         """
         out, grid = torch.from_numpy(predicted), self._grid()
-        for channels, change in self.output_maps:
-            idx = list(channels)
+        for name, idx in self.model.clocks.items():
+            late = self.values[name].detach()
             out = out.clone()
-            out[:, idx] = change(out[:, idx].mT, grid).mT
+            out[:, list(idx)] = smoothly_delayed(out[:, list(idx)].mT, grid, late).mT
+        for channels, change in self.output_maps:
+            shown = list(channels)
+            out = out.clone()
+            out[:, shown] = change(out[:, shown].mT, grid).mT
         return out
 
     def _grid(self) -> Grid:
@@ -186,6 +232,7 @@ class OutsideModel(SimModel):
         in_run: Function (values of the base parameters, run) -> values that the simulator gets.
         channels: Names of the channels.
         places: Names of the places where the simulator can add forces.
+        clocks: Indices of the channels that are late by a base parameter of that name.
         workers: Processes that simulate side by side; each makes a simulator of its own.
     """
 
@@ -197,9 +244,11 @@ class OutsideModel(SimModel):
         *,
         channels: Sequence[str],
         places: Sequence[str] = (),
+        clocks: Mapping[str, tuple[int, ...]] | None = None,
         workers: int = 1,
     ):
         super().__init__(self._scene, base, source.label)
+        self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run
         self.channels, self.places, self.workers = tuple(channels), tuple(places), workers
         self.predict_run, self.one_at_a_time = source.make(), Lock()
@@ -213,14 +262,24 @@ class OutsideModel(SimModel):
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""
-        if self.workers < 2 or len(scenes) < 2:
+        jobs = [scene.job() for scene in scenes]
+        # jobs that are alike are one; forces, which have no key, are each their own
+        keys = [Records.key(job) or index for index, job in enumerate(jobs)]
+        todo = {k: j for k, j in zip(keys, jobs, strict=True) if self.made.get(j) is None}
+        if self.workers < 2 or len(todo) < 2:
             return [scene.simulate() for scene in scenes]
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
                 self.workers, get_context("spawn"), initializer=_begin, initargs=(self.source,)
             )
-        done = self._pool.map(_work, [scene.job() for scene in scenes])
-        return [scene.read(record) for scene, record in zip(scenes, done, strict=True)]
+        done = dict(zip(todo, self._pool.map(_work, todo.values()), strict=True))
+        out = []
+        for scene, key, job in zip(scenes, keys, jobs, strict=True):
+            record = done[key] if key in done else self.made.get(job)
+            out.append(scene.simulate() if record is None else scene.read(record))
+        for key, job in todo.items():
+            self.made.keep(job, done[key])
+        return out
 
     def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OutsideScene:
         return OutsideScene(self, self.in_run(values, run), run, numerics)

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.grid import SizedMap
-from diffsim.systems.instrument import sensor_causes
-from diffsim.systems.outside.hooks import SHARE, Group, plain
+from diffsim.systems.grid import SizedMap, with_play
+from diffsim.systems.instrument import plain, sensor_causes
+from diffsim.systems.outside.hooks import SHARE, Group
 from diffsim.systems.outside.model import OutsideScene
 
 
@@ -28,10 +28,12 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
         replace(
             model,
             name=f"{model.name}_of_{plain(group.name)}",
-            apply=partial(_shown, channels=idx, change=change),
+            apply=partial(_played, channels=idx)
+            if model.name == "sensor_backlash"
+            else partial(_shown, channels=idx, change=change),
         )
         for model, change in sensor_causes(names, group.unit, SHARE * group.reach, group.longest_s)
-        if may_be_late or model.family != "timing"
+        if model.name in group.causes and (may_be_late or model.family != "timing")
     ]
 
 
@@ -40,3 +42,13 @@ def _shown(
 ) -> OutsideScene:
     now = size.detach()
     return scene.with_output(channels, lambda y, grid: change(y, grid, now)) if now.any() else scene
+
+
+def _played(
+    scene: OutsideScene, size: Tensor, run: Run, *, channels: tuple[int, ...]
+) -> OutsideScene:
+    """Channels behind a play, from where they are in it at the start."""
+    now, start = size.detach(), scene.play_start
+    if not now.any():
+        return scene
+    return scene.with_output(channels, lambda y, grid: with_play(y, grid, now, start))

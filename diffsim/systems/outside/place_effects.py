@@ -8,9 +8,10 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.systems.instrument import plain
 from diffsim.systems.outside import forces
 from diffsim.systems.outside.forces import Law, Term
-from diffsim.systems.outside.hooks import Place, plain
+from diffsim.systems.outside.hooks import Place
 from diffsim.systems.outside.model import OutsideScene
 
 

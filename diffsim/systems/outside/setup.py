@@ -13,8 +13,17 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.dials import channels_of, clock_of
+from diffsim.systems.instrument import PLAY_START, START_IN_PLAY, with_play_start
 from diffsim.systems.outside.effects import outside_library, unknown_forces
-from diffsim.systems.outside.hooks import Hooks, Place, command_groups, frame_of, output_groups
+from diffsim.systems.outside.hooks import (
+    Hooks,
+    Place,
+    command_groups,
+    frame_of,
+    output_groups,
+    without_clock,
+)
 from diffsim.systems.outside.model import OutsideModel
 from diffsim.systems.outside.source import Environment, Source
 
@@ -30,6 +39,7 @@ def outside_setup(
     commands: Mapping[str, Sequence[str]] | None = None,
     outputs: Mapping[str, Sequence[str]] | None = None,
     held: bool = False,
+    clocks: Mapping[str, Quantity] | None = None,
     environment: Environment | None = None,
     more_effects: Sequence[Effect] = (),
     settings: DiagnosisSettings | None = None,
@@ -45,8 +55,9 @@ def outside_setup(
             parameter "angle@run_3" reaches it as "angle" in that run.
         places: Places where predict(parameters, run, force) adds forces.
         commands: Commands of each group that goes one way; None: all commands as one group.
-        outputs: Channels of each instrument; None: those of one kind.
+        outputs: Channels of each instrument; None: those of one sensor, kind, or each alone.
         held: Commands are held from sample to sample; else straight lines join the samples.
+        clocks: How late sensors, kinds or single channels are, by their name.
         environment: How ``reset`` and ``step`` are read.
         more_effects: Causes of the user's own, whose scenes are ``OutsideScene``.
         settings: Effort; None: the defaults.
@@ -55,19 +66,24 @@ def outside_setup(
     Raises:
         ValueError: the simulator cannot be used; the message says what it lacks.
     """
+    clocks = clocks or {}
+    late = {clock_of(name): channels_of(study.channels, name) for name in clocks}
     source = simulator
     if not isinstance(simulator, Source):
         label = getattr(simulator, "__qualname__", type(simulator).__qualname__)
         source = Source(label, given=simulator, environment=environment or Environment())
-    base, in_run = _parameters(parameters, study)
+    behind = {PLAY_START: START_IN_PLAY, **{clock_of(n): q for n, q in clocks.items()}}
+    base, in_run = _parameters(parameters, behind, study)
     names = tuple(c.name for c in study.channels)
-    hooks = Hooks(command_groups(study, commands), tuple(places), output_groups(study, outputs))
+    groups = [without_clock(g, late.values()) for g in output_groups(study, outputs)]
+    hooks = Hooks(command_groups(study, commands), tuple(places), tuple(groups))
     model = OutsideModel(
         source,
         base,
         in_run,
         channels=names,
         places=[p.name for p in places],
+        clocks={key: tuple(names.index(c) for c in own) for key, own in late.items()},
         workers=workers,
     )
     model.frame = frame_of(hooks)
@@ -80,12 +96,20 @@ def outside_setup(
 
 
 def _parameters(
-    given: Sequence[Parameter] | Mapping[str, Quantity], study: Study
+    given: Sequence[Parameter] | Mapping[str, Quantity],
+    behind: Mapping[str, Quantity],
+    study: Study,
 ) -> tuple[tuple[Parameter, ...], InRun]:
+    """Base parameters, those of what happens behind the simulator last."""
     if isinstance(given, Mapping):
-        quantities = BaseParameters(given, study.runs)
-        return quantities.base, quantities.in_run
-    return tuple(given), _by_run
+        both = BaseParameters({**given, **behind}, study.runs)
+        return both.base, lambda v, run: both.in_run(with_play_start(v, run), run)
+    own = BaseParameters(behind, study.runs)
+
+    def in_run(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
+        return _by_run(values, run) | own.in_run(with_play_start(values, run), run)
+
+    return (*given, *own.base), in_run
 
 
 def _by_run(values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:

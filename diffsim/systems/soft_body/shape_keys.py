@@ -17,7 +17,7 @@ from diffsim.core.units import factor
 from diffsim.mesh import HexMesh, TetMesh
 from diffsim.systems.soft_body.places import Array, Point, Region
 
-VOLUMES = (".msh", ".vtk", ".vtu", ".inp", ".mesh")
+VOLUMES = (".msh", ".vtk", ".vtu", ".inp", ".mesh", ".usd", ".usda", ".usdc")
 _UNIT_SPACING = 0.785  # of a rod's section of radius 1: a core of two by two cells and one ring
 
 

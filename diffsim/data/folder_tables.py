@@ -1,0 +1,225 @@
+"""Tables of an unknown folder, in whatever format: which of them are the runs.
+
+In HDF5 and MAT files with several tables of the same columns each is a run. In logs (ULog, MCAP,
+rosbags) a table is a topic: one is the record, and another may hold what was commanded.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.clock_guess import TIME
+from diffsim.data.columns import Table
+from diffsim.data.formats import SUFFIXES, parts_of
+from diffsim.data.runs_guess import say
+from diffsim.data.table_guess import Layout, column_of, layout_of, tables_in
+
+LOGS = (".ulg", ".mcap", ".bag", ".db3")
+BAG = "metadata.yaml"
+OTHERS = 12  # topics that a sentence names
+_STATE = re.compile(
+    r"odom|pose|position|joint_?states|(^|[/_])states?($|[/_.])|attitude|mocap", re.I
+)
+_COMMAND = re.compile(
+    r"cmd|command|setpoint|actuator|control|motor|thrust|target|reference|desired|input", re.I
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A table of a folder.
+
+    Attributes:
+        folder: Folder that is looked at.
+        path: Its file.
+        part: Its part of the file; empty: the file is one table.
+        layout: Its columns.
+        num_parts: Tables in the file.
+    """
+
+    folder: Path
+    path: Path
+    part: str
+    layout: Layout
+    num_parts: int = 1
+
+    @property
+    def reference(self) -> str:
+        """How a study names it."""
+        file = self.path.relative_to(self.folder).as_posix()
+        return f"{file}#{self.part}" if self.part else file
+
+    @property
+    def name(self) -> str:
+        """What its run may be called: the file, or the folder that is the bag."""
+        stem = self.path.stem if self.path.parent == self.folder else self.path.parent.name
+        several = self.num_parts > 1 and not self.is_topic
+        return f"{stem}_{self.part.replace('/', '_')}" if several else stem
+
+    @property
+    def is_topic(self) -> bool:
+        """Whether the other tables of its file were recorded at the same time."""
+        return self.path.suffix.lower() in LOGS
+
+    def size(self) -> int:
+        """How much it holds."""
+        if not self.part:
+            return self.path.stat().st_size
+        return len(self.table()) * len(self.layout.columns)
+
+    def table(self) -> Table:
+        """The table itself."""
+        if self.path.suffix.lower() not in SUFFIXES:
+            lines = {
+                "header_line": self.layout.header_line,
+                "first_line": self.layout.first_line,
+            }
+            return Table(self.path, "run", **lines)
+        return Table(self.folder / self.reference, "run")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A run of an unknown folder, before its columns are sorted out.
+
+    Attributes:
+        name: What the run may be called.
+        file: How a study names its table.
+        further: Tables that are read at its clock.
+        table: Its columns, those of further tables at its clock.
+    """
+
+    name: str
+    file: str
+    further: tuple[str, ...]
+    table: Table
+
+
+def recordings_in(
+    folder: Path, said: list[str], parts: Sequence[str] = ()
+) -> tuple[Layout, list[Recording]]:
+    """Tables with the same columns: those that most files, then most bytes, have.
+
+    Args:
+        folder: Folder of the files.
+        said: Sentences on what was guessed; more are added.
+        parts: Tables of each file that are used, the record first; empty: as they look.
+
+    Raises:
+        ValueError: no table that looks like a recording, or no such part.
+    """
+    found = list(_found(folder, said))
+    if parts:
+        known = dict.fromkeys(f.part for f in found if f.part)
+        for part in parts:
+            if part not in known:
+                close = did_you_mean(part, list(known))
+                raise ValueError(f"--part: no table {part!r}{close}; known: {', '.join(known)}")
+    families: dict[tuple[Any, ...], list[Found]] = {}
+    for one in found:
+        if parts and one.part and one.part != parts[0]:
+            continue
+        names = tuple(c.name for c in one.layout.columns)
+        lines = (one.layout.header_line, one.layout.first_line)
+        families.setdefault((*lines, names, one.part if one.is_topic else ""), []).append(one)
+    if not families:
+        raise ValueError(
+            f"{folder} has no table with a header line and rows of numbers; expected files such as "
+            "run_1.csv with columns divided by comma, semicolon or tab, or one of "
+            f"{', '.join(SUFFIXES)}"
+        )
+    timed = {k: v for k, v in families.items() if any(TIME.match(_bare(n)) for n in k[2])}
+    best = max((timed or families).values(), key=_worth)
+    taken = {f.path for f in best}
+    others = dict.fromkeys(f.path.name for f in found if f.path not in taken)
+    say(said, "files with other columns, not used", list(others))
+    further = _further(found, best, parts, said)
+    runs = [_recording(one, further, found) for one in best]
+    layout = best[0].layout
+    if further:
+        layout = Layout(1, 2, tuple(column_of(name) for name in runs[0].table.header))
+    return layout, runs
+
+
+def _found(folder: Path, said: list[str]) -> Iterator[Found]:
+    for path in tables_in(folder):
+        if layout := layout_of(path):
+            yield Found(folder, path, "", layout)
+    failed: list[str] = []
+    bags = (p for p in folder.iterdir() if (p / BAG).is_file())  # of ROS 2: a folder each
+    files = [*folder.iterdir(), *(file for bag in bags for file in bag.iterdir())]
+    for path in sorted(p for p in files if p.suffix.lower() in SUFFIXES and p.is_file()):
+        try:
+            parts = parts_of(path)
+            for part in parts:
+                header = Found(folder, path, part, Layout(1, 2, ())).table().header
+                layout = Layout(1, 2, tuple(column_of(name) for name in header))
+                yield Found(folder, path, part, layout, len(parts))
+        except (ImportError, ValueError) as error:
+            failed.append(str(error))
+    said += [f"not read: {message}" for message in failed]
+
+
+def _worth(family: Sequence[Found]) -> tuple[int, bool, int]:
+    """More runs first, then what sounds like a record, then what is larger."""
+    looks = family[0].is_topic and bool(_STATE.search(family[0].part))
+    return len(family), looks, sum(f.size() for f in family)
+
+
+def _further(
+    found: Sequence[Found], best: Sequence[Found], parts: Sequence[str], said: list[str]
+) -> tuple[str, ...]:
+    """Topics that are read at the clock of the record: those that are asked for, else one that
+    sounds commanded."""
+    main = best[0]
+    beside = [f for f in found if f.path == main.path and f.part != main.part]
+    if not main.is_topic or not beside:
+        return ()
+    asked = tuple(parts[1:])
+    if not parts:
+        commanded = [f for f in beside if _COMMAND.search(f.part)]
+        asked = (max(commanded, key=Found.size).part,) if commanded else ()
+    used = " and ".join((main.part, *asked))
+    said.append(f"topics: {used}" + ("" if parts else "; --part TOPIC, repeated, uses others"))
+    say(said, "other topics", [f.part for f in beside if f.part not in asked], OTHERS)
+    return asked
+
+
+def _recording(one: Found, further: Sequence[str], found: Sequence[Found]) -> Recording:
+    table = one.table()
+    if not further:
+        return Recording(one.name, one.reference, (), table)
+    others = [f for part in further for f in found if (f.path, f.part) == (one.path, part)]
+    references = tuple(f.reference for f in others)
+    joined = _joined(table, [f.table() for f in others])
+    return Recording(one.name, one.reference, references, joined)
+
+
+def _joined(main: Table, others: Sequence[Table]) -> Table:
+    """Columns of all tables at the clock of the first, as a study reads them."""
+    columns = {name: _cells(main, name) for name in main.header}
+    clock = main.numbers("time_s")
+    for other in others:
+        at = other.numbers("time_s")
+        for name in other.header:
+            if name not in columns and other.is_number[name]:
+                columns[name] = np.interp(clock, at, other.numbers(name), np.nan, np.nan)
+    return Table.of_columns(main.path, columns)
+
+
+def _cells(table: Table, name: str) -> Any:
+    return table.numbers(name) if table.is_number[name] else np.array(table.texts(name))
+
+
+def _bare(name: str) -> str:
+    return column_of(name).base
+
+
+__all__ = ["Recording", "recordings_in"]

@@ -1,0 +1,121 @@
+"""Which channels a cause in the instruments changes alike: those of one sensor, kind, or one only.
+
+A camera is late in all that it shows and in nothing else, whatever kinds of quantities that are. A
+study may say which ``sensor`` shows a channel. Where it does not, causes are tried for the channels
+of one kind and, where a kind has few, for each channel alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.study import Channel
+
+FEW = 4  # channels of a kind, up to which each is tried alone
+CLOCK = ("sensor_delay", "sensor_lag")
+ZERO = ("sensor_offset", "sensor_drift")  # one size for each channel anyway
+READING = ("sensor_scale", "sensor_backlash")
+WHOLE = (*CLOCK, *ZERO, *READING, "sensor_curvature")
+
+CLOCKS = (
+    "How late sensors, kinds or single channels are, by their name: "
+    "{camera: {value: 0, sd: 20 ms, per: run}} fits a clock for each run. Where none is stated, "
+    "lateness is a cause"
+)
+
+
+@dataclass(frozen=True)
+class Dial:
+    """Channels that a cause changes alike.
+
+    Attributes:
+        name: What causes are named after; empty: all channels of the study.
+        channels: Names of the channels.
+        causes: Names of the causes that are tried, without what they are of.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    causes: tuple[str, ...] = WHOLE
+
+
+def dials(channels: Sequence[Channel], *, late_record: bool) -> tuple[Dial, ...]:
+    """Dials of a study, the widest first.
+
+    Args:
+        channels: Channels of the study.
+        late_record: Whether a record that is late as a whole shows as no late command does.
+    """
+    stated = any(c.sensor is not None for c in channels)
+    found = _by_sensor(channels) if stated else _by_kind(channels)
+    everything = tuple(c.name for c in channels)
+    if all(d.channels != everything for d in found):
+        found.insert(0, Dial("", everything, ("sensor_delay",)))
+    out = []
+    for dial in found:
+        is_whole = dial.channels == everything
+        causes = tuple(c for c in dial.causes if late_record or not is_whole or c != "sensor_delay")
+        if causes:
+            out.append(Dial(dial.name, dial.channels, causes))
+    return tuple(out)
+
+
+def clock_of(name: str) -> str:
+    """Name of the parameter that says how late a sensor, kind or channel is."""
+    return f"clock_of_{name}"
+
+
+def channels_of(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
+    """Channels of a sensor, of a kind, or the channel of that name, whichever there is first.
+
+    Raises:
+        ValueError: nothing is called so.
+    """
+    for called in ("sensor", "kind", "name"):
+        found = tuple(c.name for c in channels if getattr(c, called) == name)
+        if found:
+            return found
+    known = dict.fromkeys(n for c in channels for n in (c.sensor, c.kind, c.name) if n is not None)
+    raise ValueError(
+        f"no sensor, kind or channel {name!r}{did_you_mean(name, list(known))}; "
+        f"known: {', '.join(known)}"
+    )
+
+
+def _by_sensor(channels: Sequence[Channel]) -> list[Dial]:
+    """One clock for each sensor; what has a unit for each of its kinds."""
+    out = []
+    for sensor, own in _grouped(channels, [c.sensor or c.kind for c in channels]).items():
+        kinds = _grouped(own, [c.kind for c in own])
+        if len(kinds) == 1:
+            out.append(Dial(sensor, _names(own)))
+            continue
+        out.append(Dial(sensor, _names(own), CLOCK))
+        rest = tuple(c for c in WHOLE if c not in CLOCK)
+        out += [Dial(f"{kind}_of_{sensor}", _names(part), rest) for kind, part in kinds.items()]
+    return out
+
+
+def _by_kind(channels: Sequence[Channel]) -> list[Dial]:
+    """Every kind; where it has few channels, each of them as well."""
+    kinds = _grouped(channels, [c.kind for c in channels])
+    out = [Dial(kind, _names(own)) for kind, own in kinds.items()]
+    for own in kinds.values():
+        if 1 < len(own) <= FEW:
+            for channel in own:
+                name = channel.name if channel.name not in kinds else f"channel_{channel.name}"
+                out.append(Dial(name, (channel.name,), (*CLOCK, *READING)))
+    return out
+
+
+def _grouped(channels: Sequence[Channel], names: Sequence[str]) -> dict[str, list[Channel]]:
+    out: dict[str, list[Channel]] = {}
+    for channel, name in zip(channels, names, strict=True):
+        out.setdefault(name, []).append(channel)
+    return out
+
+
+def _names(channels: Sequence[Channel]) -> tuple[str, ...]:
+    return tuple(c.name for c in channels)
