@@ -11,6 +11,7 @@ namespace {
 void bind_arrays(nb::module_& m) {
   nb::class_<SoftArrays>(m, "SoftArrays")
       .def(nb::init<>())
+      .def_rw("per_member", &SoftArrays::per_member)
       .def_rw("w_mu", &SoftArrays::w_mu)
       .def_rw("w_vol", &SoftArrays::w_vol)
       .def_rw("fiber_stiffness", &SoftArrays::fiber_stiffness)

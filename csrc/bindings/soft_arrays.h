@@ -13,8 +13,11 @@ struct SoftArrays {
   Address pressure = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
+  bool per_member = false;  // parameters and inertia have a batch axis
+
   StepInputs inputs() const {
     StepInputs step;
+    step.per_member = per_member;
     step.parameters.w_mu = in(w_mu);
     step.parameters.w_vol = in(w_vol);
     step.parameters.fiber_stiffness = in(fiber_stiffness);

@@ -88,13 +88,14 @@ def detect(
     push = max_depenetration_speed * dt
     shape = start.shape[:-1]
     start, end = start.reshape(-1, 3), end.reshape(-1, 3)
+    member = _members(many, shape)
     moved = [obstacle.after(dt) for obstacle in many]
     if len(many) == 1:
         paths = _Paths.of(many[0], moved[0], start, end)
         entry = paths.entry(many[0].shape, continuous)
-        planes = _planes(0, many[0], moved[0], dt, paths, entry, push)
+        planes = _planes(0, many[0], moved[0], dt, paths, entry, push, member)
     else:
-        planes = _nearest_planes(many, moved, dt, start, end, push, continuous)
+        planes = _nearest_planes(many, moved, dt, start, end, push, continuous, member)
     return ContactPlanes(*(field.reshape(*shape, *field.shape[1:]) for field in planes))
 
 
@@ -130,6 +131,7 @@ def _nearest_planes(
     end: Tensor,
     push: float,
     continuous: bool,
+    member: Tensor,
 ) -> ContactPlanes:
     """The half space of each point's obstacle."""
     with torch.no_grad():
@@ -151,7 +153,7 @@ def _nearest_planes(
         order.append(own)
         paths = _Paths.of(obstacle, later, start[own], end[own])
         used = entry[own] if bool(entry[own].isfinite().any()) else None
-        parts.append(_planes(k, obstacle, later, dt, paths, used, push))
+        parts.append(_planes(k, obstacle, later, dt, paths, used, push, member[own]))
     back = torch.argsort(torch.cat(order))
     return ContactPlanes(*(torch.cat(fields)[back] for fields in zip(*parts, strict=True)))
 
@@ -164,6 +166,7 @@ def _planes(
     paths: _Paths,
     entry: Tensor | None,
     push: float,
+    member: Tensor,
 ) -> ContactPlanes:
     """Half spaces of the points that meet one obstacle; ``index`` is its place in the list."""
     start, end, y0, y1, distance, phi, normal = paths
@@ -185,9 +188,13 @@ def _planes(
     offset = dot(normal, at - reference) - phi
     if math.isfinite(push):
         offset = torch.where(distance.detach() < 0, offset.clamp(max=push), offset)
-    if obstacle.restitution.requires_grad or bool(obstacle.restitution > 0):
+    friction, restitution = (
+        value.expand_as(phi) if value.ndim == 0 else value[member]
+        for value in (obstacle.friction, obstacle.restitution)
+    )
+    if restitution.requires_grad or bool((restitution > 0).any()):
         approach = dot(normal, end - reference)
-        bounce = -obstacle.restitution * approach
+        bounce = -restitution * approach
         inside = phi.detach() < 0
         hits = (inside if entry is None else inside | entered) & (approach.detach() < 0)
         hits = hits & (bounce.detach() > 0)
@@ -196,8 +203,25 @@ def _planes(
         normal=normal,
         reference=reference,
         offset=offset,
-        friction=obstacle.friction.expand_as(phi),
-        restitution=obstacle.restitution.expand_as(phi),
+        friction=friction,
+        restitution=restitution,
         obstacle=torch.full(phi.shape, index, dtype=torch.int64),
         distance=distance,
     )
+
+
+def _members(obstacles: Sequence[Obstacle], shape: torch.Size) -> Tensor:
+    """The member of a batch that each point belongs to, (points,); shape is (..., c)."""
+    for obstacle in obstacles:
+        require_members("friction", obstacle.friction, shape[:-1])
+        require_members("restitution", obstacle.restitution, shape[:-1])
+    return torch.arange(math.prod(shape)) // max(shape[-1], 1)
+
+
+def require_members(name: str, value: Tensor, batch: Sequence[int]) -> None:
+    """Refuse a coefficient (n,) of members unless the points have the batch axis (n,)."""
+    if value.ndim and tuple(value.shape) != tuple(batch):
+        raise ValueError(
+            f"{name} of an obstacle is given for {value.shape[0]} members, and the state has batch "
+            f"axes {tuple(batch)}; they must agree"
+        )

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
-from diffsim.core.check import require
+from diffsim.core.check import require, require_range
 from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
 from diffsim.core.values import Number, Vector, friction_coefficient, scalar, vector
 
@@ -28,8 +28,8 @@ class Obstacle:
         velocity: Velocity of the shape's origin, world frame, (3,) [m/s].
         angular_velocity: Angular velocity, world frame, (3,) [rad/s].
         friction: Coulomb coefficient [-], >= 0; ``math.inf``: touching nodes stick, as in the
-            thesis (4.1.4).
-        restitution: Newton's coefficient [-], in [0, 1].
+            thesis (4.1.4). One number, or (batch,), one for each member of a batch of states.
+        restitution: Newton's coefficient [-], in [0, 1]; one number or (batch,).
         name: Name of the obstacle in messages.
 
     Attributes:
@@ -69,7 +69,7 @@ class Obstacle:
             velocity=vector("velocity", velocity),
             angular_velocity=vector("angular_velocity", angular_velocity),
             friction=friction_coefficient(friction),
-            restitution=scalar("restitution", restitution, at_least=0.0, at_most=1.0),
+            restitution=_restitution(restitution),
             name=name,
         )
 
@@ -135,6 +135,14 @@ class Obstacle:
     def label(self, index: int) -> str:
         """How messages call it."""
         return repr(self.name) if self.name else f"{index} ({type(self.shape).__name__})"
+
+
+def _restitution(value: Number) -> Tensor:
+    """() or (batch,)."""
+    if isinstance(value, Tensor) and value.ndim == 1:
+        require("restitution", value, ("batch",))
+        return require_range("restitution", value, at_least=0.0, at_most=1.0)
+    return scalar("restitution", value, at_least=0.0, at_most=1.0)
 
 
 def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle]:

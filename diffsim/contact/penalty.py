@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from diffsim.contact.detect import require_members
 from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.core.check import require, require_indices, require_number
 from diffsim.core.values import Number, direction, dot, friction_coefficient, scalar
@@ -95,9 +96,13 @@ def _force(
         u = relative - v_n[..., None] * normal
         speed, _ = direction(u, torch.ones_like(u))
         mu = obstacle.friction if friction is None else friction
+        require_members("friction", mu, fn.shape[:-1])
+        mu = mu[..., None]
         drag = cap.expand_as(fn)
-        if bool(mu.isfinite()):
-            drag = torch.minimum(drag, mu * fn / (speed + _EPS))
+        slides = mu.isfinite()  # an infinite coefficient leaves the cap alone
+        if bool(slides.any()):
+            most = torch.where(slides, mu, 0.0) * fn / (speed + _EPS)
+            drag = torch.where(slides, torch.minimum(drag, most), drag)
         drag = torch.where(inside, drag, 0.0)
         total = total + fn[..., None] * normal - drag[..., None] * u
     return total

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -78,16 +77,17 @@ def as_array(name: str, value: Any, dtype: torch.dtype = torch.float64) -> Tenso
 
 
 def friction_coefficient(value: Number) -> Tensor:
-    """A coefficient >= 0; ``math.inf`` means that touching nodes stick."""
+    """A coefficient >= 0, () or (batch,); ``math.inf`` means that touching nodes stick."""
     if isinstance(value, Tensor):
-        mu = require("friction", value, (), finite=False)
+        mu = require("friction", value, ("batch",) if value.ndim else (), finite=False)
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         mu = torch.tensor(float(value), dtype=torch.float64)
     else:
         raise TypeError(f"friction must be a number, got {type(value).__name__}")
-    if math.isnan(float(mu.detach())) or float(mu.detach()) < 0:
+    bad = mu.detach()[~(mu.detach() >= 0.0)]  # NaN is not
+    if len(bad):
         raise ValueError(
-            f"friction must lie in [0, inf], got {float(mu.detach()):g}; "
+            f"friction must lie in [0, inf], got {float(bad[0]):g}; "
             "0 slides freely, math.inf sticks"
         )
     return mu

@@ -34,7 +34,6 @@ from diffsim.diagnose.from_sheet import (
     has_left,
     promising_sets,
 )
-from diffsim.diagnose.gauss_newton import MISFIT_RTOL
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -285,7 +284,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    exact = max(WORSE_NATS, MISFIT_RTOL * misfit)
+    exact = max(WORSE_NATS, fit.problem.fit_rtol * misfit)
     return best if 0.5 * _fit_cost(fit) > costs[best] + exact else None
 
 

@@ -20,7 +20,8 @@ class Spec(NamedTuple):
 
     Attributes:
         shape: Sizes without the batch axis; names stand for those of the body.
-        batched: Whether a batch axis leads; all else is shared by the items of a batch.
+        batched: Whether a batch axis leads; all else is shared by the items of a batch, or given
+            for each of them (:attr:`Arrays.per_member`).
         differentiable: Whether an adjoint returns its gradient.
         damping: Whether it is empty in a body without stiffness-proportional damping.
     """
@@ -57,6 +58,15 @@ class Arrays:
         """Names of the tensors whose gradients an adjoint returns, in its order."""
         return [name for name, spec in cls.specs.items() if spec.differentiable]
 
+    @property
+    def per_member(self) -> bool:
+        """Whether what is shared otherwise has a batch axis as well."""
+        return False
+
+    def has_batch(self, name: str) -> bool:
+        """Whether a batch axis leads a tensor."""
+        return self.specs[name].batched or self.per_member
+
     @classmethod
     def of(cls: type[_Record], tensors: Sequence[Tensor]) -> _Record:
         """The record of an op's list."""
@@ -77,13 +87,14 @@ class Arrays:
         return {name: getattr(self, name) for name in self.specs}
 
     def shared(self) -> dict[str, Tensor]:
-        """Those without a batch axis, by name."""
-        return {n: t for n, t in self.named().items() if not self.specs[n].batched}
+        """What the items of a batch share, by name; the mean where it is given for each of them."""
+        found = {n: t for n, t in self.named().items() if not self.specs[n].batched}
+        return {n: _mean(t) if self.has_batch(n) else t for n, t in found.items()}
 
     def item(self, k: int) -> dict[str, Tensor]:
         """Item k of the batch by name, with the shared tensors."""
-        specs = self.specs
-        return {n: t[k] if specs[n].batched and t.numel() else t for n, t in self.named().items()}
+        named = self.named()
+        return {n: t[k] if self.has_batch(n) and t.numel() else t for n, t in named.items()}
 
     @classmethod
     def directions(cls, tangents: Sequence[Tensor | None], like: Tensor) -> list[Tensor]:
@@ -101,7 +112,7 @@ class Arrays:
 
     def item_of(self, moved: Mapping[str, Tensor], k: int) -> dict[str, Tensor]:
         """Item k of the batch of some directions; shared ones as they are."""
-        return {n: t[k] if self.specs[n].batched else t for n, t in moved.items()}
+        return {n: t[k] if self.has_batch(n) else t for n, t in moved.items()}
 
     def require_sizes(self, batch: int, sizes: Mapping[str, int], *, damped: bool = True) -> None:
         """Refuse any other size than that of a body: kernels read whole arrays.
@@ -114,22 +125,20 @@ class Arrays:
         for name, tensor in self.named().items():
             spec = self.specs[name]
             own = tuple(sizes[size] if isinstance(size, str) else size for size in spec.shape)
-            shape = (batch, *own) if spec.batched else own
+            shape = (batch, *own) if self.has_batch(name) else own
             require_array(name, tensor, (0,) if spec.damping and not damped else shape)
 
     def gradient_buffers(self, batch: int) -> dict[str, Tensor]:
         """Zeroed outputs of an adjoint; those of shared tensors get a batch axis as well."""
-        named, specs = self.named(), self.specs
+        named = self.named()
         return {
-            n: named[n].new_zeros(named[n].shape if specs[n].batched else (batch, *named[n].shape))
+            n: named[n].new_zeros(named[n].shape if self.has_batch(n) else (batch, *named[n].shape))
             for n in self.differentiable()
         }
 
-    @classmethod
-    def summed(cls, grads: Mapping[str, Tensor]) -> list[Tensor]:
+    def summed(self, grads: Mapping[str, Tensor]) -> list[Tensor]:
         """Buffers as the op returns them: those of shared tensors summed over the batch."""
-        specs = cls.specs
-        return [g if specs[name].batched else _sum(g) for name, g in grads.items()]
+        return [g if self.has_batch(name) else _sum(g) for name, g in grads.items()]
 
     def empty_gradients(self) -> list[Tensor]:
         """What an adjoint returns, without its values."""
@@ -142,7 +151,8 @@ class EnergyArrays(Arrays):
     """Parameters of the elastic, damping and pressure energies.
 
     Attributes:
-        w_mu, w_vol: Of the solid, (num_elements,) [Pa], see :mod:`diffsim.soft.materials`.
+        w_mu, w_vol: Of the solid, (num_elements,) [Pa], see :mod:`diffsim.soft.materials`. These,
+            ``fiber_stiffness``, ``damp_mu`` and ``damp_lambda`` may all lead with a batch axis.
         fiber_stiffness: (num_fibers,) [Pa].
         activation: Target stretch of each fiber, (batch, num_fibers) [-].
         damp_mu, damp_lambda: Weights of damping, (num_elements,) [Pa].
@@ -160,6 +170,11 @@ class EnergyArrays(Arrays):
     x_frame: Tensor = field(metadata=_spec("num_vertices", 3, damping=True))
     x_velocity: Tensor = field(metadata=_spec("num_vertices", 3, damping=True))
     pressure: Tensor = field(metadata=_spec("num_chambers"))
+
+    @property
+    def per_member(self) -> bool:
+        """Whether parameters (and inertia) have a batch axis."""
+        return self.w_mu.ndim == 2
 
     @property
     def damped(self) -> bool:
@@ -212,6 +227,10 @@ def require_array(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
         raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
     if tensor.dtype != torch.float64 or not tensor.is_contiguous():
         raise TypeError(f"{name} must be contiguous float64")
+
+
+def _mean(tensor: Tensor) -> Tensor:
+    return tensor.mean(0) if tensor.numel() else tensor.new_empty(tensor.shape[-1:])
 
 
 def _sum(buffer: Tensor) -> Tensor:

@@ -210,7 +210,9 @@ def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
 
 def soft_addresses(tensors: Mapping[str, Tensor]) -> object:
     """Addresses of a soft body's arrays by name; what is empty or missing stays absent."""
-    return _fill(core.SoftArrays(), tensors)
+    arrays = core.SoftArrays()
+    arrays.per_member = "w_mu" in tensors and tensors["w_mu"].ndim == 2
+    return _fill(arrays, tensors)
 
 
 def contact_addresses(num_contacts: int, tensors: Mapping[str, Tensor]) -> object:

@@ -170,7 +170,7 @@ def contact_step_vjp(
     )
     notify("adjoint", stats, max_iters, contact=True)
     report_failure(stats, "adjoint solve in contact", ADJOINT_HINT, on_failure)
-    return [*StepArrays.summed(grads), *ContactArrays.summed(contact_grads), stats]
+    return [*arrays.summed(grads), *planes.summed(contact_grads), stats]
 
 
 @contact_step_vjp.register_fake

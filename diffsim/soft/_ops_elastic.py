@@ -74,7 +74,7 @@ def elastic_gradient_vjp(
             grads=soft_addresses({n: g[k] if g.numel() else g for n, g in grads.items()}),
             num_threads=num_threads,
         )
-    return [grad_x, *EnergyArrays.summed(grads)]
+    return [grad_x, *arrays.summed(grads)]
 
 
 @elastic_gradient_vjp.register_fake

@@ -160,7 +160,7 @@ def soft_step_vjp(
     )
     notify("adjoint", stats, max_iters)
     report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
-    return [*StepArrays.summed(grads), stats]
+    return [*arrays.summed(grads), stats]
 
 
 @soft_step_vjp.register_fake

@@ -71,7 +71,12 @@ def check_inputs(
         value = getattr(state, name)
         if value is not None:
             require(f"state.{name}", value, tuple(x.shape))
-    force = physics.weighing_mass[:, None] * physics.gravity
+    if physics.batch is not None and tuple(x.shape[:-2]) != (physics.batch,):
+        raise ValueError(
+            f"state.x must have the batch axis ({physics.batch},) of physics(batch=...), got "
+            f"{tuple(x.shape[:-2])}; begin with body.rest_state(batch={physics.batch})"
+        )
+    force = physics.weighing_mass[..., None] * physics.gravity.unsqueeze(-2)
     if external_force is not None:
         force = force + require("external_force", external_force, ("...", num_vertices, 3))
     target = body.x_rest
@@ -112,6 +117,9 @@ def energy_arrays(body: Solid, loads: Loads, frame: DampingFrame | None = None) 
     physics = loads.physics
     fibers = body.muscles.fibers(physics.fiber_stiffness, loads.activation)
     damping = None if frame is None else physics.damping(frame.kappa)
+    stiffness = fibers.stiffness
+    if physics.batch is not None and stiffness.ndim == 1:  # no fibers
+        stiffness = stiffness.expand(physics.batch, -1)
     terms = dict.fromkeys(("damp_mu", "damp_lambda", "x_frame", "x_velocity"), EMPTY)
     if frame is not None and damping is not None:
         terms = {
@@ -121,9 +129,9 @@ def energy_arrays(body: Solid, loads: Loads, frame: DampingFrame | None = None) 
             "x_velocity": flat(frame.x_velocity),
         }
     return EnergyArrays(
-        w_mu=physics.w_mu,
-        w_vol=physics.w_vol,
-        fiber_stiffness=fibers.stiffness.contiguous(),
+        w_mu=physics.w_mu.contiguous(),
+        w_vol=physics.w_vol.contiguous(),
+        fiber_stiffness=stiffness.contiguous(),
         activation=flat(fibers.stretch, 1),
         pressure=flat(loads.pressure, 1),
         **terms,

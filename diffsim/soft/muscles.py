@@ -135,12 +135,13 @@ class MuscleSet:
         if not self.num_muscles:
             return FiberValues(stiffness=stiffness, stretch=activation)
         if self.has_contraction:
-            shared = _shared_activation(activation, self.contraction)
+            per_member = stiffness.ndim == 2  # (batch, num_muscles), as activation then is
+            shared = activation if per_member else _shared_activation(activation, self.contraction)
             slack = torch.where(self.contraction, (1.0 - shared) ** 2, torch.ones_like(stiffness))
             stiffness = stiffness * slack
             activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
         return FiberValues(
-            stiffness=stiffness[self.owner] * self.weights, stretch=activation[..., self.owner]
+            stiffness=stiffness[..., self.owner] * self.weights, stretch=activation[..., self.owner]
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -16,6 +17,8 @@ from diffsim.soft.materials import Material
 @dataclass(frozen=True, kw_only=True)
 class Physics:
     """Per-element and per-node parameters; every tensor may carry a gradient.
+
+    Where a parameter was given for each member of a batch, all tensors lead with that batch axis.
 
     Attributes:
         material: Energy of the solid, see :mod:`diffsim.soft.materials`.
@@ -38,6 +41,11 @@ class Physics:
     rayleigh_alpha: Tensor
     rayleigh_beta: Tensor | None
     fiber_stiffness: Tensor
+
+    @property
+    def batch(self) -> int | None:
+        """Members of the batch that parameters were given for; None: one set for all."""
+        return self.mass.shape[0] if self.mass.ndim == 2 else None
 
     def damping(self, kappa: float) -> DampingWeights | None:
         """Weights of damping beta K of a velocity kappa (x - x_velocity); None without damping.
@@ -82,6 +90,7 @@ class PhysicalValues:
     fiber_stiffness: Tensor
 
 
+PER_ELEMENT = ("youngs_modulus", "poissons_ratio", "density", "rayleigh_beta")
 PARAMETERS = tuple(f.name for f in fields(PhysicalValues))
 
 
@@ -99,14 +108,18 @@ class LumpedVolume:
     shares: Tensor
     nodal: Tensor
 
-    def mass(self, density: Tensor) -> Tensor:
-        """Lumped mass, (num_vertices,) [kg].
+    def mass(self, density: Tensor, batch: int | None = None) -> Tensor:
+        """Lumped mass, (num_vertices,), or (batch, num_vertices) of a density per member [kg].
 
         Args:
             density: Scalar, (num_vertices,) or (num_elements,) [kg/m^3].
+            batch: Members of a batch that the density may be given for, (batch,) or with a leading
+                batch axis; None: it may not.
         """
         num_elements, num_vertices = len(self.elements), len(self.nodal)
         shape = tuple(density.shape) if isinstance(density, Tensor) else ()
+        if batch is not None and shape not in ((), (num_vertices,), (num_elements,)):
+            return self._mass_of_members(density, batch)
         if shape not in ((), (num_vertices,), (num_elements,)):
             raise ValueError(
                 f"density must be a scalar or have shape (num_vertices,) = ({num_vertices},) or "
@@ -124,9 +137,33 @@ class LumpedVolume:
             return none.index_add(0, self.elements.flatten(), masses.flatten())
         return _checked_density(_per("density", density, num_vertices, "num_vertices")) * self.nodal
 
+    def _mass_of_members(self, density: Tensor, batch: int) -> Tensor:
+        """(batch, num_vertices) [kg]."""
+        num_elements, num_vertices = len(self.elements), len(self.nodal)
+        shape = tuple(density.shape)
+        if shape in ((batch,), (batch, 1)):
+            density = require("density", density, shape).reshape(batch, 1)
+            return _checked_density(density) * self.nodal
+        if shape == (batch, num_vertices) and num_vertices != num_elements:
+            return _checked_density(require("density", density, shape)) * self.nodal
+        if shape != (batch, num_elements) or num_vertices == num_elements:
+            raise ValueError(
+                f"density of members must have shape ({batch},), ({batch}, num_vertices) = "
+                f"({batch}, {num_vertices}) or ({batch}, num_elements) = ({batch}, {num_elements}),"
+                f" got {shape}; where a mesh has as many elements as vertices, pass node_mass"
+            )
+        density = _checked_density(require("density", density, shape))
+        masses = (density[..., None] * self.shares).flatten(1)
+        none = self.nodal.new_zeros(batch, num_vertices)
+        return none.index_add(1, self.elements.flatten(), masses)
+
 
 def make_physics(
-    values: PhysicalValues, volume: LumpedVolume, material: Material, num_muscles: int
+    values: PhysicalValues,
+    volume: LumpedVolume,
+    material: Material,
+    num_muscles: int,
+    batch: int | None = None,
 ) -> Physics:
     """Check ranges and expand scalars to elements and nodes.
 
@@ -135,45 +172,69 @@ def make_physics(
         volume: Lumped volume of the body's mesh.
         material: Energy of the solid.
         num_muscles: Number of muscles.
+        batch: Members of a batch that parameters may be given for; None: they may not.
 
     Returns:
-        :class:`Physics`. Gradients: all values.
+        :class:`Physics`, with a batch axis where there is a batch. Gradients: all values.
     """
     num_elements, num_vertices = len(volume.elements), len(volume.nodal)
-    weights = material.weights(
-        _per("youngs_modulus", values.youngs_modulus, num_elements, "num_elements"),
-        _per("poissons_ratio", values.poissons_ratio, num_elements, "num_elements"),
-    )
+
+    def per_element(name: str) -> Tensor:
+        return _per(name, getattr(values, name), num_elements, "num_elements", batch)
+
+    weights = material.weights(per_element("youngs_modulus"), per_element("poissons_ratio"))
     if values.node_mass is None:
-        mass = volume.mass(values.density)
+        mass = volume.mass(values.density, batch)
     else:
-        mass = require("node_mass", values.node_mass, (num_vertices,))
-        _range("node_mass", mass, above=0.0, hint="unit is kg")
+        mass = _nodal_mass("node_mass", values.node_mass, num_vertices, batch, above=0.0)
     if values.attached_mass is not None:
-        mass = mass + _nodal_mass("attached_mass", values.attached_mass, num_vertices)
+        mass = mass + _nodal_mass("attached_mass", values.attached_mass, num_vertices, batch)
     weighing_mass = mass
     if values.added_mass is not None:
-        mass = mass + _nodal_mass("added_mass", values.added_mass, num_vertices)
-    gravity = require("gravity", values.gravity, (3,))
-    rayleigh_alpha = require("rayleigh_alpha", values.rayleigh_alpha, ())
+        mass = mass + _nodal_mass("added_mass", values.added_mass, num_vertices, batch)
+    gravity = _of_members("gravity", values.gravity, (3,), batch)
+    rayleigh_alpha = _of_members("rayleigh_alpha", values.rayleigh_alpha, (), batch)
     _range("rayleigh_alpha", rayleigh_alpha, at_least=0.0, hint="unit is 1/s")
     rayleigh_beta = values.rayleigh_beta
     if rayleigh_beta is not None:
-        rayleigh_beta = _per("rayleigh_beta", rayleigh_beta, num_elements, "num_elements")
+        rayleigh_beta = per_element("rayleigh_beta")
         _range("rayleigh_beta", rayleigh_beta, at_least=0.0, hint="unit is s")
-    fiber_stiffness = require("fiber_stiffness", values.fiber_stiffness, (num_muscles,))
+    fiber_stiffness = _of_members("fiber_stiffness", values.fiber_stiffness, (num_muscles,), batch)
     _range("fiber_stiffness", fiber_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
         material=material.law,
-        w_mu=weights.w_mu,
-        w_vol=weights.w_vol,
-        mass=mass,
-        weighing_mass=weighing_mass,
+        w_mu=_expanded(weights.w_mu, batch),
+        w_vol=_expanded(weights.w_vol, batch),
+        mass=_expanded(mass, batch),
+        weighing_mass=_expanded(weighing_mass, batch),
         gravity=gravity,
         rayleigh_alpha=rayleigh_alpha,
         rayleigh_beta=rayleigh_beta,
-        fiber_stiffness=fiber_stiffness,
+        fiber_stiffness=_expanded(fiber_stiffness, batch),
     )
+
+
+def require_distinct(name: str, value: object, batch: int, sizes: Mapping[str, int]) -> None:
+    """Refuse a vector that may be of a batch's members as well as of elements or vertices."""
+    for axis, size in sizes.items():
+        if isinstance(value, Tensor) and tuple(value.shape) == (batch,) == (size,):
+            raise ValueError(
+                f"{name} of shape ({batch},) may be of members or of {axis[4:]}: there are as many "
+                f"of both; for members pass shape ({batch}, 1), for {axis[4:]} ({batch}, {axis}), "
+                "such as value.expand(batch, -1)"
+            )
+
+
+def _expanded(value: Tensor, batch: int | None) -> Tensor:
+    """(size,) as (batch, size), where there is a batch."""
+    return value if batch is None or value.ndim == 2 else value.expand(batch, -1)
+
+
+def _of_members(name: str, value: Tensor, shape: tuple[int, ...], batch: int | None) -> Tensor:
+    """A value of a shape, or one for each member."""
+    if batch is not None and isinstance(value, Tensor) and value.ndim > len(shape):
+        return require(name, value, (batch, *shape))
+    return require(name, value, shape)
 
 
 def require_physics(
@@ -182,7 +243,7 @@ def require_physics(
     """Refuse what is no :class:`Physics`, or one of another body."""
     if not isinstance(physics, Physics):
         raise TypeError(f"physics must come from body.physics(...), got {type(physics).__name__}")
-    size = (physics.mass.shape[0], physics.w_mu.shape[0])
+    size = (physics.mass.shape[-1], physics.w_mu.shape[-1])
     if size != (num_vertices, num_elements):
         raise ValueError(
             f"physics must be made by this body's physics(...): it is for {size[0]} vertices and "
@@ -201,19 +262,32 @@ def _checked_density(density: Tensor) -> Tensor:
     return density
 
 
-def _nodal_mass(name: str, value: Tensor, num_vertices: int) -> Tensor:
-    mass = require(name, value, (num_vertices,))
-    _range(name, mass, at_least=0.0, hint="unit is kg")
+def _nodal_mass(
+    name: str, value: Tensor, num_vertices: int, batch: int | None, **limits: float
+) -> Tensor:
+    mass = _of_members(name, value, (num_vertices,), batch)
+    _range(name, mass, hint="unit is kg", **(limits or {"at_least": 0.0}))
     return mass
 
 
-def _per(name: str, value: Tensor, size: int, axis: str) -> Tensor:
+def _per(name: str, value: Tensor, size: int, axis: str, batch: int | None = None) -> Tensor:
+    """(size,), or (batch, size) where it is given for the members of a batch."""
     if not isinstance(value, Tensor) or value.ndim == 0:
         return require(name, value, ()).expand(size).contiguous()
-    if value.shape != (size,):
+    shape = tuple(value.shape)
+    if shape == (size,):
+        return require(name, value, (size,))
+    if batch is None:
         raise ValueError(f"{name} must be a scalar or have shape ({axis},) = ({size},), got "
-                         f"{tuple(value.shape)}")  # fmt: skip
-    return require(name, value, (size,))
+                         f"{shape}")  # fmt: skip
+    if shape in ((batch,), (batch, 1)):
+        return require(name, value, shape).reshape(batch, 1).expand(batch, size).contiguous()
+    if shape != (batch, size):
+        raise ValueError(
+            f"{name} must be a scalar or have shape ({axis},) = ({size},), or for a batch of "
+            f"{batch} members ({batch},) or ({batch}, {axis}) = ({batch}, {size}), got {shape}"
+        )
+    return require(name, value, shape)
 
 
 def _range(name: str, value: Tensor, **limits) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_indices, require_number
+from diffsim.core.check_options import require_count
 from diffsim.core.values import as_array
 from diffsim.mesh import (
     HexMesh,
@@ -28,10 +29,12 @@ from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.parameters import Value, as_tensor, hold
 from diffsim.soft.physics import (
     PARAMETERS,
+    PER_ELEMENT,
     LumpedVolume,
     PhysicalValues,
     Physics,
     make_physics,
+    require_distinct,
 )
 from diffsim.soft.plausible import warn_of_units
 from diffsim.soft.state import State
@@ -141,10 +144,14 @@ class Solid(nn.Module):
         """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
-    def physics(self, **overrides: Value) -> Physics:
+    # Any: a checker holds every keyword against what ``**mapping`` of tensors may contain
+    def physics(self, *, batch: Any = None, **overrides: Value) -> Physics:
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
+            batch: Members of a batch of states, an int. Then each override may lead with a batch
+                axis: one number per member is (batch,) or (batch, 1), a number per member and
+                element (batch, num_elements). None: one set for all.
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
                 rayleigh_beta, attached_mass, added_mass, node_mass, fiber_stiffness, as in the
                 constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
@@ -152,15 +159,22 @@ class Solid(nn.Module):
         Returns:
             :class:`~diffsim.soft.Physics`. Gradients: all overrides.
         """
+        if batch is not None:
+            require_count("batch", batch, at_least=1)
         values = {name: getattr(self, name) for name in PARAMETERS}
         for name, value in overrides.items():
             require_choice("physics override", name, PARAMETERS)
             values[name] = None if value is None else as_tensor(name, value)
+            if batch is not None and name in PER_ELEMENT:
+                sizes = {"num_elements": self.mesh.num_elements}
+                if name == "density":
+                    sizes["num_vertices"] = self.mesh.num_vertices
+                require_distinct(name, values[name], batch, sizes)
         volume = LumpedVolume(
             elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
         )
         return make_physics(
-            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles
+            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles, batch
         )
 
     def rest_state(self, batch: int | None = None) -> State:

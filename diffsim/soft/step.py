@@ -126,12 +126,17 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
     """
     alpha = loads.physics.rayleigh_alpha * stage.kappa
     return Problem(
-        y=(stage.c * stage.y + alpha * stage.x_velocity) / (stage.c + alpha),
+        y=(stage.c * stage.y + _nodal(alpha) * stage.x_velocity) / (stage.c + _nodal(alpha)),
         guess=guess,
-        inertia=(stage.c + alpha) * loads.physics.mass,
+        inertia=(stage.c + alpha[..., None]) * loads.physics.mass,
         loads=loads,
         frame=DampingFrame(kappa=stage.kappa, x_frame=stage.y, x_velocity=stage.x_velocity),
     )
+
+
+def _nodal(value: Tensor) -> Tensor:
+    """One number, or one per member, as a factor of (..., num_vertices, 3)."""
+    return value[..., None, None]
 
 
 def _explicit_step(body: Solid, state: State, x: Tensor, loads: Loads) -> State:
@@ -139,8 +144,8 @@ def _explicit_step(body: Solid, state: State, x: Tensor, loads: Loads) -> State:
     physics = loads.physics
     frame = DampingFrame(kappa=1.0, x_frame=flat(x), x_velocity=flat(x - state.v))
     gradient, _ = elastic_gradient(body, x, loads, frame)
-    mass = physics.mass[:, None]
-    v = state.v + body.dt * ((loads.force - gradient) / mass - physics.rayleigh_alpha * state.v)
+    mass, alpha = physics.mass[..., None], _nodal(physics.rayleigh_alpha)
+    v = state.v + body.dt * ((loads.force - gradient) / mass - alpha * state.v)
     target = loads.target
     v = torch.where(body.fixed, (target - x) / body.dt, v)
     x = x + body.dt * v

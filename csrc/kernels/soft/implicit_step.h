@@ -34,6 +34,9 @@ struct StepOptions {
 
 struct StepInputs {
   SoftParameters parameters;
+  /// Whether parameters and inertia have a batch axis, as all else has; the constant system is then
+  /// one for all members, and serves to precondition only.
+  bool per_member = false;
   const double* y = nullptr;           // (num_nodes, 3) [m]
   const double* force = nullptr;       // (num_nodes, 3) [N]
   const double* target = nullptr;      // (num_nodes, 3) [m], read at fixed unknowns
@@ -97,7 +100,7 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
                                 const StepDirections& directions, double* dx, ThreadPool& pool);
 
 /// Pointers of batch item k: leading batch axes on states, forces, activations and pressures;
-/// parameters shared.
+/// parameters shared but where they are given per member.
 StepInputs batch_item(const StepInputs& inputs, const SoftModel& model, std::int64_t k);
 StepAdjoint batch_item(const StepAdjoint& adjoint, const SoftModel& model, std::int64_t k);
 

@@ -23,6 +23,16 @@ StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t
   StepInputs item = in;
   item.parameters.activation = offset(in.parameters.activation, k, model.fiber.num_elements);
   item.parameters.pressure = offset(in.parameters.pressure, k, model.chambers.num_chambers);
+  if (in.per_member) {
+    const std::int64_t elements = model.solid.num_elements;
+    item.parameters.w_mu = offset(in.parameters.w_mu, k, elements);
+    item.parameters.w_vol = offset(in.parameters.w_vol, k, elements);
+    item.parameters.fiber_stiffness =
+        offset(in.parameters.fiber_stiffness, k, model.fiber.num_elements);
+    item.parameters.damp_mu = offset(in.parameters.damp_mu, k, elements);
+    item.parameters.damp_lambda = offset(in.parameters.damp_lambda, k, elements);
+    item.inertia = offset(in.inertia, k, model.num_nodes);
+  }
   item.y = offset(in.y, k, size);
   item.force = offset(in.force, k, size);
   item.target = offset(in.target, k, size);

@@ -22,11 +22,12 @@ struct InertialEnergy {
 };
 InertialEnergy inertial_energy(const Vector& x, const ConstantSystem& system,
                                const StepInputs& inputs) {
+  const double* inertia = inputs.inertia ? inputs.inertia : system.inertia();
   double kinetic = 0.0, work = 0.0;
   for (std::size_t i = 0; i < x.size(); ++i) {
     if (system.fixed()[i]) continue;
     const double d = x[i] - inputs.y[i];
-    kinetic += 0.5 * system.inertia()[i / 3] * d * d;
+    kinetic += 0.5 * inertia[i / 3] * d * d;
     work += inputs.force[i] * d;
   }
   return {kinetic, work};
@@ -53,9 +54,9 @@ ContactIterate contact_start(StepProblem& objective, const ConstantSystem& syste
 
 Vector free_flight(const ConstantSystem& system, const StepInputs& inputs) {
   Vector x(inputs.y, inputs.y + 3 * system.model().num_nodes);
+  const double* inertia = inputs.inertia ? inputs.inertia : system.inertia();
   for (std::size_t i = 0; i < x.size(); ++i) {
-    const double inertia = system.inertia()[i / 3];
-    if (inertia > 0.0) x[i] += inputs.force[i] / inertia;
+    if (inertia[i / 3] > 0.0) x[i] += inputs.force[i] / inertia[i / 3];
   }
   return x;
 }
