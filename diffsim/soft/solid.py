@@ -149,9 +149,9 @@ class Solid(nn.Module):
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
-            batch: Members of a batch of states, an int. Then each override may lead with a batch axis: one
-                number per member is (batch,) or (batch, 1), a number per member and element
-                (batch, num_elements). None: one set for all.
+            batch: Members of a batch of states, an int. Then each override may lead with a batch
+                axis: one number per member is (batch,) or (batch, 1), a number per member and
+                element (batch, num_elements). None: one set for all.
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
                 rayleigh_beta, attached_mass, added_mass, node_mass, fiber_stiffness, as in the
                 constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
