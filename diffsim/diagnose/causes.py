@@ -41,9 +41,10 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
     None where an unknown cause beside the best set is a rival: the set explains too little then.
     Where larger sets were not fitted although they have the evidence, what they would hold must not
     be enough to replace the effect. Nor is an effect certain that only stands in for what the
-    referee took away, that helps nothing on unseen parts, or whose size may as well be zero.
+    referee took away, that helps nothing on unseen parts, or whose size may as well be zero. A
+    single recording makes nothing certain: no other one could contradict it.
     """
-    if decision.verdict not in NAMES:
+    if decision.verdict not in NAMES or not _has_another_run(about):
         return frozenset()
     left_out = _left_out(decision, about)
     refused = vetoed(about, decision.best, judgment.withdrawn)
@@ -76,6 +77,12 @@ def vetoed(
     if most < weighed[Hypothesis(best)] + ALONE_NATS:
         return []
     return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
+
+
+def _has_another_run(about: Averaged) -> bool:
+    """Whether there is more than one run, those for the test included."""
+    case = about.search.null.case
+    return len(case.study.runs) + case.num_tests > 1
 
 
 def _helps_nothing(gain: Gain | None) -> bool:

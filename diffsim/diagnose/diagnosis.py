@@ -83,6 +83,7 @@ def diagnose(
     gates = (*data_gate(study), *effort_gate(settings or DiagnosisSettings()))
     # from here to the end of the search nothing can look at a test run: there is none
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
+    case = replace(case, num_tests=len(study.test_runs))
     case.progress("null fit", 0.0, "the model without effects")
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")

@@ -50,6 +50,7 @@ class Case:
         unmet: What the study lacks for the candidates that were left out, by name.
         num_simulated: Simulations that the model had made before.
         numerics: Refined numerical settings of all simulations; None: the model's own.
+        num_tests: Test runs that are kept, and looked at after the answer is frozen.
     """
 
     study: Study
@@ -62,6 +63,7 @@ class Case:
     unmet: Mapping[str, str] = field(default_factory=dict)
     num_simulated: int = 0
     numerics: Numerics | None = None
+    num_tests: int = 0
 
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""

@@ -52,6 +52,13 @@ def shared():
     return diagnosed({PUSH: 1.0, OTHER: 0.8}, (PUSH, OTHER, DOUBLE))
 
 
+@pytest.mark.parametrize(("num", "tests", "status"), [(1, 0, "likely"), (1, 1, "certain")])
+def test_nothing_is_certain_by_a_single_recording(num, tests, status):
+    found = diagnosed({PUSH: 3.0}, (PUSH,), num=num, tests=tests)
+    assert found.named == ("push",)
+    assert causes(found)["push"].status == status
+
+
 def test_what_all_rivals_share_is_certain_though_the_rest_cannot_be_told(shared):
     found = causes(shared)
     assert (shared.verdict, shared.named) == ("named", ("push",))
