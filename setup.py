@@ -4,6 +4,7 @@ One extension per instruction set keeps dispatch out of the kernels and rules ou
 function compiled for AVX-512 is picked by the linker on behalf of the baseline build.
 """
 
+import copy
 import hashlib
 import os
 import platform
@@ -11,6 +12,7 @@ import re
 import runpy
 import shutil
 import sys
+import sysconfig
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,10 +20,21 @@ from pathlib import Path
 import nanobind
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 # What each needs of the processor, and what this one has: the file that the import reads as well.
 PROCESSOR = runpy.run_path(str(ROOT / "diffsim" / "core" / "processor.py"))
+# From 3.12 on one library serves all later Pythons: nanobind needs no more than their stable ABI.
+STABLE_ABI = (
+    sys.version_info >= (3, 12)
+    and platform.python_implementation() == "CPython"
+    and not sysconfig.get_config_var("Py_GIL_DISABLED")
+)
+# What one Python adds to its compiler and another does not; kernels know nothing of Python.
+PYTHONS_OWN = ("-Wno-unused-result", "-fno-strict-overflow", "-fwrapv")
+# Scripts that the checkout keeps beside the package, and the wheel in it.
+SCRIPTS = ("examples", "rl")
 # name -> compiler flags; diffsim/core/compiled.py picks the best one the processor has.
 PREFIX = "diffsim._core_"
 # Sanitizers, say; tests/test_sanitizers.py builds with them.
@@ -88,6 +101,7 @@ def extensions() -> list[Extension]:
             extra_compile_args=[*flags, *arch],
             extra_link_args=["-pthread", *(f for f in MORE_FLAGS if f.startswith("-fsanitize"))],
             language="c++",
+            py_limited_api=STABLE_ABI,
         )
         for name, arch in INSTRUCTION_SETS.items()
     ]
@@ -117,6 +131,14 @@ def chosen(wanted: str, here: str) -> set[str]:
             f"choose from native, all, {', '.join(INSTRUCTION_SETS)}"
         )
     return names
+
+
+def of_kernels(command: list[str]) -> list[str]:
+    """The compiler's command with one set of flags under every Python, as 3.11 orders them."""
+    own = [word for word in command if word not in PYTHONS_OWN]
+    if own:
+        own.insert(own.index("-g") + 1 if "-g" in own else len(own), "-fwrapv")
+    return own
 
 
 def folder_of(key: list[object]) -> Path:
@@ -157,7 +179,7 @@ class BuildExt(build_ext):
 
     Objects are kept in build/objects/<key> (pip's own build folder is gone after each run); the key
     holds all that changes an object besides the sources: compiler, flags and Eigen; for bindings
-    nanobind and Python as well.
+    nanobind and Python as well. So a wheel for another Python compiles the bindings alone.
 
     An editable install is for this machine: it gets this machine's instruction set. What may be
     carried elsewhere (wheels) gets all; ``DIFFSIM_BUILD_ISA`` says otherwise.
@@ -174,13 +196,17 @@ class BuildExt(build_ext):
         self.check_extensions_list(self.extensions)
         if self.compiler.compiler_type != "unix":
             raise SystemExit("diffsim builds with GCC or Clang on Linux and macOS (Windows: WSL)")
-        compiler = [*self.compiler.compiler_so, *getattr(self.compiler, "compiler_so_cxx", [])]
+        names = [n for n in ("compiler_so", "compiler_so_cxx") if hasattr(self.compiler, n)]
+        compiler = [word for n in names for word in getattr(self.compiler, n)]
+        self.kernel_compiler = copy.copy(self.compiler)
+        for n in names:
+            setattr(self.kernel_compiler, n, of_kernels(getattr(self.compiler, n)))
         name = getattr(self.compiler, "compiler_so_cxx", self.compiler.compiler_so)[0]
         if shutil.which(name) is None:
             raise SystemExit(NO_COMPILER.format(name=name))
-        plain = [compiler, eigen_version()]
-        self.kernels = folder_of(plain)
-        self.bindings = folder_of([*plain, nanobind.__version__, sys.version])
+        shared = [word for n in names for word in getattr(self.kernel_compiler, n)]
+        self.kernels = folder_of([shared, eigen_version()])
+        self.bindings = folder_of([compiler, eigen_version(), nanobind.__version__, sys.version])
         jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
             objects = list(pool.map(lambda job: self._compile(*job), jobs))
@@ -197,7 +223,12 @@ class BuildExt(build_ext):
 
     def _compile(self, ext: Extension, source: str) -> str:
         flags = repr([ext.extra_compile_args, ext.define_macros])
-        folder = self.kernels if source.startswith("csrc/kernels/") else self.bindings
+        is_kernel = source.startswith("csrc/kernels/")
+        folder = self.kernels if is_kernel else self.bindings
+        compiler = self.kernel_compiler if is_kernel else self.compiler
+        macros = list(ext.define_macros)
+        if STABLE_ABI and not is_kernel:
+            macros.append(("Py_LIMITED_API", "0x030C0000"))
         out = folder / f"{ext.name}-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
         obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
         made_of = obj.with_suffix(".sha256")
@@ -206,10 +237,10 @@ class BuildExt(build_ext):
             sys.stdout.flush()
             made_of.unlink(missing_ok=True)
             began = time.time()
-            self.compiler.compile(
+            compiler.compile(
                 [source],
                 output_dir=str(out),
-                macros=ext.define_macros,
+                macros=macros,
                 include_dirs=ext.include_dirs,
                 extra_postargs=[*ext.extra_compile_args, "-MMD", "-MF", str(obj.with_suffix(".d"))],
             )
@@ -218,4 +249,26 @@ class BuildExt(build_ext):
         return str(obj)
 
 
-setup(ext_modules=extensions(), cmdclass={"build_ext": BuildExt})
+class BuildPy(build_py):
+    """The package, and in a wheel the scripts that stand beside it in a checkout.
+
+    A wheel has ``diffsim/_scripts/examples`` and ``diffsim/_scripts/rl``, without kept results;
+    ``diffsim.core.paths`` finds them there or in the checkout.
+    """
+
+    def run(self) -> None:
+        super().run()
+        if getattr(self, "editable_mode", False):
+            return
+        target = Path(self.build_lib) / "diffsim" / "_scripts"
+        shutil.rmtree(target, ignore_errors=True)
+        for name in SCRIPTS:
+            ignored = shutil.ignore_patterns("__pycache__", "results", "*.pyc")
+            shutil.copytree(ROOT / name, target / name, ignore=ignored)
+
+
+setup(
+    ext_modules=extensions(),
+    cmdclass={"build_ext": BuildExt, "build_py": BuildPy},
+    options={"bdist_wheel": {"py_limited_api": "cp312"}} if STABLE_ABI else {},
+)

@@ -1,9 +1,9 @@
 """Is an optimized gait real? Finer time steps, tighter tolerance, differences, and a line.
 
 Takes the optimum that ``benchmarks.applications`` (or the script itself) has on record and prints:
-how far it comes with the time step halved and with a tolerance 100 times tighter; the
-gradient beside central differences of several sizes; and the loss along the gradient. Some 30
-simulations: minutes.
+how far it comes with the time step halved, with cells of half the edge, and with a tolerance 100
+times tighter; the gradient beside central differences of several sizes; and the loss along the
+gradient. Some 30 simulations: minutes.
 
     python -m benchmarks.gait_checks quadruped --record runs/table44/quadruped
     python -m benchmarks.gait_checks quadruped --at 0.55 0.4 9 --checks steps
@@ -26,15 +26,17 @@ from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 
 NAMES = ("torus", "quadruped", "cow")
-CHECKS = ("steps", "tolerance", "gradient", "line")
+CHECKS = ("steps", "mesh", "tolerance", "gradient", "line")
 DIFFERENCES = (1e-3, 1e-5, 1e-7)  # half widths, in parameters from 0 to 1
 LINE = np.linspace(-0.02, 0.02, 9)  # the same
 DIRECTIONS = 2
 
 
-def build(name: str, rtol: float, *, refine: int = 1, quick: bool = False) -> Application:
-    """An application of ours at a tolerance, its time step divided."""
-    return load(name).build(solver_options(OURS, rtol=rtol), quick, refine)
+def build(
+    name: str, rtol: float, *, refine: int = 1, cells: int = 1, quick: bool = False
+) -> Application:
+    """An application of ours at a tolerance, its time step and the edges of its cells divided."""
+    return load(name).build(solver_options(OURS, rtol=rtol), quick, refine, cells)
 
 
 def best_of(folder: Path) -> np.ndarray:
@@ -120,6 +122,9 @@ def main() -> None:
         finer = build(args.name, rtol, refine=refine, quick=args.quick)
         out[name] = travel(finer, values)
         print(name, out[name], flush=True)
+    if "mesh" in args.checks:
+        out["cells / 2"] = travel(build(args.name, rtol, cells=2, quick=args.quick), values)
+        print("cells / 2", out["cells / 2"], flush=True)
     tight = build(args.name, min(rtol, 1e-8), quick=args.quick)
     if "gradient" in args.checks:
         out["gradient"] = gradient_rows(tight, values)

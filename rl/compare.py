@@ -3,6 +3,8 @@
 python rl/compare.py --preset quick         # a minute
 python rl/compare.py --preset coarse        # copter and coarse swimmers
 python rl/compare.py --preset thesis_short  # 7,020 and 10,017 degrees of freedom: hours
+python rl/compare.py --preset recipe        # swimmers by their recipe, against tuned rivals
+python rl/compare.py --preset thesis_recipe # the same at the thesis's size
 python rl/compare.py --preset thesis        # the same, twenty times the budget: days
 python rl/compare.py --preset coarse --tasks CopterHover --methods gradient ppo --seeds 0 1
 
@@ -71,8 +73,9 @@ def main(argv: Sequence[str] | None = None) -> None:
             asked = {"methods": args.methods, "seeds": args.seeds}
             with open_executor(args.executor) as executor:
                 comparison.run_all(plan, folder, executor=executor, **asked)
+        kind = "_recipe" if args.preset.endswith("recipe") else ""
         size = "_thesis_size" if args.preset.startswith("thesis") else ""
-        figure = (args.images or folder) / f"learning_{task}{size}.png"
+        figure = (args.images or folder) / f"learning_{task}{kind}{size}.png"
         text = report(task, plan, folder, figure, quality=not args.no_quality)
         if text is not None:
             write_text_atomic(folder / "report.md", text)

@@ -1,4 +1,4 @@
-"""The examples of a source checkout: what there is, and running one by its name."""
+"""The examples and the scripts of training: what there is, and running one by its name."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 
 from diffsim.core.check import require_choice
-from diffsim.core.paths import PROJECT
+from diffsim.core.paths import SCRIPTS
 
-FOLDER = PROJECT / "examples"
+FOLDER = SCRIPTS / "examples"
 _QUICK = {"--quick", "--small"}  # what scripts call their short version
 
 
@@ -34,18 +34,18 @@ class Example:
 
 @cache  # the gallery asks for every result, and all scripts are read
 def examples(folder: Path = FOLDER) -> dict[str, Example]:
-    """All runnable examples by name.
+    """All runnable examples by name, and the scripts of ``rl`` beside their folder.
 
     Raises:
-        FileNotFoundError: there is no such folder; the package was installed without its source.
+        FileNotFoundError: there is no such folder.
     """
     if not folder.is_dir():
         raise FileNotFoundError(
-            f"the examples are part of the source checkout, and {folder} does not exist; clone the "
-            "repository and install it with pip install -e ."
+            f"the examples are missing: {folder} does not exist; install the wheel anew, or clone "
+            "the repository and install it with pip install -e ."
         )
     found = {}
-    for path in sorted(folder.glob("*/*.py")):
+    for path in [*sorted(folder.glob("*/*.py")), *sorted(folder.parent.glob("rl/*.py"))]:
         text = path.read_text(encoding="utf-8")
         if '__name__ == "__main__"' not in text:
             continue  # a helper module of its neighbors

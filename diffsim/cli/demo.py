@@ -11,10 +11,10 @@ from types import ModuleType
 
 from diffsim.cli.arguments import positive
 from diffsim.core.optional import ask_for
-from diffsim.core.paths import PROJECT
+from diffsim.core.paths import SCRIPTS
 
 HELP = "the silicone beam's story: measured against simulated, on one page"
-STORY = PROJECT / "examples" / "demo"
+STORY = SCRIPTS / "examples" / "demo"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def command(args: argparse.Namespace) -> None:
 
     Raises:
         ValueError: ``--data`` is no folder.
-        FileNotFoundError: diffsim was installed without its source checkout.
+        FileNotFoundError: the scripts are neither in a checkout nor in the installed package.
         ImportError: what draws the page is not installed.
     """
     if args.data is not None and not args.data.is_dir():
@@ -48,12 +48,12 @@ def command(args: argparse.Namespace) -> None:
 
 
 def _story() -> ModuleType:
-    """The package ``examples.demo`` of the checkout; the library itself never imports it."""
+    """The package ``examples.demo``; the library itself never imports it."""
     if not STORY.is_dir():
         raise FileNotFoundError(
-            f"the demo is part of the source checkout, and {STORY} does not exist; clone the "
-            "repository and install it with pip install -e ."
+            f"the demo's scripts are missing: {STORY} does not exist; install the wheel anew, or "
+            "clone the repository and install it with pip install -e ."
         )
-    if str(PROJECT) not in sys.path:
-        sys.path.insert(0, str(PROJECT))
+    if str(SCRIPTS) not in sys.path:
+        sys.path.insert(0, str(SCRIPTS))
     return importlib.import_module("examples.demo")

@@ -139,4 +139,11 @@ def _save(
         written.append("flight.rrd")
     except ImportError as error:
         print(f"no picture or scene: {error}", file=sys.stderr)
+    try:
+        from diffsim.viz.flight_page import write_flight_page
+
+        write_flight_page(out / "flight.html", log, design, payload=payload)
+        written.append("flight.html")
+    except ImportError as error:
+        print(f"no page: {error}", file=sys.stderr)
     print(f"written to {out}: {', '.join(written)}")

@@ -1,9 +1,11 @@
-"""Folder of the measured data: ``DIFFSIM_DATA``, else a folder in or beside the project."""
+"""Folders beside the package: measured data, and the scripts of examples and of training."""
 
 import os
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
+# A checkout has the scripts beside the package, a wheel in it (setup.py copies them).
+SCRIPTS = PROJECT if (PROJECT / "pyproject.toml").is_file() else PROJECT / "diffsim" / "_scripts"
 
 
 def data_candidates() -> list[Path]:

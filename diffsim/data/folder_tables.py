@@ -22,6 +22,7 @@ from diffsim.data.runs_guess import say
 from diffsim.data.table_guess import Layout, column_of, layout_of, tables_in
 
 LOGS = (".ulg", ".mcap", ".bag", ".db3")
+BAG = "metadata.yaml"
 OTHERS = 12  # topics that a sentence names
 _STATE = re.compile(
     r"odom|pose|position|joint_?states|(^|[/_])states?($|[/_.])|attitude|mocap", re.I
@@ -36,12 +37,14 @@ class Found:
     """A table of a folder.
 
     Attributes:
+        folder: Folder that is looked at.
         path: Its file.
         part: Its part of the file; empty: the file is one table.
         layout: Its columns.
         num_parts: Tables in the file.
     """
 
+    folder: Path
     path: Path
     part: str
     layout: Layout
@@ -50,7 +53,15 @@ class Found:
     @property
     def reference(self) -> str:
         """How a study names it."""
-        return f"{self.path.name}#{self.part}" if self.part else self.path.name
+        file = self.path.relative_to(self.folder).as_posix()
+        return f"{file}#{self.part}" if self.part else file
+
+    @property
+    def name(self) -> str:
+        """What its run may be called: the file, or the folder that is the bag."""
+        stem = self.path.stem if self.path.parent == self.folder else self.path.parent.name
+        several = self.num_parts > 1 and not self.is_topic
+        return f"{stem}_{self.part.replace('/', '_')}" if several else stem
 
     @property
     def is_topic(self) -> bool:
@@ -71,7 +82,7 @@ class Found:
                 "first_line": self.layout.first_line,
             }
             return Table(self.path, "run", **lines)
-        return Table(self.path.parent / self.reference, "run")
+        return Table(self.folder / self.reference, "run")
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,16 +151,17 @@ def recordings_in(
 def _found(folder: Path, said: list[str]) -> Iterator[Found]:
     for path in tables_in(folder):
         if layout := layout_of(path):
-            yield Found(path, "", layout)
+            yield Found(folder, path, "", layout)
     failed: list[str] = []
-    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()):
+    bags = (p for p in folder.iterdir() if (p / BAG).is_file())  # of ROS 2: a folder each
+    files = [*folder.iterdir(), *(file for bag in bags for file in bag.iterdir())]
+    for path in sorted(p for p in files if p.suffix.lower() in SUFFIXES and p.is_file()):
         try:
             parts = parts_of(path)
             for part in parts:
-                reference = f"{path.name}#{part}" if part else path.name
-                header = Table(path.parent / reference, "run").header
+                header = Found(folder, path, part, Layout(1, 2, ())).table().header
                 layout = Layout(1, 2, tuple(column_of(name) for name in header))
-                yield Found(path, part, layout, len(parts))
+                yield Found(folder, path, part, layout, len(parts))
         except (ImportError, ValueError) as error:
             failed.append(str(error))
     said += [f"not read: {message}" for message in failed]
@@ -181,14 +193,13 @@ def _further(
 
 
 def _recording(one: Found, further: Sequence[str], found: Sequence[Found]) -> Recording:
-    several = one.num_parts > 1 and not one.is_topic
-    name = f"{one.path.stem}_{one.part.replace('/', '_')}" if several else one.path.stem
     table = one.table()
     if not further:
-        return Recording(name, one.reference, (), table)
+        return Recording(one.name, one.reference, (), table)
     others = [f for part in further for f in found if (f.path, f.part) == (one.path, part)]
     references = tuple(f.reference for f in others)
-    return Recording(name, one.reference, references, _joined(table, [f.table() for f in others]))
+    joined = _joined(table, [f.table() for f in others])
+    return Recording(one.name, one.reference, references, joined)
 
 
 def _joined(main: Table, others: Sequence[Table]) -> Table:

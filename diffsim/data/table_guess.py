@@ -14,6 +14,7 @@ from diffsim.data.table import delimiter_of, open_text
 FIRST_LINES = 60  # in which the header must be
 TABLES = (".csv", ".tsv", ".txt", ".dat")
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
+_ENTRY = re.compile(r"^(.*[^\]])((?:\[\d+\])+)$")
 _BRACKETS = re.compile(r"^(.*?)\s*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
 _AFTER = re.compile(r"^(.*\S)\s+(?:/|in)\s+(\S+)$")
 _SLASH = re.compile(r"^([^\s/]+)/(\S+)$")  # t/min, F/N, as ISO 80000 has it
@@ -102,6 +103,10 @@ def layout_of(path: Path) -> Layout | None:
 def column_of(name: str, unit_cell: str = "") -> Column:
     """A column by its header and, if there is one, the cell of the row of units below it."""
     name = name.strip()
+    if entry := _ENTRY.match(name):  # of a wide array: an index is no unit
+        whole = column_of(entry.group(1), unit_cell)
+        places = "_".join(re.findall(r"\d+", entry.group(2)))
+        return Column(name, f"{whole.base}_{places}", whole.unit, whole.is_said)
     in_cell = unit_cell.strip().strip("()[]{}<>").strip()
     if in_cell and _is_unit(in_cell):
         return Column(name, _word(name), in_cell, True)

@@ -19,6 +19,7 @@ from diffsim.diagnose.data_sheet import base_rows
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.force_map import ForceMap, force_map
+from diffsim.diagnose.form import without_forms
 from diffsim.diagnose.gates import NUMERICS_GATES, GateResult
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.left_out import unmet_by
@@ -86,7 +87,11 @@ def report_of(
         referee: What names were held against.
     """
     case, gates = null.case, checks.gates
-    decision, search, effects = judgment.decision, judgment.search, case.effects
+    search, effects = judgment.search, case.effects
+    if search is not None and judgment.decision.best:
+        decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best))
+        judgment = replace(judgment, decision=decision)
+    decision = judgment.decision
     members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
     best = null.fit if search is None or not members else search.fit_of(members)
     if members and not best.converged:

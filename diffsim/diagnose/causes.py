@@ -58,6 +58,7 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
         and all(i in members for members in refused)
         and not _helps_nothing(judgment.gains.get(i))
         and not _may_be_zero(about, i)
+        and i not in decision.forms
     )
 
 
@@ -118,7 +119,9 @@ def open_rivals(
     """Sets that the choice is open to; where some effects are certain, those within reach."""
     if not certain:
         return decision.rivals
-    return tuple(h for h in about.reach if not h.effects >= decision.best)
+    within = [h for h in about.reach if not h.effects >= decision.best]
+    plain = Hypothesis(decision.best - set(decision.forms))
+    return (plain, *within) if decision.forms and plain not in within else tuple(within)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +185,7 @@ def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
         smallest_visible=smallest,
         gain=gains.get(i),
         note=effect.form,
+        shown_unit=effect.shown_unit,
     )
     if about is None or decision.verdict == "unrepeatable":
         why = "repeats differ more than the noise" if about else "numerical settings come first"
@@ -232,6 +236,8 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
 def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
     """Causes that act in the place of an effect in rival sets."""
     names: dict[str, None] = {}
+    if (first := decision.forms.get(i)) is not None:
+        names[f"another form of {told.effects[first].name}"] = None
     for h in told.rivals:
         if i in h.effects and i in decision.best:
             continue
@@ -244,7 +250,7 @@ def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
         names |= dict.fromkeys(told.effects[k].name for k in sorted(others))
         if unknown is not None:
             names[_unknown_name(told, unknown)] = None
-        if not others and unknown is None:
+        if not others and unknown is None and i not in decision.forms:
             names[NOISE] = None
     return tuple(names)
 

@@ -18,6 +18,7 @@ from diffsim.diagnose.fit import Case, Null, Progress, null_fit, silent
 from diffsim.diagnose.gates import (
     GateResult,
     data_gate,
+    effort_gate,
     numerical_effects,
     repeatability_gate,
     scan_gate,
@@ -36,6 +37,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -78,7 +80,7 @@ def diagnose(
         ValueError: the study cannot be judged at all, or effects share a name.
     """
     started = process_time()
-    gates = data_gate(study)
+    gates = (*data_gate(study), *effort_gate(settings or DiagnosisSettings()))
     # from here to the end of the search nothing can look at a test run: there is none
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case.progress("null fit", 0.0, "the model without effects")
@@ -135,14 +137,17 @@ def _case(
     if repeated := sorted({n for n in names if names.count(n) > 1}):
         raise ValueError(f"effects share names: {repeated}; a report could not distinguish them")
     unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
+    settings = settings or DiagnosisSettings()
+    coarse = None if settings.first_step == 1.0 else Numerics(time_step=settings.first_step)
     return Case(
         study=study,
         model=model,
         effects=tuple(e for e in effects if e.name not in unmet),
         unknowns=(*unknowns, *drifts([c.name for c in study.channels])),
-        settings=settings or DiagnosisSettings(),
+        settings=settings,
         progress=progress or silent,
         unmet=unmet,
+        numerics=coarse,
         num_simulated=model.simulations.count,
     )
 
@@ -193,5 +198,6 @@ def _key(case: Case) -> str:
     """Hash of everything that changes a simulation."""
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
-    settings = (case.settings.jacobian, case.numerics)
+    fits = case.settings.fit_rtol, case.settings.bend_after
+    settings = (case.settings.jacobian, case.numerics, fits)
     return key_of(case.study, case.model, causes, generic, *settings, __version__)

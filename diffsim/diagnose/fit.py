@@ -66,8 +66,16 @@ class Case:
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""
         s = self.settings
-        runs = self.study.fit_runs
-        return Problem(self.model, runs, whitener, (), s.jacobian, self.numerics, s.workers)
+        return Problem(
+            self.model,
+            self.study.fit_runs,
+            whitener,
+            jacobian=s.jacobian,
+            numerics=self.numerics,
+            workers=s.workers,
+            fit_rtol=s.fit_rtol,
+            bend_after=s.bend_after,
+        )
 
 
 @dataclass(frozen=True, eq=False)

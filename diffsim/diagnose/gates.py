@@ -14,12 +14,14 @@ from diffsim.data.study import Study
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import FIT_RTOL, DiagnosisSettings
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization, record_at, whitened
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 Array = NDArray[np.float64]
 NUMERICS_LAMBDA = 2.0
+FIRST_ANSWER = "first_answer"
 ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
 REPEATS = "repeats:"
@@ -161,6 +163,21 @@ def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
     for raw in changes.values():
         total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
     return np.asarray(np.sqrt(total))
+
+
+def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
+    """What a first answer leaves out; nothing of a full one.
+
+    Args:
+        settings: Effort of the diagnosis.
+    """
+    if settings.fit_rtol <= FIT_RTOL:
+        return ()
+    note = (
+        f"sets of at most {settings.search.max_effects} causes were tried, fits end within "
+        f"{settings.fit_rtol:.0%} of their misfit, and the noise was estimated once"
+    )
+    return (GateResult(FIRST_ANSWER, False, settings.fit_rtol, FIT_RTOL, note, applies=False),)
 
 
 def scan_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:

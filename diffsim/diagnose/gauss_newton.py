@@ -3,7 +3,7 @@
 Steps are Gauss-Newton within a trust region, in scaled coordinates (``Problem.scaled``). Each costs
 one simulation of every run: the slopes are kept by Broyden updates (Broyden 1965, "A class of
 methods for solving nonlinear simultaneous equations") and simulated again only where the linear
-prediction was too far off.
+prediction was too far off. Then they also show how the misfit bends beyond Gauss-Newton (``bend``).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.record import Ended
+from diffsim.diagnose.bend import Point, definite, learned
 from diffsim.diagnose.optimum import optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import summary
@@ -29,7 +30,6 @@ from diffsim.identify.linearization import (
 
 Array = NDArray[np.float64]
 TOLERANCE_NATS = 0.02  # gain of a further step, far below the 3 nats that separate two names
-MISFIT_RTOL = 3e-4  # the tolerance as a share of the misfit, which no name explains then
 GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
 OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
 SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
@@ -48,6 +48,9 @@ class _Iterate:
         at: Linearization with the slopes of all coordinates.
         residual: Whitened residual, (num_valid,).
         jacobian: Whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n).
+        bend: Second-order part of half of |r|^2, (n, n).
+        exact: The last point with slopes of its own; None: there was none yet.
+        num_refreshed: How often slopes were simulated again.
         radius: Radius of the trust region, in scaled coordinates.
     """
 
@@ -55,6 +58,9 @@ class _Iterate:
     at: Linearization
     residual: Array
     jacobian: Array
+    bend: Array
+    exact: Point | None = None
+    num_refreshed: int = 0
     radius: float = MAX_RADIUS
 
     @property
@@ -79,9 +85,28 @@ class _Iterate:
         return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
 
     def refreshed(self) -> _Iterate:
-        """The iterate with slopes simulated here."""
+        """The iterate with slopes simulated here, and what they show since the last ones."""
         at = linearization_at(self.problem, self.at.x)
-        return replace(self, at=at, jacobian=whitened(self.problem, at.columns))
+        here = Point(self.scaled, self.residual, whitened(self.problem, at.columns))
+        bend = self.bend if self.exact is None else learned(self.bend, self.exact, here)
+        count = self.num_refreshed + 1
+        new = replace(self, at=at, jacobian=here.slopes, bend=bend, exact=here)
+        return replace(new, num_refreshed=count)
+
+    def promised(self, step: Array) -> float:
+        """Nats that a step gains by the slopes and the bend."""
+        linear, there = self.residual - self.jacobian @ step, self.scaled + step
+        x = self.problem.standardized(there)
+        beyond = float(step @ self.curved @ step - np.sum((self.jacobian @ step) ** 2))
+        return 0.5 * (self.cost - float(linear @ linear + x @ x) - beyond)
+
+    @property
+    def curved(self) -> Array:
+        """Curvature of half of |r|^2 as steps use it, (n, n): Gauss-Newton's, until that creeps."""
+        gram, after = self.jacobian.T @ self.jacobian, self.problem.bend_after
+        if after is None or self.num_refreshed < after:
+            return gram
+        return definite(gram, self.bend)
 
     def tried(self, step: Array) -> tuple[_Iterate, bool]:
         """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
@@ -151,9 +176,8 @@ def gauss_newton(
     for _ in range(MAX_STEPS):
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
-        linear, there = s.residual - s.jacobian @ step, problem.standardized(s.scaled + step)
-        promised = 0.5 * (s.cost - float(linear @ linear + there @ there))
-        if promised < max(TOLERANCE_NATS, MISFIT_RTOL * 0.5 * s.misfit, GAP_RTOL * behind):
+        promised = s.promised(step)
+        if promised < max(TOLERANCE_NATS, 0.5 * problem.fit_rtol * s.misfit, GAP_RTOL * behind):
             if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
@@ -175,14 +199,19 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
     slopes = start.slopes(coordinates)
     at = replace(start, idx=coordinates, columns=slopes)
     residual = whitened(problem, measured_of(problem) - at.record)
-    return _Iterate(problem, at, residual, whitened(problem, slopes))
+    first = _Iterate(
+        problem, at, residual, whitened(problem, slopes), np.zeros((len(start.x),) * 2)
+    )
+    if at.slope_error > 0.0:
+        return first
+    return replace(first, exact=Point(first.scaled, residual, first.jacobian))
 
 
 def _step(s: _Iterate, low: Array, high: Array) -> Array:
     """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius f_i,
     f_i below 1 for parameters that move edges."""
     u = s.scaled
-    gram = s.jacobian.T @ s.jacobian
+    gram = s.curved
     is_size = np.arange(len(u)) >= s.problem.num_base
     reach = s.radius * s.problem.step_factors
     least, most = np.maximum(low, u - reach), np.minimum(high, u + reach)

@@ -7,9 +7,10 @@ Every interval is one of 90 %.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 
+from diffsim.core.units import factor
 from diffsim.diagnose.gain import Gain
 
 CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
@@ -18,6 +19,7 @@ STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
+UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
 ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
 
 
@@ -61,6 +63,7 @@ class CauseRow:
             name is not known.
         factor: How many times wider the interval is than noise alone would make it.
         note: What else is to be said, in a sentence.
+        shown_unit: Unit in which a user reads the size; None: ``unit``.
     """
 
     name: str
@@ -76,6 +79,21 @@ class CauseRow:
     helps: bool = False
     factor: float = 1.0
     note: str = ""
+    shown_unit: str | None = None
+
+    def as_read(self) -> CauseRow:
+        """The same with sizes in the unit in which a user reads them."""
+        if self.shown_unit is None:
+            return self
+        times = factor(self.unit, self.shown_unit)
+        size = {
+            c: replace(s, value=times * s.value, low=times * s.low, high=times * s.high)
+            for c, s in self.size.items()
+        }
+        visible = {c: times * v for c, v in self.smallest_visible.items()}
+        return replace(
+            self, size=size, smallest_visible=visible, unit=self.shown_unit, shown_unit=None
+        )
 
 
 @dataclass(frozen=True)
@@ -111,6 +129,11 @@ class BaseRow:
     limit: float
     run: str | None = None
     finding: bool = False
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the recordings say anything of it: a shape of a cause that is absent is not."""
+        return abs(self.pull) > UNTOLD_PULL or self.sd < UNTOLD_SHARE * self.prior_sd
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,7 @@ def checked_numerics(null: Null) -> Refined:
     gates = tuple(numerics_gate(null.fit, changes))
     settings = null.case.settings
     if settings.accept_numerics or settings.refine_budget <= 1.0 or not _failing(gates):
+        gates = _noted(gates, null.fit.problem.numerics, 1.0, settings.refine_budget)
         return Refined(null, changes, gates)
     once = min(_timed(null.fit.problem, null.at.x)[1] for _ in range(TIMINGS))
     paid = 1.0
@@ -136,7 +137,9 @@ def _noted(
     for gate in gates:
         factor = getattr(numerics or Numerics(), gate.name)
         note = gate.note
-        if factor != 1.0:
+        if factor > 1.0:
+            note += f"; {factor:g} times as coarse as the model's own"
+        if factor < 1.0:
             note += f"; refined by {1.0 / factor:g}, a simulation costs {paid:.2g} times as much"
         if not gate.passed:
             note += f"; finer would cost more than the budget of {budget:g} times"

@@ -9,8 +9,9 @@ its subsets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,13 @@ from diffsim.diagnose.evidence import (
     unrealized,
 )
 from diffsim.diagnose.fit import Null
-from diffsim.diagnose.from_sheet import LEAST_REFITS, center_at_sheet, has_left, promising_sets
-from diffsim.diagnose.gauss_newton import MISFIT_RTOL
+from diffsim.diagnose.from_sheet import (
+    LEAST_REFITS,
+    center_at_sheet,
+    cooled,
+    has_left,
+    promising_sets,
+)
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -42,6 +48,7 @@ from diffsim.identify.linearization import (
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
+Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 LONG_STEP = 0.3  # prior sd: a last step is simulated
 STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
@@ -176,13 +183,17 @@ def _from_data_sheet(search: Search) -> tuple[Center, Search]:
     search = replace(search, simulations=made)
     if sheet is not None:
         ranked = promising_sets(sheet, search.settings.max_effects)
+        until = process_time() + search.settings.scan_seconds
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
-            search = refit(search, members, sheet)
+            if process_time() < until:
+                search = refit(search, members, sheet, begin=cooled)
     best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
 
-def refit(search: Search, members: Members, near: Center | None = None) -> Search:
+def refit(
+    search: Search, members: Members, near: Center | None = None, *, begin: Begin | None = None
+) -> Search:
     """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
 
     Args:
@@ -190,6 +201,7 @@ def refit(search: Search, members: Members, near: Center | None = None) -> Searc
         members: Effects of the set, by index.
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.
+        begin: Finds where a fit begins, from a start of its own.
     """
     key = Hypothesis(members)
     if key in search.weighed or key in search.failed:
@@ -201,10 +213,12 @@ def refit(search: Search, members: Members, near: Center | None = None) -> Searc
     near = near or search.plain
     promised = 0.5 * _cost(near.weigh(members))
     message, best = "", None
-    for center in _starts(search, members, near):
+    starts = _starts(search, members, near)
+    begin = None if members in search.simulations.fitted else begin
+    for center in starts if begin is None else starts[:1]:
         try:
             start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
-            fit, at = search.simulations.fitted_from(members, start, search.best_cost())
+            fit, at = search.simulations.fitted_from(members, start, search.best_cost(), begin)
         except DiffsimError as error:
             message = str(error)
             continue
@@ -270,7 +284,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    exact = max(WORSE_NATS, MISFIT_RTOL * misfit)
+    exact = max(WORSE_NATS, fit.problem.fit_rtol * misfit)
     return best if 0.5 * _fit_cost(fit) > costs[best] + exact else None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.gates import NUMERICS_GATES, REPEATS, GateResult
+from diffsim.diagnose.gates import FIRST_ANSWER, NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED, Decision
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.records import (
@@ -252,6 +252,7 @@ def sentences(
         and g.name not in NUMERICS_GATES
         and not g.name.startswith(REPEATS)
     ]
+    out += [f"A first answer: {g.note}." for g in answer.gates if g.name == FIRST_ANSWER]
     return tuple(out)
 
 
@@ -355,7 +356,7 @@ def _sets(rivals: Sequence[tuple[str, ...]]) -> str:
 def _sizes(rows: Sequence[CauseRow]) -> str:
     """Causes with their 90 % intervals."""
     parts = []
-    for row in rows:
+    for row in (row.as_read() for row in rows):
         sizes = ", ".join(
             f"{'' if len(row.size) == 1 else c + ' '}{_ends(size)}" for c, size in row.size.items()
         )
@@ -365,6 +366,7 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
 
 
 def _range(row: CauseRow) -> str:
+    row = row.as_read()
     unit = "" if row.unit == "-" else f" {row.unit}"
     return f"{_ends(next(iter(row.size.values())))}{unit}"
 

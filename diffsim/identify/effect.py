@@ -76,6 +76,7 @@ class Effect:
         locate: How it finds where it lies in time, for causes of limited duration; None: it acts
             always.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
+        shown_unit: Unit in which a user reads the size, such as "mm"; None: ``unit``.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Effect:
     says: Callable[[float, Mapping[str, float]], str] | None = None
     locate: Locator | None = None
     needs: Needs = needs_nothing
+    shown_unit: str | None = None
 
     def __post_init__(self) -> None:
         require_choice(f"effect {self.name}: kind", self.kind, KINDS)

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from diffsim.identify.jacobian import Jacobian
 
+FIT_RTOL = 3e-4  # where a misfit is large no name explains it, and its last nats do not matter
+
 
 @dataclass(frozen=True)
 class SearchSettings:
@@ -46,8 +48,13 @@ class DiagnosisSettings:
         accept_numerics: Whether to go on although the numerics gate fails.
         refine_budget: Cost of a simulation, over that with the model's own settings, up to which
             time step, mesh and tolerance are refined where the numerics gate fails; 1: never.
+        first_step: Factor on the model's own time step to begin with; above 1 for first answers,
+            as the numerics gate refines what is too coarse.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
+        fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
+        bend_after: Number of times that a fit has simulated its slopes again, from which steps use
+            what these show beyond Gauss-Newton; None: never. Quicker in long bent valleys.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
     """
 
@@ -56,5 +63,8 @@ class DiagnosisSettings:
     workers: int = 1
     accept_numerics: bool = False
     refine_budget: float = 8.0
+    first_step: float = 1.0
     windows: tuple[float, ...] = (0.25, 0.5)
+    fit_rtol: float = FIT_RTOL
+    bend_after: int | None = None
     noise_rounds: int = 3

@@ -81,9 +81,17 @@ class BaseValues:
     def __init__(self, base: Sequence[Parameter]):
         self.base = tuple(base)
         self._linear = [i for i, p in enumerate(base) if not p.log]
+        self._logs = [i for i, p in enumerate(base) if p.log]
+        widths = [base[i].sd for i in self._logs]
+        self._log_sd = torch.tensor(widths, dtype=torch.float64)
         rows = [(p.value, p.sd, p.lower, p.upper) for p in base if not p.log]
         table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
         self._value, self._sd, self._lower, self._upper = table.unbind(-1)
+
+    def raw(self, q: Tensor) -> Tensor:
+        """(..., num_base) finite where all values are: linear ones, then factors of the others."""
+        linear = (self._value + self._sd * q[..., self._linear]).clamp(self._lower, self._upper)
+        return torch.cat([linear, torch.exp(self._log_sd * q[..., self._logs])], dim=-1)
 
     def at(self, q: Tensor) -> dict[str, Tensor]:
         """Values [unit] by name, (...) each, at standardized coordinates (..., num_base)."""

@@ -21,6 +21,7 @@ from torch import Tensor
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.identify.effort import FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel, has_tangents
@@ -48,6 +49,9 @@ class Problem:
         jacobian: Method and step of the derivatives.
         numerics: Factors on the numerical settings; the model's own settings if None.
         workers: Threads over runs; the compiled kernels release the interpreter.
+        fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
+        bend_after: Number of times that a fit has simulated its slopes again, from which steps use
+            what these show beyond Gauss-Newton; None: never.
     """
 
     model: SimModel
@@ -57,6 +61,8 @@ class Problem:
     jacobian: Jacobian = field(default_factory=Jacobian)
     numerics: Numerics | None = None
     workers: int = 1
+    fit_rtol: float = FIT_RTOL
+    bend_after: int | None = None
 
     @property
     def num_base(self) -> int:
@@ -139,11 +145,11 @@ class Problem:
         Raises:
             PredictionError: values of base parameters or sizes that are not finite.
         """
+        parts = [self.model.values.raw(q), *sizes.values()]
+        if bool(torch.isfinite(torch.cat([p.reshape(-1) for p in parts])).all()):
+            return
         values = self.model.values.at(q)
         every = {**values, **{effect.name: size for effect, size in sizes.items()}}
-        parts = [*values.values(), *(size.flatten() for size in sizes.values())]
-        if not parts or bool(torch.isfinite(torch.cat([p.reshape(-1) for p in parts])).all()):
-            return
         bad = [name for name, value in every.items() if not bool(torch.isfinite(value).all())]
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
@@ -237,10 +243,10 @@ class Problem:
         ]
         smooth = [True] * self.num_base + [e.smooth for e, _ in self.owners]
         names = self.names
+        wanted = range(len(x)) if only is None else sorted(set(only))
 
         def one(run: Run) -> tuple[Array, Array]:
-            idx = [i for i in range(len(x)) if touches(names[i], run)]
-            idx = [i for i in idx if only is None or i in only]
+            idx = [i for i in wanted if touches(names[i], run)]
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_scaled(run, points),
                 point,

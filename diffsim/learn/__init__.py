@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from diffsim.learn.sapo import SapoLearner, SapoOptions
     from diffsim.learn.setup import Setup
     from diffsim.learn.shac import ShacLearner, ShacOptions
+    from diffsim.learn.tqc import TqcLearner, TqcOptions
     from diffsim.learn.trained import Trained, load_trained, read_trained, trained_names
 
 _WHERE = {
@@ -53,6 +54,8 @@ _WHERE = {
     "Setup": "setup",
     "ShacLearner": "shac",
     "ShacOptions": "shac",
+    "TqcLearner": "tqc",
+    "TqcOptions": "tqc",
     "Trained": "trained",
     "comparison": "comparison",
     "load_trained": "trained",
@@ -90,6 +93,8 @@ __all__ = [
     "Setup",
     "ShacLearner",
     "ShacOptions",
+    "TqcLearner",
+    "TqcOptions",
     "Trained",
     "comparison",
     "load_trained",

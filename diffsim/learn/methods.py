@@ -25,7 +25,7 @@ from diffsim.learn.setup import Setup, broke_down
 from diffsim.learn.shac import ShacLearner, ShacOptions
 
 Options = Mapping[str, Any]
-METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "cma")
+METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma")
 FAILURE = "failure.txt"  # why a run ended before its budget
 TUNING_SEED = 100  # of no compared run
 
@@ -56,6 +56,10 @@ def make_learner(method: str, setup: Setup, options: Options) -> Learner:
         from diffsim.learn.sac import SacLearner, SacOptions
 
         return SacLearner(setup, SacOptions(**options))
+    if method == "tqc":
+        from diffsim.learn.tqc import TqcLearner, TqcOptions
+
+        return TqcLearner(setup, TqcOptions(**options))
     from diffsim.learn.ppo import PpoLearner, PpoOptions
 
     return PpoLearner(setup, PpoOptions(**options))

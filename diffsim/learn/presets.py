@@ -6,11 +6,13 @@ without gradients may take more steps, as their steps are cheaper and they need 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 from diffsim.core.check import require_choice
 from diffsim.learn.methods import Options, Plan
+from diffsim.learn.recipes import recipe
 from diffsim.learn.setup import Setup
 
 _Candidates = dict[str, tuple[dict[str, Any], ...]]
@@ -222,11 +224,55 @@ def _thesis_short() -> dict[str, Plan]:
     }
 
 
+# by recipe: the clock and the first network of the swimmers' recipe, for every method. The gradient
+# has nothing to choose; three candidates of each rival, of what earlier searches have shown to be
+# best and of what a first network that already strokes may need (less exploration)
+_RIVALS: _Candidates = {
+    "ppo": (
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 0.5},
+        {"rollout": 64, "learning_rate": 1e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
+    ),
+    "sac": (
+        {"passes": 64, "learning_rate": 1e-3},
+        {"passes": 64, "learning_rate": 3e-3},
+        {"passes": 128, "learning_rate": 1e-3, "discount": 0.95},
+    ),
+    "tqc": (
+        {"passes": 64, "learning_rate": 1e-3},
+        {"passes": 64, "learning_rate": 3e-3},
+        {"passes": 128, "learning_rate": 1e-3, "discount": 0.95},
+    ),
+}
+
+
+def _by_recipe(*, coarse: bool, steps: int, seeds: tuple[int, ...]) -> dict[str, Plan]:
+    """Both swimmers by their recipe against rivals that start from the same network."""
+    return {task: _swim_by_recipe(task, coarse, steps, seeds) for task in _SWIMMERS}
+
+
+_SWIMMERS = ("SharkSwim", "StarfishSwim")
+
+
+def _swim_by_recipe(task: str, coarse: bool, steps: int, seeds: tuple[int, ...]) -> Plan:
+    mine = recipe(task)
+    setup = dataclasses.replace(
+        mine.setup_of(task, task_options={"robot": {"coarse": coarse}}), step_cost=_SWIM_COST
+    )
+    candidates = {"gradient": (dict(mine.gradient),), **_RIVALS}
+    budget = {"gradient": setup.steps} | dict.fromkeys(_RIVALS, steps)
+    tuning = {"gradient": setup.steps} | dict.fromkeys(_RIVALS, steps // 2)
+    few = _SWIM_QUALITY if coarse else {"horizons": (10, 50, 100), "episodes": 1, "directions": 16}
+    return Plan(setup, budget, tuning, candidates, seeds=seeds, ratings=6, quality=few)
+
+
 PRESETS: dict[str, Callable[[], dict[str, Plan]]] = {
     "quick": _quick,
     "coarse": _coarse,
     "thesis_short": _thesis_short,
     "thesis": _thesis,
+    "recipe": lambda: _by_recipe(coarse=True, steps=14_336, seeds=(0, 1, 2, 3, 4)),
+    "thesis_recipe": lambda: _by_recipe(coarse=False, steps=14_336, seeds=(0, 1, 2, 3, 4)),
 }
 
 

@@ -70,8 +70,11 @@ class SacLearner:
         options: Options of the method.
     """
 
+    algorithm: type[Any] = SAC
+    options: SacOptions
+
     def __init__(self, setup: Setup, options: SacOptions | None = None):
-        self.options = o = options or SacOptions()
+        self.options = o = options or self._default_options()
         self.task: Task = setup.make_task()
         first = setup.first_controller(self.task)
         self.venv = VecNormalize(
@@ -80,7 +83,7 @@ class SacLearner:
             clip_obs=10.0,
             norm_reward=False,
         )
-        self.model: Any = SAC(
+        self.model: Any = self.algorithm(
             "MlpPolicy",
             self.venv,
             learning_rate=o.learning_rate,
@@ -94,12 +97,20 @@ class SacLearner:
             seed=setup.seed,
             device="cpu",
             policy_kwargs={"net_arch": [64, 64], "activation_fn": nn.Tanh},
+            **self._extra(),
         )
         start_from(first, self._policy_layers(), self.venv)
         with torch.no_grad():
             spread: Any = self.model.actor.log_std
             spread.weight.zero_()
             spread.bias.fill_(float(np.log(o.exploration)))
+
+    def _default_options(self) -> SacOptions:
+        return SacOptions()
+
+    def _extra(self) -> dict[str, Any]:
+        """Further arguments of the algorithm."""
+        return {}
 
     def controller(self) -> MLPController:
         """See ``Learner``."""

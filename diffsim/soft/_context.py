@@ -24,6 +24,8 @@ _CACHED_SYSTEMS = 4
 PRECONDITIONERS = ("auto", "constant", "multigrid")
 MULTIGRID_METHODS = ("auto", "newton_pcg", "linearly_implicit")
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
+# Forces are squared and summed: beyond these powers of ten float64 has no room for that.
+LENGTHS, STIFFNESSES = (1e-60, 1e60), (1e-75, 1e75)
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
 
@@ -63,6 +65,8 @@ class SoftContext:
         chambers: ChamberArrays,
         fixed: Tensor,
     ):
+        extent = (x_rest.amax(0) - x_rest.amin(0)).max().reshape(1)
+        require_magnitude("the body's longest side [m]", extent, LENGTHS)
         self.handle = next(_handles)
         self.material = material
         self.num_vertices = x_rest.shape[0]
@@ -130,6 +134,8 @@ class SoftContext:
         shared = dict(zip(shared, key, strict=True))
         inertia = shared.pop("inertia")
         kappa, fiber_kappa = preconditioner_stiffness(self.material, **shared)
+        require_magnitude("mass / dt^2 [N/m]", inertia, STIFFNESSES)
+        require_magnitude("elastic stiffness [Pa]", kappa, STIFFNESSES)
         made, node, pivot = core.make_constant_system(
             self.pattern,
             fixed=self.fixed.data_ptr(),
@@ -191,6 +197,17 @@ def preconditioner_stiffness(
 def small_strain_lambda(material: str, w_vol: Tensor) -> Tensor:
     """First Lame parameter that a solid of volume parameter ``w_vol`` has at small strain [Pa]."""
     return w_vol / 3.0 if material == "pd" else w_vol
+
+
+def require_magnitude(name: str, values: Tensor, bounds: tuple[float, float]) -> None:
+    """Refuse positive values whose squares underflow or overflow; a step would be wrong unseen."""
+    low, high = bounds
+    odd = values[((values < low) & (values > 0.0)) | (values > high)]
+    if odd.numel():
+        raise ValueError(
+            f"{name} must lie between {low:g} and {high:g}, where float64 has room for squares, "
+            f"got {float(odd[0]):g}; choose other units of length, time and mass"
+        )
 
 
 def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:

@@ -247,14 +247,20 @@ def _causes(r: Report) -> page.Section:
 
 def _data_sheet(r: Report) -> page.Section:
     title = "Base parameters against their data sheets"
-    shared = [row for row in r.base if row.run is None]
-    own = sorted((row for row in r.base if row.run is not None), key=lambda row: -abs(row.pull))
+    told = [row for row in r.base if row.is_told]
+    shared = [row for row in told if row.run is None]
+    own = sorted((row for row in told if row.run is not None), key=lambda row: -abs(row.pull))
     shown = [*shared, *own[:MAX_NUISANCES]]
-    if not shown:
+    if not r.base:
         return page.Section(title=title, text=["The model has no base parameter."])
-    left = len(own) - MAX_NUISANCES
-    text = [f"{left} more values of single runs, of smaller pull, are in report.json."]
-    return page.Section(title=title, text=text if left > 0 else [], content=[tables.base(shown)])
+    text = []
+    if (left := len(own) - MAX_NUISANCES) > 0:
+        text.append(f"{left} more values of single runs, of smaller pull, are in report.json.")
+    stems = (row.name.partition("@")[0].replace("_", " ") for row in r.base if not row.is_told)
+    if names := list(dict.fromkeys(stems)):
+        text.append(f"These runs say nothing of {', '.join(names)}.")
+    content = [tables.base(shown)] if shown else []
+    return page.Section(title=title, text=text, content=content)
 
 
 def _confounding(r: Report) -> page.Section:

@@ -97,7 +97,7 @@ def outside(r: Report) -> list[Table]:
 
 
 def _cause(row: CauseRow) -> list[str]:
-    status = row.status
+    row, status = row.as_read(), row.status
     if row.rivals:
         status += f" {', '.join(row.rivals)}"
     if row.helps:

@@ -24,6 +24,7 @@ LOOK = {
     "mixed": ("mix with sampled gradients", CYCLE[5]),
     "ppo": ("PPO", CYCLE[1]),
     "sac": ("SAC", CYCLE[3]),
+    "tqc": ("TQC", "#a3324f"),
     "cma": ("CMA-ES, open loop", CYCLE[4]),
 }
 NUM_PLACES = 200

@@ -17,7 +17,8 @@ from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.sim_to_real.model import PLACES_M, Starfish
 from diffsim.viz import diagnosis_figures, loop_figures
 from diffsim.viz import report as page
-from diffsim.viz.figures import data_uri
+from diffsim.viz.figures import COLORS, data_uri
+from diffsim.viz.moving import Deforming, Moving
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,11 +99,12 @@ def write_loop(
     if real is not None:
         content["real_recording"] = real
     write_json_atomic(folder / "table_5_2.json", content)
-    return page.write(_page(result, uris, real), folder / "report.html")
+    view = moving_starfish(result, model)
+    return page.write(_page(result, uris, view, real), folder / "report.html")
 
 
 def _page(
-    result: LoopResult, uris: Mapping[str, str], real: Mapping[str, Any] | None
+    result: LoopResult, uris: Mapping[str, str], view: Moving, real: Mapping[str, Any] | None
 ) -> page.Report:
     first, best, last = result.iterations[0], result.best, result.iterations[-1]
     gap = abs(last.speed_simulated - last.speed_measured)
@@ -114,6 +116,7 @@ def _page(
     ]
     sections = [
         page.Section(title="Progress", content=[pictures[0], _table(result.iterations)]),
+        page.Section(title="The robot in motion", content=[view]),
         page.Section(title="Parameters", text=[_TRADE], content=_parameters(result.iterations)),
         page.Section(title="Figures", content=pictures[1:]),
     ]
@@ -258,6 +261,41 @@ def _strip(result: LoopResult, model: Starfish, count: int = 5) -> Figure:
         row = [(float(it.run.time_s[k]), x[k], places[k]) for k in picked]
         shots.append((loop_figures.name_of(it), row))
     return loop_figures.strip(shots, mesh.surface_triangles(model.quarter.body.mesh).faces.numpy())
+
+
+def moving_starfish(result: LoopResult, model: Starfish, aside_m: float = 0.2) -> Moving:
+    """First and best command side by side, simulated; forwards is up.
+
+    Args:
+        result: Result of the loop.
+        model: Model of the starfish that the loop was made with.
+        aside_m: Distance between the two [m].
+    """
+    runs = {loop_figures.name_of(it): it for it in (result.iterations[0], result.best)}
+    counts = [
+        min(len(it.run.time_s), round(3.0 * it.command.period_s * RATE_HZ)) for it in runs.values()
+    ]
+    faces = mesh.surface_triangles(model.quarter.body.mesh).faces.numpy()
+    used, faces = np.unique(faces, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    parts = []
+    colors = (COLORS["published"], COLORS["fitted"])
+    for column, ((name, it), color) in enumerate(zip(runs.items(), colors, strict=False)):
+        quarter = _vertices(model, it, min(counts))[:, used]
+        # the quarter is y, z > 0; mirrors at both planes make the whole
+        whole = [quarter * [1.0, y, z] for y in (1.0, -1.0) for z in (1.0, -1.0)]
+        nodes = np.concatenate(whole, axis=1)
+        nodes = np.stack([nodes[..., 2] + column * aside_m, nodes[..., 1], -nodes[..., 0]], -1)
+        shifted = [faces + k * len(used) for k in range(4)]
+        parts.append(
+            Deforming(name=name, color=color, triangles=np.concatenate(shifted), nodes_m=nodes)
+        )
+    return Moving(
+        time_s=np.arange(min(counts)) / RATE_HZ,
+        parts=parts,
+        caption="Simulated with each iteration's parameters, forwards is up. Drag to turn, wheel "
+        "to zoom; a button hides what it names.",
+    )
 
 
 def _vertices(model: Starfish, it: Iteration, num_samples: int) -> Array:

@@ -18,6 +18,7 @@ from diffsim.core.files import write_text_atomic
 from diffsim.core.optional import optional
 from diffsim.core.version import __version__
 from diffsim.viz import charts
+from diffsim.viz.moving import Moving, script
 
 _NUMERIC = re.compile(r"[-+−–±]?(\d|$)")  # a cell that starts with a number, or says there is none
 TONES = ("good", "fair", "bad", "plain")
@@ -90,12 +91,12 @@ class Table:
                 )
 
 
-Item = Picture | Chart | Table
+Item = Picture | Chart | Moving | Table
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A heading, a few sentences, then pictures, charts and tables in the order given."""
+    """A heading, a few sentences, then pictures, charts, views and tables in the order given."""
 
     title: str
     text: Sequence[str] = ()
@@ -140,17 +141,24 @@ def versions(packages: Sequence[str] = ("torch", "numpy", "scipy", "matplotlib")
 def render(report: Report, *, made: datetime | None = None) -> str:
     """The page as text; everything that comes from outside is escaped."""
     jinja2 = optional("jinja2", purpose="an HTML report")
-    source = resources.files("diffsim.viz").joinpath("templates/report.html.j2").read_text("utf-8")
+    folder = resources.files("diffsim.viz").joinpath("templates")
+    source = folder.joinpath("report.html.j2").read_text("utf-8")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
     environment.tests["numeric"] = lambda cell: _NUMERIC.match(cell) is not None
     environment.tests["chart"] = lambda item: isinstance(item, Chart)
-    has_charts = any(isinstance(i, Chart) for section in report.sections for i in section.content)
+    environment.tests["moving"] = lambda item: isinstance(item, Moving)
+    kinds = {type(item) for section in report.sections for item in section.content}
     when = (made or datetime.now(timezone.utc)).strftime("%d %B %Y, %H:%M UTC")
-    script = charts.script() if has_charts else ""
-    return environment.from_string(source).render(report=report, made=when, script=script)
+    return environment.from_string(source).render(
+        report=report,
+        made=when,
+        plotly=charts.packed_script() if Chart in kinds else "",
+        charts=folder.joinpath("charts.js").read_text("utf-8") if Chart in kinds else "",
+        views=script() if Moving in kinds else "",
+    )
 
 
 def write(report: Report, path: str | Path) -> Path:

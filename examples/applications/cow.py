@@ -23,15 +23,23 @@ DT, STEPS = 0.001, 600  # [s]
 RISE_WEIGHT = 0.3
 
 
-def build(solver: soft.SolverOptions, quick: bool, refine: int = 1) -> Application:
-    """The cow of 1 cm cubes (quick: 1.5 cm and steps of 4 ms), of the quadruped's material.
+def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int = 1) -> Application:
+    """The cow of 1 cm cubes (quick: 1.5 cm and steps of 4 ms), as stiff as the quadruped.
 
-    ``refine`` time steps are made of one, to see what the time step does.
+    ``refine`` time steps are made of one, and ``cells`` elements along each edge of one, to see
+    what they do.
     """
     dt, steps = DT / refine, STEPS * refine
     if quick:
         dt, steps = 4.0 * dt, steps // 4
-    robot = robots.cow(coarse=quick, dt=dt, youngs_modulus=3e5, amplitude=0.5, per_muscle=False)
+    robot = robots.cow(
+        coarse=quick,
+        dt=dt,
+        youngs_modulus=3e5,
+        amplitude=0.5,
+        per_muscle=False,
+        refine=cells,
+    )
     return gait(
         robot,
         solver,

@@ -22,13 +22,14 @@ RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
 DT, STEPS, KNOTS = 0.004, 400, 20  # [s]
 
 
-def build(solver: soft.SolverOptions, quick: bool, refine: int = 1) -> Application:
+def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int = 1) -> Application:
     """The ring (quick: a sixth of the elements, 0.8 s in steps of 8 ms, 10 knots, 4 starts).
 
-    ``refine`` time steps are made of one, to see what the time step does.
+    ``refine`` time steps are made of one, and ``cells`` elements along each edge of one, to see
+    what they do.
     """
     dt, steps, knots = (0.008, 100, 10) if quick else (DT, STEPS, KNOTS)
-    robot = robots.torus(coarse=quick, dt=dt / refine)
+    robot = robots.torus(coarse=quick, dt=dt / refine, refine=cells)
     count = knots * len(robot.command_names)
     return gait(
         robot,

@@ -7,7 +7,14 @@ from typing import Any
 
 from diffsim.data import BeamStudy
 from diffsim.viz import report as rp
-from examples.demo import page_causes, page_diagnosis, page_ladder, page_measured, verdict
+from examples.demo import (
+    page_causes,
+    page_diagnosis,
+    page_ladder,
+    page_measured,
+    page_moving,
+    verdict,
+)
 from examples.demo.ladder import Rung
 from examples.demo.plan import Plan
 
@@ -30,6 +37,7 @@ def report(
         numbers=_numbers(study, results),
         sections=[
             page_ladder.section(study, results, models),
+            *page_moving.section(study, results, models),
             page_causes.damping(study, results),
             page_causes.weight(study, results),
             page_causes.mesh(study, results),

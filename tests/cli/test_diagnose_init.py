@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from diffsim import cli
 from diffsim.data import load_study
+from diffsim.data.formats import write_columns
 from diffsim.data.study_check import TODO
 from diffsim.data.table_guess import column_of
 from diffsim.systems.registry import DESCRIPTIONS
@@ -268,3 +270,85 @@ def test_motors_look_commanded_and_quaternions_have_no_unit(tmp_path):
     assert [c.name for c in study.commands] == ["m1", "m2"]
     units = [s for s in study.todo if s.startswith("units")]
     assert units == ["units, which the header does not state: m1, m2"]
+
+
+def test_an_index_in_brackets_is_no_unit():
+    assert (column_of("hand_mm[1]").base, column_of("hand_mm[1]").unit) == ("hand_1", "mm")
+    assert (column_of("q[0]").base, column_of("q[0]").unit) == ("q_0", None)
+    assert column_of("cov[2][1]").base == "cov_2_1"
+    assert column_of("force [N]").unit == "N"
+
+
+SWING = np.sin(0.3 * np.arange(60)) + noisy(0)
+
+
+def test_parquet_files_become_a_study(tmp_path):
+    pytest.importorskip("pyarrow")
+    for run in ("one", "two"):
+        columns = {"t_ms": T, "angle [deg]": SWING, "u": np.sign(np.sin(0.2 * T))}
+        write_columns(tmp_path / f"{run}.parquet", columns)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [r.name for r in study.runs] == ["one", "two"]
+    assert [c.name for c in study.channels] == ["angle"] and [c.name for c in study.commands] == [
+        "u"
+    ]
+    np.testing.assert_allclose(study.runs[0].time_s, 1e-3 * T)
+
+
+def test_structs_of_one_mat_file_are_runs(tmp_path):
+    from scipy.io import savemat
+
+    part = {"time_s": 1e-3 * T, "x_mm": SWING, "force_N": np.where(T > 200.0, 1.0, 0.0)}
+    savemat(tmp_path / "day.mat", {"slow": part, "fast": part | {"x_mm": 2.0 * SWING}})
+    assert init(tmp_path) == 0
+    text = (tmp_path / "study.yaml").read_text()
+    assert "day.mat#slow" in text and "day.mat#fast" in text
+    study = load_study(tmp_path)
+    assert [r.name for r in study.runs] == ["day_slow", "day_fast"]
+    assert study.runs[0].measured[3, 0] == pytest.approx(1e-3 * SWING[3])
+
+
+def mcap(path: Path) -> None:
+    """A log with a pose, a command and a topic that nobody needs, each with a clock of its own."""
+    writer_of = pytest.importorskip("mcap.writer")
+    with path.open("wb") as file:
+        writer = writer_of.Writer(file)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        topics = {
+            "/robot/odom": (0, lambda k: {"pose": {"x": float(SWING[k])}}),
+            "/robot/cmd_vel": (2, lambda k: {"linear": {"x": float(k // 20)}}),
+            "/battery": (5, lambda k: {"volts": 12.0 - 0.01 * k, "amps": k, "cells": [3, 3]}),
+        }
+        for topic, (late_ms, content) in topics.items():
+            channel = writer.register_channel(topic, "json", schema)
+            for k, t in enumerate(T):
+                stamp = round(1e6 * (t + late_ms))
+                writer.add_message(channel, stamp, json.dumps(content(k)).encode(), stamp)
+        writer.finish()
+
+
+def test_topics_of_a_log_the_record_and_what_was_commanded(tmp_path, capsys):
+    for name in ("a", "b"):
+        mcap(tmp_path / f"{name}.mcap")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "topics: /robot/odom and /robot/cmd_vel" in said and "other topics: /battery" in said
+    study = load_study(tmp_path)
+    assert [c.name for c in study.channels] == ["pose_x"]
+    assert [c.name for c in study.commands] == ["linear_x"]
+    assert study.runs[0].name == "a"
+    # the command, 2 ms later, at the clock of the record
+    assert study.runs[0].command["linear_x"][30] == pytest.approx(1.0)
+    assert init(tmp_path, "--force", "--part", "/battery") == 0
+    assert {c.name for c in load_study(tmp_path).channels} >= {"volts", "amps"}
+    capsys.readouterr()
+    assert init(tmp_path, "--force", "--part", "/baterry") == 2
+    assert "--part: no table '/baterry'; did you mean '/battery'" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_read_is_told(steps, capsys):
+    (steps / "broken.mat").write_bytes(b"no MAT file at all")
+    assert init(steps) == 0
+    assert "not read: " in (out := capsys.readouterr().out) and "broken.mat" in out

@@ -8,9 +8,10 @@ import pytest
 
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.fit import Case, null_fit
-from diffsim.diagnose.gates import numerics_changes
+from diffsim.diagnose.gates import effort_gate, numerics_changes
 from diffsim.diagnose.refine import checked_numerics
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
+from diffsim.identify.effort import FIT_RTOL
 from tests.diagnose import toy
 
 QUICK = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2))
@@ -121,3 +122,14 @@ def test_a_diagnosis_goes_on_with_refined_settings():
     finer = Numerics(**report.settings["numerics"])
     assert finer.time_step < 1.0
     assert report.best.problem.numerics == report.null.problem.numerics == finer
+
+
+def test_a_first_answer_begins_coarse_and_says_what_it_left_out():
+    study = noisy({"bias": 0.3})
+    settings = replace(QUICK, first_step=2.0, fit_rtol=0.01)
+    report = diagnose(study, toy.model(study.runs, 0.01), (toy.BIAS,), seed=0, settings=settings)
+    assert report.named == ("bias",)
+    assert report.settings["numerics"]["time_step"] < 1.0  # the gate found that too coarse
+    assert any("first answer" in s and "1% of their misfit" in s for s in report.sentences)
+    full = replace(settings, first_step=1.0, fit_rtol=FIT_RTOL)
+    assert effort_gate(full) == ()

@@ -33,7 +33,16 @@ from diffsim.learn.run import (
 )
 from diffsim.learn.setup import Setup, evaluate, first_controller
 from diffsim.learn.shac import ShacLearner, ShacOptions
-from rl import train_cma, train_gradient, train_mixed, train_ppo, train_sac, train_sapo, train_shac
+from rl import (
+    train_cma,
+    train_gradient,
+    train_mixed,
+    train_ppo,
+    train_sac,
+    train_sapo,
+    train_shac,
+    train_tqc,
+)
 from tests.kills import Killed, killing_replace
 
 TINY = Setup(
@@ -54,6 +63,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "mixed": {"batch": 4},
     "ppo": {"envs": 4, "rollout": 10, "minibatch": 20, "epochs": 1},
     "sac": {"envs": 4, "rollout": 10, "minibatch": 20, "passes": 2, "first": 40, "keep": 400},
+    "tqc": {"envs": 4, "rollout": 10, "minibatch": 20, "passes": 2, "first": 40, "keep": 400},
     "cma": {"population": 4},
 }
 
@@ -64,7 +74,17 @@ def learner(method: str, setup: Setup = TINY) -> Learner:
 
 
 @pytest.mark.parametrize(
-    "script", [train_gradient, train_shac, train_sapo, train_mixed, train_ppo, train_sac, train_cma]
+    "script",
+    [
+        train_gradient,
+        train_shac,
+        train_sapo,
+        train_mixed,
+        train_ppo,
+        train_sac,
+        train_tqc,
+        train_cma,
+    ],
 )
 def test_quick_runs_write_results_a_checkpoint_and_a_log(script: Any, tmp_path: Path) -> None:
     script.main(["--quick", "--out", str(tmp_path)])
@@ -106,17 +126,19 @@ def test_open_loop_fit_backs_off_from_what_breaks_down(monkeypatch: pytest.Monke
         fit_open_loop(task, controller, max_iterations=4)
 
 
-@pytest.mark.parametrize("method", ["gradient", "shac", "sapo", "mixed", "ppo", "sac"])
+@pytest.mark.parametrize("method", ["gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc"])
 def test_methods_start_from_the_same_controller(method: str) -> None:
     first = first_controller(TINY.make_task(), TINY.seed, TINY.warm_up)
     made = learner(method).controller()
     x = torch.from_numpy(np.random.default_rng(0).standard_normal((5, 22)))
-    tolerance = 1e-6 if method in ("ppo", "sac") else 0.0  # those compute in single precision
+    single = method in ("ppo", "sac", "tqc")  # computed in single precision
+    tolerance = 1e-6 if single else 0.0
     torch.testing.assert_close(made(x), first(x), rtol=tolerance, atol=tolerance)
 
 
 @pytest.mark.parametrize(
-    ("method", "options"), [("ppo", {}), ("ppo", {"hold_noise": 4}), ("sac", {})]
+    ("method", "options"),
+    [("ppo", {}), ("ppo", {"hold_noise": 4}), ("sac", {}), ("tqc", {})],
 )
 def test_a_policy_of_stable_baselines3_is_the_controller_it_is_rated_as(
     method: str, options: dict[str, Any]
@@ -185,7 +207,7 @@ def test_killed_at_any_file_it_continues_bit_for_bit(
     assert [r["reward"] for r in read_rows(tmp_path / "b")] == [r["reward"] for r in rows]
 
 
-@pytest.mark.parametrize("method", ["ppo", "sac"])
+@pytest.mark.parametrize("method", ["ppo", "sac", "tqc"])
 def test_stable_baselines3_continues_from_its_checkpoint(method: str, tmp_path: Path) -> None:
     cut: Any = Interrupted(learner(method), at=2)
     with pytest.raises(KeyboardInterrupt):

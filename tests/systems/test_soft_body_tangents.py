@@ -15,6 +15,7 @@ from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
 from diffsim.systems import actuator, library
 from diffsim.systems.soft_body import SoftModel, beam_model, tendon_model, unknown_force
 from diffsim.systems.soft_body import forces as soft_forces
+from diffsim.systems.soft_body.material import _Relaxation
 from diffsim.systems.soft_body.scene import Force
 from tests.systems.test_soft_body import BAR
 
@@ -100,6 +101,23 @@ ACTING = (
     "tilt",
     "release_time@a",
 )
+
+
+def test_solids_that_differ_by_a_factor_share_one_evaluation(monkeypatch):
+    """Stiffness and the loss factor itself make a relaxing solid's force a multiple: each step asks
+    once for the force and once for all directions."""
+    calls = []
+    ask = _Relaxation.__call__
+    monkeypatch.setattr(_Relaxation, "__call__", lambda *a: calls.append(1) or ask(*a))
+    loss = next(e for e in AIR if e.name == "loss_factor")
+    problem = problem_of(beam(), FREE, loss)
+    x = np.zeros(len(problem.names))
+    x[-1] = 0.3
+    problem.residual(x)
+    once = len(calls)
+    problem.linearize(x)
+    assert len(calls) == 3 * once
+    assert_alike(problem, x)
 
 
 def test_tendon_from_equilibrium():

@@ -24,6 +24,7 @@ from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import diagnosis_series as series
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_series import PredictedRun
+from tests.browser import CHROMIUM, Browser
 
 CHANNELS = (
     Channel(name="tip_z_m", unit="m", kind="", sd=1e-4),
@@ -208,8 +209,8 @@ def test_page_has_its_parts_in_order(tmp_path):
 def test_one_file_with_its_script_once(tmp_path):
     """No network: the charts' script is inside, once, and nothing is fetched."""
     text = dr.write_diagnosis(example(), tmp_path / "report.html").read_text("utf-8")
-    assert text.count(plotting.script()[:2000]) == 1
-    own = text.replace(plotting.script(), "")
+    assert text.count(plotting.packed_script()) == 1 and len(text) < 3_000_000
+    own = text.replace(plotting.packed_script(), "")
     assert "src=" not in own and "<link" not in own and own.count("Plotly.newPlot") == 4
 
 
@@ -396,3 +397,28 @@ def test_force_map_has_a_row_per_shape_and_a_column_per_knot():
     assert list(pushed.y) == ["north", "down"]
     assert (calm.zmin, calm.zmax) == (-9.0, 9.0) == (pushed.zmin, pushed.zmax)
     assert (calm.visible, pushed.visible) == (True, False)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+def test_a_browser_toggles_the_cause_and_zooms_a_curve(tmp_path):
+    path = dr.write_diagnosis(example(), tmp_path / "report.html")
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(path)
+        browser.until("document.querySelectorAll('.main-svg .legend').length >= 1")
+        browser.until("document.querySelectorAll('.plotly-graph-div.js-plotly-plot').length === 4")
+        plot = "document.querySelector('.plotly-graph-div')"
+        names = browser.js(f"{plot}._fullData.filter(d => d.showlegend).map(d => d.name)")
+        cause = names.index("extended model")  # the model with the cause that was named
+        shown = f"{plot}._fullData.filter(d => d.name === 'extended model')[0].visible"
+        assert browser.js(shown) is True
+        toggles = f"{plot}.querySelectorAll('.legendtoggle')"
+        browser.js(f"{toggles}[{cause}].id = 'cause'")
+        browser.click("#cause")
+        browser.until(f"{shown} === 'legendonly'")
+        across = f"{plot}._fullLayout.xaxis.range"
+        wide = browser.js(across)
+        x, y = browser.middle(".plotly-graph-div .nsewdrag")
+        browser.drag((x - 60, y - 15), (x + 60, y + 15))
+        browser.until(f"{across}[1] - {across}[0] < {0.7 * (wide[1] - wide[0])}")
+        assert browser.complaints == []
+        browser.picture(tmp_path / "page.png")

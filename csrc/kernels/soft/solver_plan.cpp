@@ -3,6 +3,7 @@
 #include <cmath>
 #include <limits>
 
+#include "kernels/soft/rigid_rotations.h"
 #include "kernels/soft/step_problem.h"
 
 namespace diffsim {
@@ -28,11 +29,11 @@ constexpr std::int64_t kLeastMultigridNodes = 300;
 constexpr double kCycleProducts = 6.0, kSetupProducts = 30.0;
 
 struct Probe {
-  int preconditioned, jacobi;
+  int preconditioned, rotating, jacobi;
 };
 
-/// Iterations to kProbeTolerance at rest, for a smooth right-hand side; 3x3 diagonal blocks are
-/// tried on the constant factor alone, for steps in contact.
+/// Iterations to kProbeTolerance at rest, for a smooth right-hand side; the body's rotations beside
+/// the constant factor, and 3x3 diagonal blocks, are tried for steps in contact.
 Probe probe(const ConstantSystem& system, const SoftParameters& parameters,
             Preconditioner preconditioner, int limit, int jacobi_limit, ThreadPool& pool) {
   const SoftModel& model = system.model();
@@ -70,8 +71,14 @@ Probe probe(const ConstantSystem& system, const SoftParameters& parameters,
                                                     scratch, problem.ops());
     return result.converged ? result.num_iters : 4 * most;
   };
-  if (preconditioner == Preconditioner::kMultigrid) return {count(precondition, limit), 0};
-  return {count(precondition, limit), count(jacobi, jacobi_limit)};
+  if (preconditioner == Preconditioner::kMultigrid) return {count(precondition, limit), 0, 0};
+  RigidRotations rotations;
+  rotations.prepare(problem, system, rest);
+  const auto rotating = [&](const Vector& in, Vector& out) {
+    problem.precondition(in, out);
+    rotations.add(in, out, problem.ops());
+  };
+  return {count(precondition, limit), count(rotating, limit), count(jacobi, jacobi_limit)};
 }
 
 }  // namespace
@@ -91,9 +98,17 @@ bool SolverPlan::factorize_step(double rtol) const {
          factorize_cost + kTangentIterations * tangent_cost;
 }
 
+double SolverPlan::answer_iterations(double at_rest, double rtol) {
+  return at_rest * (0.6 + 0.22 * decades(rtol));
+}
+
+double SolverPlan::factorized_cost(double count) const {
+  return factorize_cost + 2.0 * count * tangent_cost;
+}
+
 bool SolverPlan::factorize_adjoint(double rtol, double count) const {
-  const double total = iterations * (0.6 + 0.22 * decades(rtol));
-  return count * total * iteration_cost + setup_cost > factorize_cost + 2.0 * count * tangent_cost;
+  return count * answer_iterations(iterations, rtol) * iteration_cost + setup_cost >
+         factorized_cost(count);
 }
 
 int SolverPlan::patience(double cost) const {
@@ -135,6 +150,7 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   const Probe found = probe(system, parameters, preconditioner, limit(plan.iteration_cost),
                             limit(plan.jacobi_cost), pool);
   plan.iterations = found.preconditioned;
+  plan.contact_iterations = found.rotating;
   plan.jacobi_iterations = found.jacobi;
   return plan;
 }

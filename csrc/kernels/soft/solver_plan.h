@@ -25,16 +25,21 @@ enum class Preconditioner { kAuto, kConstant, kMultigrid };
 /// Costs in seconds on a model machine; only their ratios matter.
 struct SolverPlan {
   Preconditioner preconditioner = Preconditioner::kConstant;  // never kAuto
-  double iterations = 0.0;         // of conjugate gradients on it at rest, to 1e-2
-  double iteration_cost = 0.0;     // one of these
-  double setup_cost = 0.0;         // of the preconditioner, on each new tangent
-  double tangent_cost = 0.0;       // one iteration on a factor of the tangent
-  double factorize_cost = 0.0;     // of the tangent; infinite where memory forbids it
-  double jacobi_iterations = 0.0;  // as `iterations`, preconditioned by 3x3 diagonal blocks
-  double jacobi_cost = 0.0;        // one of these
+  double iterations = 0.0;          // of conjugate gradients on it at rest, to 1e-2
+  double iteration_cost = 0.0;      // one of these
+  double setup_cost = 0.0;          // of the preconditioner, on each new tangent
+  double tangent_cost = 0.0;        // one iteration on a factor of the tangent
+  double factorize_cost = 0.0;      // of the tangent; infinite where memory forbids it
+  double contact_iterations = 0.0;  // the same, with the body's rotations (rigid_rotations.h)
+  double jacobi_iterations = 0.0;   // as `iterations`, preconditioned by 3x3 diagonal blocks
+  double jacobi_cost = 0.0;         // one of these
 
   /// Whether a forward step to relative tolerance rtol should factorize the tangent.
   bool factorize_step(double rtol) const;
+  /// Iterations to relative tolerance rtol with the tangent of an answer, of those at rest.
+  static double answer_iterations(double at_rest, double rtol);
+  /// Seconds of so many solves with a factor of that tangent.
+  double factorized_cost(double count = 1.0) const;
   /// Whether so many solves with the tangent of an answer should.
   bool factorize_adjoint(double rtol, double count = 1.0) const;
   /// Iterations at this cost after which a factor of the tangent would have been cheaper.

@@ -65,9 +65,9 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
 }
 
 void StepProblem::assemble(const Vector& x, bool clamp) {
-  if (by_multigrid_ && !is_multigrid_kept_) {
+  if (!is_multigrid_kept_) {
     assembled_at_ = x;
-    is_multigrid_stale_ = true;
+    is_multigrid_stale_ = by_multigrid_;
   }
   memory_->values.resize(at(system_.model().values_size()));
   tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, memory_->values.data(),

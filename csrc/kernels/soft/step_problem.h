@@ -39,6 +39,8 @@ class StepProblem {
 
   /// Assembles d^2 g/dx^2 at x.
   void assemble(const Vector& x, bool clamp);
+  /// Where it was assembled last, or what multigrid is kept of (num_nodes, 3) [m].
+  const Vector& assembled_at() const { return assembled_at_; }
   /// Adds the same, not clamped, to one lane; of bodies without chambers.
   void assemble_lane(const Vector& x, const LaneTables& tables, LaneCholesky& to, int lane);
   /// out = H in on free unknowns; fixed entries of `in` must be zero, those of `out` are zeroed.
@@ -102,7 +104,7 @@ class StepProblem {
   CholeskyWorkspace cholesky_;
   AlignedBuffer<double> blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
-  Vector assembled_at_;                 // by multigrid only
+  Vector assembled_at_;
   bool by_multigrid_, is_multigrid_stale_ = true, is_multigrid_kept_ = false;
 };
 

@@ -1,7 +1,9 @@
 """Co-optimization of multicopters: shape, rotor directions, spins and hover (thesis 3.4)."""
 
 from diffsim.copter.codesign.api import codesign
+from diffsim.copter.codesign.arms import ArmSpace
 from diffsim.copter.codesign.cases import Demands
+from diffsim.copter.codesign.choices import Chosen, choose
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.metrics import METRICS, CurrentModel
@@ -13,6 +15,8 @@ from diffsim.copter.codesign.space import DesignSpace
 __all__ = [
     "METRICS",
     "AlternatingOptions",
+    "ArmSpace",
+    "Chosen",
     "CoDesignError",
     "CoDesignResult",
     "CurrentModel",
@@ -21,6 +25,7 @@ __all__ = [
     "Limits",
     "SearchOptions",
     "StartRecord",
+    "choose",
     "codesign",
     "pareto_front",
 ]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr, logsumexp, ndtr, owens_t
 
 from diffsim.diagnose.faults.learn import Learned
 from diffsim.diagnose.faults.local import Local
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 NUM_MODE_STEPS = 8
 NUM_SAMPLES = 40  # of the sizes, for each draw of the scatter
 LEAST_SHARE = 1e-12  # of a normal distribution on the allowed side, that is computed
+TINY = 1e-12  # the formula for a quadrant divides by means, to which it is not sensitive
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +153,34 @@ def _log_share(mean: Array, covariance: Array, signed: NDArray[np.bool_]) -> flo
     if len(one) == 1:
         i = one[0]
         return float(log_ndtr(mean[i] / np.sqrt(covariance[i, i])))
+    if len(one) == 2:
+        inner = covariance[np.ix_(one, one)]
+        sd = np.sqrt(np.diag(inner))
+        return float(
+            np.log(max(positive_quadrant(mean[one] / sd, inner[0, 1] / sd.prod()), LEAST_SHARE))
+        )
     from scipy.stats import multivariate_normal  # half a second that other commands do not need
 
     normal = multivariate_normal(cov=covariance[np.ix_(one, one)], allow_singular=True, seed=0)
     return float(np.log(max(float(normal.cdf(mean[one])), LEAST_SHARE)))
+
+
+def positive_quadrant(mean: Array, correlation: float) -> float:
+    """Probability that two normal numbers of standard deviation one are both positive.
+
+    Args:
+        mean: Their means, (2,).
+        correlation: Their correlation, between -1 and 1.
+
+    Source: Owen, Tables for computing bivariate normal probabilities, Ann. Math. Statist. 27
+    (1956) 1075, eq. 2.1.
+    """
+    h, k = (float(np.copysign(max(abs(m), TINY), m)) for m in mean)
+    across = np.sqrt(max((1.0 - correlation) * (1.0 + correlation), TINY**2))
+    tails = owens_t(h, (k - correlation * h) / (h * across))
+    tails += owens_t(k, (h - correlation * k) / (k * across))
+    half = 0.0 if h * k > 0.0 else 0.5
+    return float(0.5 * (ndtr(h) + ndtr(k)) - tails - half)
 
 
 def _samples(

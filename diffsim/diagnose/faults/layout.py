@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class Layout:
     is_state: NDArray[np.bool_]
     families: tuple[str, ...]
     stated: tuple[float, ...]
+    _acting: dict[Hashable, tuple[list[int], list[int]]] = field(default_factory=dict, repr=False)
 
     @property
     def shared(self) -> list[int]:
@@ -45,9 +46,14 @@ class Layout:
 
     def of(self, runs: Sequence[Run]) -> tuple[list[int], list[int]]:
         """Indices of the parameters that act in runs: shared ones, then those of the runs alone."""
-        acting = [i for i, n in enumerate(self.names) if any(touches(n, run) for run in runs)]
-        shared = set(self.shared)
-        return [i for i in acting if i in shared], [i for i in acting if i not in shared]
+        key = tuple((run.name, tuple(run.setup.items())) for run in runs)
+        if key not in self._acting:
+            acting = [i for i, n in enumerate(self.names) if any(touches(n, run) for run in runs)]
+            shared = set(self.shared)
+            own = [i for i in acting if i not in shared]
+            self._acting[key] = [i for i in acting if i in shared], own
+        common, scatter = self._acting[key]
+        return list(common), list(scatter)
 
     def shared_precision(self, log_spread: Array) -> Array:
         """Prior precision of the shared parameters, (num_shared,).

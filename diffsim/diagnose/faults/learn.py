@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,18 +198,60 @@ def _standard(state: Learned) -> Array:
 
 def best_spread(layout: Layout, locals_: Mapping[str, Local], start: Array) -> Array:
     """Most probable logarithms of the spreads over the stated ones, (num_families,)."""
-    found = minimize(
-        lambda t: -log_posterior(layout, locals_, t), start, method="BFGS", options={"gtol": 1e-3}
-    )
+
+    def down(t: Array) -> tuple[float, Array]:
+        value, slope = log_posterior(layout, locals_, t)
+        return -value, -slope
+
+    found = minimize(down, start, method="BFGS", jac=True, options={"gtol": 1e-3})
     return np.asarray(found.x)
 
 
-def log_posterior(layout: Layout, locals_: Mapping[str, Local], log_spread: Array) -> float:
-    """Logarithm of the posterior of spreads, up to a constant."""
+def log_posterior(
+    layout: Layout, locals_: Mapping[str, Local], log_spread: Array
+) -> tuple[float, Array]:
+    """Logarithm of the posterior of spreads, up to a constant, and its slopes (num_families,).
+
+    A spread e^t acts through the prior of what scatters only, so the slope along t is the mean of
+    the prior's own slope, z^2 e^-2t - 1, over the posterior of z (Fisher's identity).
+    """
     found = common_information(layout, locals_, log_spread)
     determinant = np.linalg.slogdet(found.curvature)[1]
     fit = found.level + 0.5 * found.slope @ found.mean - 0.5 * determinant
-    return float(fit - 0.5 * np.sum((log_spread / FACTOR_SD) ** 2))
+    square = _mean_squares(layout, locals_, log_spread, found)
+    count = np.bincount(square.family, minlength=len(log_spread))
+    total = np.bincount(square.family, square.value, minlength=len(log_spread))
+    slope = total * np.exp(-2.0 * log_spread) - count - log_spread / FACTOR_SD**2
+    return float(fit - 0.5 * np.sum((log_spread / FACTOR_SD) ** 2)), slope
+
+
+class _Squares(NamedTuple):
+    """Posterior mean of the square of each parameter with a spread, and its family."""
+
+    value: Array
+    family: NDArray[np.int64]
+
+
+def _mean_squares(
+    layout: Layout, locals_: Mapping[str, Local], log_spread: Array, of_common: Information
+) -> _Squares:
+    common, mean, covariance = layout.shared, of_common.mean, of_common.covariance
+    place = {i: k for k, i in enumerate(common)}
+    family = layout.family[common]
+    states = family >= 0
+    values = [(mean**2 + np.diag(covariance))[states]]
+    families = [family[states]]
+    for local in locals_.values():
+        num, scatter = len(local.common), np.array(local.scatter, dtype=int)
+        at = [place[i] for i in local.common]
+        inner = local.curvature[num:, num:] + np.diag(_scatter_prior(layout, local, log_spread))
+        inverse = np.linalg.inv(inner)
+        gain = inverse @ local.curvature[num:, :num]
+        own = inverse @ local.slope[num:] - gain @ mean[at]
+        spread = np.diag(inverse) + np.sum((gain @ covariance[np.ix_(at, at)]) * gain, axis=1)
+        values.append((own**2 + spread)[: len(scatter)])
+        families.append(layout.family[scatter])
+    return _Squares(np.concatenate(values), np.concatenate(families))
 
 
 def common_information(
@@ -230,15 +273,16 @@ def common_information(
 
 
 def _of_common(layout: Layout, local: Local, log_spread: Array) -> Information:
-    prior = np.concatenate(
-        [
-            _precision(layout, local, log_spread, 1.0),
-            np.full(len(local.causes), KNOWN_PRECISION),
-        ]
-    )
+    prior = _scatter_prior(layout, local, log_spread)
     gone = slice(len(local.common), len(local.slope))
     level = -0.5 * local.square
     return without(local.curvature, local.slope, level, gone, np.diag(prior), np.zeros(len(prior)))
+
+
+def _scatter_prior(layout: Layout, local: Local, log_spread: Array) -> Array:
+    """Prior precision of a group's scatter and known sizes."""
+    scatter = _precision(layout, local, log_spread, 1.0)
+    return np.concatenate([scatter, np.full(len(local.causes), KNOWN_PRECISION)])
 
 
 def _precision(layout: Layout, local: Local, log_spread: Array, daily_factor: float) -> Array:
@@ -252,9 +296,7 @@ def _solved(
 ) -> Array:
     """Scaled coordinates of a group's problem at which scatter and known sizes fit best."""
     num = len(local.common)
-    precision = _precision(layout, local, log_spread, 1.0)
-    prior = np.concatenate([precision, np.full(len(local.causes), KNOWN_PRECISION)])
-    inner = local.curvature[num:, num:] + np.diag(prior)
+    inner = local.curvature[num:, num:] + np.diag(_scatter_prior(layout, local, log_spread))
     pull = local.slope[num:] - local.curvature[num:, :num] @ common[list(local.common)]
     found = np.linalg.solve(inner, pull)
     point = np.zeros(len(problem.names))
@@ -268,21 +310,13 @@ def _solved(
 
 
 def _curvature(layout: Layout, locals_: Mapping[str, Local], at: Array) -> Array:
-    """Second derivatives of -log posterior by central differences, made positive definite."""
+    """Second derivatives of -log posterior by central differences of its slopes, made positive
+    definite."""
     n, h = len(at), CURVE_STEP
-    step = h * np.eye(n)
-
-    def f(t: Array) -> float:
-        return -log_posterior(layout, locals_, t)
-
-    out = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            out[i, j] = out[j, i] = (
-                f(at + step[i] + step[j])
-                - f(at + step[i] - step[j])
-                - f(at - step[i] + step[j])
-                + f(at - step[i] - step[j])
-            ) / (4.0 * h * h)
-    values, vectors = np.linalg.eigh(out)
+    rows = [
+        log_posterior(layout, locals_, at - step)[1] - log_posterior(layout, locals_, at + step)[1]
+        for step in h * np.eye(n)
+    ]
+    out = np.array(rows) / (2.0 * h)
+    values, vectors = np.linalg.eigh(0.5 * (out + out.T))
     return np.asarray((vectors * np.maximum(values, FACTOR_SD**-2)) @ vectors.T)

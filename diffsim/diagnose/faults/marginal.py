@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 Array = NDArray[np.float64]
 
@@ -66,8 +67,11 @@ def without(
     inner = curvature[gone, gone] + prior
     cross = curvature[gone, stay]
     pull = slope[gone] + prior_slope
-    shared = np.linalg.solve(inner, np.column_stack([cross, pull]))
-    out = level + 0.5 * float(pull @ shared[:, -1]) + 0.5 * (_log_det(prior) - _log_det(inner))
+    factor, shared, failed = lapack.dposv(inner, np.column_stack([cross, pull]))
+    if failed:
+        raise np.linalg.LinAlgError("the information on what is integrated out is not definite")
+    inner_log_det = 2.0 * float(np.log(np.diag(factor)).sum())
+    out = level + 0.5 * float(pull @ shared[:, -1]) + 0.5 * (_log_det(prior) - inner_log_det)
     if prior_slope.any():
         out -= 0.5 * float(prior_slope @ np.linalg.solve(prior, prior_slope))
     return Information(
@@ -78,4 +82,7 @@ def without(
 
 
 def _log_det(matrix: Array) -> float:
+    diagonal = np.diag(matrix)
+    if np.count_nonzero(matrix) == len(diagonal):  # nothing beside the diagonal
+        return float(np.log(diagonal).sum())
     return float(np.linalg.slogdet(matrix)[1])

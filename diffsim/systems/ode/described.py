@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from torch import Tensor
@@ -315,9 +315,7 @@ class Described:
         )
         for name, channels in self.clocks.items():
             for channel in channels:
-                scene = scene.with_reading(
-                    channel, lambda y, grid, late=known[name]: smoothly_delayed(y, grid, late)
-                )
+                scene = scene.with_reading(channel, partial(_later, by=known[name]))
         return scene
 
     def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:
@@ -331,6 +329,10 @@ class Described:
         if (late := known.get(f"{name}_delay")) is not None:
             u = (held_delayed if held else delayed)(u, grid, late)
         return u
+
+
+def _later(y: Tensor, grid: Grid, *, by: Tensor) -> Tensor:
+    return smoothly_delayed(y, grid, by)
 
 
 class _Times:

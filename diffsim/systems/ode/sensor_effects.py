@@ -40,7 +40,9 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
             shown = partial(_read, channels=dial.channels, change=change)
             if model.name == "sensor_backlash":
                 shown = partial(_played, channels=dial.channels)
-            out.append(replace(model, name=model.name + tail, apply=shown))
+            units = {c.shown_unit for c in own} if model.unit == own[0].unit else {None}
+            read = units.pop() if len(units) == 1 else None
+            out.append(replace(model, name=model.name + tail, apply=shown, shown_unit=read))
     return tuple(out)
 
 

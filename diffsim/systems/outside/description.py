@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -133,11 +133,12 @@ class OutsideDescription(Description):
         out = []
         if problem := self.source(study).problem():
             out.append(Problem("error", "model", problem))
-        for check in (
-            lambda: hooks_of.command_groups(study, self.hooks.command),
-            lambda: hooks_of.output_groups(study, self.hooks.output),
+        checks: list[Callable[[], object]] = [
+            partial(hooks_of.command_groups, study, self.hooks.command),
+            partial(hooks_of.output_groups, study, self.hooks.output),
             *(partial(channels_of, study.channels, name) for name in self.clocks),
-        ):
+        ]
+        for check in checks:
             try:
                 check()
             except ValueError as error:

@@ -125,7 +125,7 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
         found = dials(study.channels, late_record=not is_driven)
         given = {d.name or "record": (d.channels, d.causes) for d in found}
     else:
-        given = {name: (columns, WHOLE) for name, columns in by_name.items()}
+        given = {name: (tuple(columns), WHOLE) for name, columns in by_name.items()}
     out = []
     for name, (columns, causes) in given.items():
         _require_all(f"hooks.output.{name}", columns, known)
@@ -164,7 +164,11 @@ def frame_of(hooks: Hooks) -> dict[str, list[dict[str, Any]]]:
 
 def _kept(groups: Sequence[Mapping[str, Any]]) -> tuple[Group, ...]:
     lists = ("columns", "causes")  # YAML has no tuples
-    return tuple(Group(**{k: tuple(v) if k in lists else v for k, v in g.items()}) for g in groups)
+    out = []
+    for group in groups:
+        given: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in group.items()}
+        out.append(Group(**given))
+    return tuple(out)
 
 
 def _finite(run: Run, command: str) -> Array:

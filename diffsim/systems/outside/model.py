@@ -203,9 +203,9 @@ class OutsideScene:
             out = out.clone()
             out[:, list(idx)] = smoothly_delayed(out[:, list(idx)].mT, grid, late).mT
         for channels, change in self.output_maps:
-            idx = list(channels)
+            shown = list(channels)
             out = out.clone()
-            out[:, idx] = change(out[:, idx].mT, grid).mT
+            out[:, shown] = change(out[:, shown].mT, grid).mT
         return out
 
     def _grid(self) -> Grid:

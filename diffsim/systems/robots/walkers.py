@@ -34,6 +34,9 @@ def quadruped(
     per_muscle: bool = True,
     num_sensors: int = 12,
     rtol: float = 1e-4,
+    integrator: str = "implicit_euler",
+    damping: float = 0.0,
+    refine: int = 1,
 ) -> SoftRobot:
     """A slab on four legs; it should walk along +x.
 
@@ -50,6 +53,10 @@ def quadruped(
             legs: with one sinusoid in opposite phase the thesis's three parameters.
         num_sensors: Number of velocity sensors.
         rtol: Relative tolerance of a time step's solution [-].
+        integrator: As that of :class:`~diffsim.soft.SoftBody`; "bdf2" is implicit
+            Euler while anything touches the floor.
+        damping: Stiffness-proportional damping of the material [s].
+        refine: Every element becomes so many along each edge, of the same shape and muscles.
     """
     if coarse:
         inside, legs = _table((10, 5, 2), (2, 2, 3))
@@ -67,6 +74,9 @@ def quadruped(
         per_muscle=per_muscle,
         num_sensors=num_sensors,
         rtol=rtol,
+        integrator=integrator,
+        damping=damping,
+        refine=refine,
         method="newton_cholesky",  # a third of the time of "auto" at 10 ms and large strokes
     )
 
@@ -82,6 +92,9 @@ def cow(
     per_muscle: bool = True,
     num_sensors: int = 12,
     rtol: float = 1e-4,
+    integrator: str = "implicit_euler",
+    damping: float = 0.0,
+    refine: int = 1,
 ) -> SoftRobot:
     """A ``quadruped`` with a head too large for it: it tends to fall on its face."""
     if coarse:
@@ -104,6 +117,9 @@ def cow(
         per_muscle=per_muscle,
         num_sensors=num_sensors,
         rtol=rtol,
+        integrator=integrator,
+        damping=damping,
+        refine=refine,
     )
 
 
@@ -117,17 +133,20 @@ def torus(
     friction: float = 1.0,
     num_sensors: int = 8,
     rtol: float = 1e-4,
+    integrator: str = "implicit_euler",
+    damping: float = 0.0,
+    refine: int = 1,
 ) -> SoftRobot:
     """A ring on its edge with eight muscles along its rim; it should roll along +x.
 
     Args:
         radius: Radius of the ring's middle line [m].
         coarse: Half as many sections, of 2 x 2 elements instead of 3 x 3, for quick trials.
-        dt, youngs_modulus, amplitude, friction, num_sensors, rtol: Arguments of the same names as
-            those of ``quadruped``.
+        dt, youngs_modulus, amplitude, friction, num_sensors, rtol, integrator, damping,
+            refine: Those of the same names as those of ``quadruped``.
     """
     sections, width = (24, 2) if coarse else (64, 3)
-    x, hexes = _ring(sections, width, radius, 0.4 * radius)
+    x, hexes = _ring(sections * refine, width * refine, radius, 0.4 * radius)
     shape = mesh.HexMesh(x, hexes)
     center = element_centers(shape)
     turn = torch.atan2(center[:, 0], radius * 1.4 - center[:, 2])  # from the lowest point to +x
@@ -145,6 +164,8 @@ def torus(
         friction=friction,
         num_sensors=num_sensors,
         rtol=rtol,
+        integrator=integrator,
+        damping=damping,
         upright_axis=1,
     )
 
@@ -197,10 +218,13 @@ def _legged(
     amplitude: float,
     youngs_modulus: float,
     per_muscle: bool,
+    refine: int,
     **options: Any,
 ) -> SoftRobot:
     """A robot of cubes on four legs, a muscle along the front and the back of each."""
-    grid = hex_from_mask(inside, np.zeros(3), 1.0, "largest")
+    fine = np.kron(inside, np.ones((refine,) * 3, dtype=bool))
+    # in edges of the elements that are refined, so that muscles stay where they are
+    grid = hex_from_mask(fine, np.zeros(3), 1.0 / refine, "largest")
     center = element_centers(grid)
     lx, _, lz = leg
     low = center[:, 2] < lz
@@ -212,7 +236,7 @@ def _legged(
             of_leg &= (center[:, 1] > middle[1]) == (side == "left")
             start = float(center[of_leg, 0].min()) - 0.5
             for face, place in (("front", lx - 0.5), ("back", 0.5)):
-                layer = of_leg & ((center[:, 0] - start - place).abs() < 1e-6)
+                layer = of_leg & ((center[:, 0] - start - place).abs() < 0.5)
                 muscles.append(fibers(layer, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
                 names.append(f"shorten {face} of {where} {side} leg")
     drive = -amplitude * torch.eye(8, dtype=torch.float64)
@@ -246,6 +270,8 @@ def _walker(
     num_sensors: int,
     rtol: float,
     upright_axis: int,
+    integrator: str,
+    damping: float,
     method: str = "auto",
 ) -> SoftRobot:
     body = soft.SoftBody(
@@ -255,6 +281,8 @@ def _walker(
         poissons_ratio=0.4,
         density=DENSITY,
         muscles=muscles,
+        integrator=integrator,
+        damping=soft.Damping(rayleigh_beta=damping) if damping > 0.0 else None,
         solver=soft.SolverOptions(method=method, rtol=rtol),
     )
     return SoftRobot(

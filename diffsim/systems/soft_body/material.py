@@ -62,10 +62,12 @@ def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) 
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
-    leading_axes, reads = True, (*_SOLID, *_WEIGHT)
+    leading_axes = True
 
     def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
-        self._solid, self._strength = plain.solid_force(), strength
+        self.reads = _SOLID if plain.history is None else (*_SOLID, *_WEIGHT)
+        self._plain, self._strength = plain, strength
+        self._solid = plain.solid_force()
         self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
         self._memory: Tensor | None = None
         self._before: Tensor | None = None
@@ -82,6 +84,23 @@ class _Relaxation(Force):
         self._before = force
         # minus the branches' share of E, plus (f - m): together g (f - m) beside the plain solid
         return -self._strength * self._memory.sum(0)
+
+    def factor_of(self, other: Force) -> Tensor | None:
+        """Forces of solids that differ in the size of E alone are alike, and so are memories."""
+        if not isinstance(other, _Relaxation) or not torch.equal(self._tau, other._tau):
+            return None
+        a, b = self._plain, other._plain
+        if a.body is not b.body or a.history is not None or b.history is not None:
+            return None
+        if not torch.equal(a.parameter("poissons_ratio"), b.parameter("poissons_ratio")):
+            return None
+        modulus, others = a.parameter("youngs_modulus"), b.parameter("youngs_modulus")
+        mean = self._strength * modulus.mean()
+        if modulus.shape != others.shape or not bool(mean > 0.0):
+            return None
+        if not torch.allclose(modulus / modulus.mean(), others / others.mean(), rtol=1e-14, atol=0):
+            return None
+        return other._strength * others.mean() / mean
 
     def _at_first(self, scene: SoftScene, force: Tensor) -> Tensor:
         """(num_branches, ..., num_vertices, 3) [N]."""

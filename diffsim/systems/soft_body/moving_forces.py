@@ -31,10 +31,14 @@ class MovingForces:
         hooks = {key: make() for key, make in makers.items()}
         self._hooks = list(hooks.values())
         shared = {key: self._sharing(key, hook) for key, hook in hooks.items()}
-        self._together = [(makers[k](), torch.tensor(p)) for k, p in shared.items() if p]
+        self._together = [
+            (makers[k](), torch.tensor(list(p)), torch.stack(list(p.values()))[:, None, None])
+            for k, p in shared.items()
+            if p
+        ]
         self._alone: list[tuple[int, SoftScene, list[Force]]] = []
         for p, owned in enumerate(self._points.scenes):
-            own = [m() for k, m in owned.makers().items() if p not in shared.get(k, ())]
+            own = [m() for k, m in owned.makers().items() if p not in shared.get(k, {})]
             self._alone.append((p, owned.scene, own))
         waters = [p.scene.water for p in self._points.scenes]
         self._waters = {
@@ -44,18 +48,24 @@ class MovingForces:
         self._before: list[Tensor] = []
         self._before_rates: list[Tensor] = []
 
-    def _sharing(self, key: Key, hook: Force) -> list[int]:
-        """The points at which a hook of the scene is what it is there."""
+    def _sharing(self, key: Key, hook: Force) -> dict[int, Tensor]:
+        """The points at which a hook of the scene is what it is there, or a multiple of that: its
+        factor, by point."""
         if not hook.leading_axes:
-            return []
-        return [
-            p
-            for p, (owned, effect) in enumerate(
-                zip(self._points.scenes, self._points.effects, strict=True)
-            )
-            if (effect is None or effect is not key[0])
-            and same_surroundings(self._scene, owned.scene, hook.reads)
-        ]
+            return {}
+        shared, one = {}, torch.ones((), dtype=torch.float64)
+        for p, (owned, effect) in enumerate(
+            zip(self._points.scenes, self._points.effects, strict=True)
+        ):
+            if (effect is None or effect is not key[0]) and same_surroundings(
+                self._scene, owned.scene, hook.reads
+            ):
+                shared[p] = one
+            elif (make := owned.makers().get(key)) is not None:
+                factor = hook.factor_of(make())
+                if factor is not None:
+                    shared[p] = factor
+        return shared
 
     def total(self, k: int, state: soft.State) -> Tensor:
         """Nodal forces in step k, extrapolated as :class:`SoftScene` does [N]."""
@@ -70,8 +80,9 @@ class MovingForces:
         for water, idx in self._waters.items():
             flow = torch.stack([self._points.scenes[int(p)].scene.current for p in idx])
             total.index_add_(0, idx, water(x[idx], v[idx], water_velocity=flow))
-        for hook, idx in self._together:
-            total.index_add_(0, idx, hook(self._scene, Moment(x[idx], v[idx], k * dt, dt)))
+        for hook, idx, factor in self._together:
+            force = hook(self._scene, Moment(x[idx], v[idx], k * dt, dt))
+            total.index_add_(0, idx, factor * force)
         for p, scene, hooks in self._alone:
             for hook in hooks:
                 total[p] += hook(scene, Moment(x[p], v[p], k * dt, dt))

@@ -50,17 +50,22 @@ class Force:
     ``__call__`` returns nodal forces (num_vertices, 3) [N] of one moment; called once per step, in
     order.
 
-    Class attributes:
+    Attributes:
         leading_axes: Whether moments with leading axes, x and v (..., num_vertices, 3), are
             understood: then derivatives ask for many states at once.
         reads: The physical parameters of the scene that the force depends on; None: any.
     """
 
     leading_axes: ClassVar[bool] = False
-    reads: ClassVar[tuple[str, ...] | None] = None
+    reads: tuple[str, ...] | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         raise NotImplementedError
+
+    def factor_of(self, other: Force) -> Tensor | None:
+        """How many times larger another force is at any motion, so that derivatives evaluate only
+        one of them; None: it is of another form."""
+        return None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,5 +1,4 @@
-#include "kernels/soft/contact/contact_solve.h"
-#include "kernels/soft/contact/contact_step.h"
+#include "kernels/soft/contact/contact_answer.h"
 
 namespace diffsim {
 namespace {
@@ -54,13 +53,9 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
                                const std::int64_t* status, const double* grad_x,
                                const double* grad_force, const StepAdjoint& out,
                                const ContactAdjoint& contact_out, ThreadPool& pool) {
-  StepProblem problem(system, inputs, pool);
-  const Vector x(x_in, x_in + problem.size());
-  Vector r;
-  problem.value_gradient(x, r);
-  ContactSpace space(contacts);
-  space.restore(status, x, r, system.diagonal());
-  problem.assemble(x, false);
+  ContactAnswer answer(system, inputs, contacts, x_in, status, pool);
+  StepProblem& problem = answer.problem;
+  const ContactSpace& space = answer.space;
 
   // The forces r = grad g at nodes in contact are outputs as well: c is their cotangent.
   Vector c(problem.size(), 0.0), e(grad_x, grad_x + problem.size()), product;
@@ -79,33 +74,15 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
   Vector b = e, p;
   problem.zero_fixed(b);
   space.project(b);
-  StepStats stats;
-  stats.scale = problem.ops().norm(b);
-  stats.tolerance = options.rtol * stats.scale + options.atol;
-  ContactSolve solve(problem, system, space, options.method, options.rtol,
-                     contact_options.cache_columns, pool);
-  KrylovResult result = solve.solve_transposed(b, stats.tolerance, options.max_iters, p);
-  if (!result.converged) {  // indefinite, or too hard for this preconditioner
-    const int spent = result.num_iters;
-    problem.assemble(x, true);
-    solve.prepare_tangent();
-    problem.assemble(x, false);
-    result = solve.solve_indefinite_transposed(b, stats.tolerance, options.max_iters, p);
-    result.num_iters += spent;
-  }
-  stats.residual_norm = result.residual_norm;
-  stats.num_iters = result.num_iters;
-  stats.converged = result.converged ? 1.0 : 0.0;
-  stats.num_solves = problem.num_solves;
-  stats.num_factorizations = problem.num_factorizations;
+  const StepStats stats = answer.solve(LinearSide::kTransposed, options, contact_options, b, p);
 
   Vector z = p;
   space.expand(z);
   problem.multiply_all(z, product);
   problem.ops().add(-1.0, product, e);
-  contact_gradients(space, x, r, e, p, contact_out);
+  contact_gradients(space, answer.x, answer.r, e, p, contact_out);
   problem.ops().add(-1.0, c, z);
-  problem.input_gradients(x, z, e, out);
+  problem.input_gradients(answer.x, z, e, out);
   return stats;
 }
 

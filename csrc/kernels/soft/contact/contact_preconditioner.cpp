@@ -95,6 +95,12 @@ void ContactPreconditioner::factorize_group(Group& group) {
 
 void ContactPreconditioner::prepare_constant() {
   on_tangent_ = false;
+  prepare_columns();
+  rotations_.prepare(problem_, system_, problem_.assembled_at(),
+                     [this](Vector& v) { hold(nullptr, v); });
+}
+
+void ContactPreconditioner::prepare_columns() {
   make_rows();
   if (active_.empty()) return;
   columns_ = &system_.inverse_columns();
@@ -178,6 +184,11 @@ void ContactPreconditioner::apply(const Vector& r, Vector& z) {
     return;
   }
   problem_.solve_constant(r, z);
+  hold(&r, z);
+  rotations_.add(r, z, problem_.ops());
+}
+
+void ContactPreconditioner::hold(const Vector* r, Vector& z) {
   if (active_.empty()) return;
   multiplier_.assign(3 * active_.size(), 0.0);
   for (Group& group : groups_) {
@@ -203,10 +214,10 @@ void ContactPreconditioner::apply(const Vector& r, Vector& z) {
   }
   const double by_columns =
       8.0 * static_cast<double>(system_.model().num_nodes) * static_cast<double>(active_.size());
-  if (by_columns < kFactorStreams * static_cast<double>(system_.factor_bytes())) {
+  if (!r || by_columns < kFactorStreams * static_cast<double>(system_.factor_bytes())) {
     subtract_columns(z);
   } else {
-    second_ = r;
+    second_ = *r;
     for (std::size_t i = 0; i < active_.size(); ++i)
       for (std::size_t a = 0; a < 3; ++a) second_[3 * at(active_[i]) + a] -= multiplier_[3 * i + a];
     problem_.solve_constant(second_, z);

@@ -12,6 +12,7 @@
 #include <memory>
 
 #include "kernels/soft/contact/contact_space.h"
+#include "kernels/soft/rigid_rotations.h"
 #include "kernels/soft/step_problem.h"
 
 namespace diffsim {
@@ -55,9 +56,13 @@ class ContactPreconditioner {
     int axes = 1;  // 3: the same rows on all axes, of which `rows` lists those of axis 0
   };
   void make_rows();
+  void prepare_columns();
   void factorize_group(Group& group);
   double inverse_entry(std::size_t i, std::size_t j, int axis) const;
   void subtract_columns(Vector& z) const;
+  /// z = A^-1 r made to leave alone what contact takes away.
+  /// @param[in] r  may be null: z is no solution, and columns alone correct it
+  void hold(const Vector* r, Vector& z);
 
   StepProblem& problem_;
   const ConstantSystem& system_;
@@ -69,6 +74,7 @@ class ContactPreconditioner {
   std::vector<Group> groups_;
   std::unique_ptr<InverseColumns> own_columns_;
   InverseColumns* columns_ = nullptr;
+  RigidRotations rotations_;
   Vector multiplier_, second_;  // (active, 3); scratch
 };
 

@@ -9,6 +9,8 @@ namespace {
 // A whole step that cuts the residual to this is taken without a look at the point on the
 // constraints that it starts from: an evaluation less in most steps.
 constexpr double kWholeStepResidual = 0.3;
+// Shortest step towards a smaller residual, of the direction: the fifth trial.
+constexpr double kLeastResidualStep = 0.05;
 // Shortest step, of the direction: the thirtieth trial.
 constexpr double kLeastStep = 1e-9;
 
@@ -17,6 +19,25 @@ bool take_whole_step(ContactProblem& p, const ContactDirection& d, const Vector&
                      ContactIterate& at) {
   at.move(p.objective, start, 1.0, d.within);
   return std::isfinite(at.value) && p.reduced_norm(at.gradient) <= kWholeStepResidual * d.rhs_norm;
+}
+
+/// Halves the step until the residual falls; false, and back at the start, where none does.
+/// Coulomb's friction has no potential: as normal forces change within a step, Newton's direction
+/// may lead up the merit, which holds them, and yet to the answer.
+/// @param start  on the constraints, where `at` is
+bool lower_residual(ContactProblem& p, const ContactDirection& d, const Vector& start,
+                    ContactIterate& at) {
+  const double before = p.reduced_norm(at.gradient);
+  for (double step = 1.0; step > kLeastResidualStep; step *= 0.5) {
+    at.move(p.objective, start, step, d.within);
+    p.statuses.update_slip(at.x, at.gradient);
+    if (std::isfinite(at.value) && p.reduced_norm(at.gradient) <= (1.0 - kArmijo * step) * before)
+      return true;
+  }
+  at.x = start;
+  at.evaluate(p.objective);
+  p.statuses.update_slip(at.x, at.gradient);
+  return false;
 }
 
 /// Halves the step until the merit falls; false where none does.
@@ -75,6 +96,8 @@ SearchResult search_along(ContactProblem& problem, const ContactDirection& direc
     if (d.is_corrected) at.evaluate(objective);
     return SearchResult::kAscends;
   }
+  if (slope > 0.0 && slides && lower_residual(problem, d, start, at))
+    return SearchResult::kDescended;
   if (backtrack(problem, d, limits, start, slope, at)) return SearchResult::kDescended;
   move_anyway(problem, d, start, at);
   return SearchResult::kFailed;

@@ -19,16 +19,21 @@ void ContactSolve::choose() {
   if (method_ == StepMethod::kNewtonCholesky) kind_ = Kind::kTangent;
   if (method_ != StepMethod::kAuto || kind_ == Kind::kTangent) return;
   const SolverPlan& plan = system_.plan();
-  const double digits = decades(rtol_) / kProbeDigits;  // in units of the plan's iterations
-  const double constant = preconditioner_.constant_cost(digits * plan.iterations);
+  const double constant = preconditioner_.constant_cost(iterations(plan.contact_iterations));
   // Diagonal blocks know nothing of the stiffness that friction adds across the slip.
   const double jacobi = space_.any_sliding_friction()
                             ? std::numeric_limits<double>::infinity()
-                            : digits * plan.jacobi_iterations * plan.jacobi_cost;
+                            : iterations(plan.jacobi_iterations) * plan.jacobi_cost;
   kind_ = jacobi < constant ? Kind::kJacobi : Kind::kConstant;
-  if (std::min(constant, jacobi) > preconditioner_.tangent_cost() ||
+  const double tangent = at_answer_ ? plan.factorized_cost() : preconditioner_.tangent_cost();
+  if (std::min(constant, jacobi) > tangent ||
       spent_ > plan.patience(kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.iteration_cost))
     kind_ = Kind::kTangent;
+}
+
+double ContactSolve::iterations(double at_rest) const {
+  return at_answer_ ? SolverPlan::answer_iterations(at_rest, rtol_)
+                    : at_rest / kProbeDigits * decades(rtol_);
 }
 
 void ContactSolve::prepare() {
@@ -42,12 +47,6 @@ void ContactSolve::prepare() {
     if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_constant();
   }
   stale_statuses_ = stale_matrix_ = false;
-}
-
-bool ContactSolve::prepare_tangent() {
-  kind_ = Kind::kTangent;
-  stale_statuses_ = stale_matrix_ = false;
-  return preconditioner_.prepare_tangent();
 }
 
 void ContactSolve::precondition(const Vector& in, Vector& out) {
@@ -93,24 +92,23 @@ void ContactSolve::apply_transposed(const Vector& in, Vector& out) {
   space_.add_slip_stiffness(in, out);
 }
 
-KrylovResult ContactSolve::solve_transposed(const Vector& r, double tolerance, int max_iters,
-                                            Vector& p) {
-  const auto apply = [this](const Vector& in, Vector& out) { apply_transposed(in, out); };
-  return iterate(apply, r, tolerance, max_iters, p);
-}
-
-KrylovResult ContactSolve::solve_indefinite(const Vector& r, double tolerance, int max_iters,
-                                            Vector& q) {
-  const auto apply = [this](const Vector& in, Vector& out) { this->apply(in, out); };
-  const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
-  return gmres(apply, precondition, r, q, tolerance, max_iters, problem_.ops());
-}
-
-KrylovResult ContactSolve::solve_indefinite_transposed(const Vector& r, double tolerance,
-                                                       int max_iters, Vector& p) {
-  const auto apply = [this](const Vector& in, Vector& out) { apply_transposed(in, out); };
-  const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
-  return gmres(apply, precondition, r, p, tolerance, max_iters, problem_.ops());
+KrylovResult ContactSolve::solve_answer(const Vector& x, LinearSide side, const Vector& r,
+                                        double tolerance, int max_iters, Vector& out) {
+  const auto apply = [&](const Vector& in, Vector& image) {
+    side == LinearSide::kTransposed ? apply_transposed(in, image) : this->apply(in, image);
+  };
+  at_answer_ = true;
+  const KrylovResult first = iterate(apply, r, tolerance, max_iters, out);
+  if (first.converged) return first;
+  // Indefinite, or too hard for this preconditioner. That of the clamped tangent is definite.
+  problem_.assemble(x, true);
+  kind_ = Kind::kTangent;
+  if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_constant();
+  problem_.assemble(x, false);
+  const auto precondition = [this](const Vector& in, Vector& z) { this->precondition(in, z); };
+  KrylovResult again = gmres(apply, precondition, r, out, tolerance, max_iters, problem_.ops());
+  again.num_iters += first.num_iters;
+  return again;
 }
 
 }  // namespace diffsim

@@ -5,6 +5,9 @@
 
 namespace diffsim {
 
+/// Which way a linear system is read.
+enum class LinearSide { kForward, kTransposed };
+
 class ContactSolve {
  public:
   ContactSolve(StepProblem& problem, const ConstantSystem& system, const ContactSpace& space,
@@ -16,20 +19,18 @@ class ContactSolve {
 
   /// q in the range of P with [P H + mu t (n . H) + D] q = r, r in the range of P.
   KrylovResult solve(const Vector& r, double tolerance, int max_iters, Vector& q);
-  /// The transpose: p with P H (p + mu (t . p) n) + D p = r.
-  KrylovResult solve_transposed(const Vector& r, double tolerance, int max_iters, Vector& p);
-  /// Both where H may be indefinite, on a factor made by `prepare_tangent`.
-  KrylovResult solve_indefinite(const Vector& r, double tolerance, int max_iters, Vector& q);
-  KrylovResult solve_indefinite_transposed(const Vector& r, double tolerance, int max_iters,
-                                           Vector& p);
+  /// The same, or its transpose: p with P H (p + mu (t . p) n) + D p = r, at an answer x of a step,
+  /// where H may be indefinite: what fails is solved again on a factor of the clamped tangent.
+  KrylovResult solve_answer(const Vector& x, LinearSide side, const Vector& r, double tolerance,
+                            int max_iters, Vector& out);
   /// A factor of the tangent from here on.
   void use_tangent() { kind_ = Kind::kTangent; }
-  /// Preconditions by the factor of this tangent, whatever H is assembled later.
-  bool prepare_tangent();
 
  private:
   enum class Kind { kConstant, kTangent, kJacobi };
   void choose();
+  /// Expected of a step, or of one solve at an answer, by those at rest.
+  double iterations(double at_rest) const;
   void prepare();
   void apply(const Vector& in, Vector& out);
   void apply_transposed(const Vector& in, Vector& out);
@@ -43,6 +44,7 @@ class ContactSolve {
   StepMethod method_;
   double rtol_;
   Kind kind_ = Kind::kConstant;
+  bool at_answer_ = false;
   bool stale_statuses_ = true, stale_matrix_ = true;
   int age_ = 0, spent_ = 0;  // iterations on this factor of the tangent; on the constant one
   ContactPreconditioner preconditioner_;

@@ -31,9 +31,10 @@ struct Stall {
 Stall after_iteration(const Stall& before, double norm, bool descended, bool statuses_changed,
                       const ConstantSystem& system, const Vector& x) {
   if (!descended) return {before.count + 1, before.least_norm};
-  // Above what rounding leaves of the residual it may rise and fall, and still converge later.
-  const bool better =
-      statuses_changed || norm > system.rounding_floor(x) || norm < kProgress * before.least_norm;
+  // Above what rounding leaves of the residual it may rise and fall, and still converge later; the
+  // very same one is of steps that were too short to move x.
+  const bool moves = norm > system.rounding_floor(x) && norm != before.least_norm;
+  const bool better = statuses_changed || moves || norm < kProgress * before.least_norm;
   return better ? Stall{0, norm} : Stall{before.count + 1, before.least_norm};
 }
 

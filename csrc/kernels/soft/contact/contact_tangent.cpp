@@ -1,5 +1,4 @@
-#include "kernels/soft/contact/contact_solve.h"
-#include "kernels/soft/contact/contact_step.h"
+#include "kernels/soft/contact/contact_answer.h"
 
 namespace diffsim {
 namespace {
@@ -59,27 +58,23 @@ StepStats contact_step_tangent(const ConstantSystem& system, const StepInputs& i
                                const std::int64_t* status, const StepDirections& direction,
                                const ContactRates& contact_direction, double* dx_out,
                                double* dforce, ThreadPool& pool) {
-  StepProblem problem(system, inputs, pool);
+  ContactAnswer answer(system, inputs, contacts, x_in, status, pool);
+  StepProblem& problem = answer.problem;
+  const ContactSpace& space = answer.space;
   const std::size_t size = problem.size();
-  const Vector x(x_in, x_in + size);
-  Vector r;
-  problem.value_gradient(x, r);
-  ContactSpace space(contacts);
-  space.restore(status, x, r, system.diagonal());
-  problem.assemble(x, false);
 
   // What the constraints and the targets prescribe moves first, the rest follows.
   Vector dx(size, 0.0), load(size, 0.0), b(size), product;
   for (std::size_t i = 0; i < size; ++i)
     if (system.fixed()[i] && direction.target) dx[i] = direction.target[i];
   for (std::size_t k = 0; k < space.size(); ++k) {
-    const Push push = push_of(space, contact_direction, k, x, r);
+    const Push push = push_of(space, contact_direction, k, answer.x, answer.r);
     for (std::size_t i = 0; i < 3; ++i) {
       dx[3 * space.node(k) + i] += push.moved[i];
       load[3 * space.node(k) + i] = push.load[i];
     }
   }
-  problem.load_tangents(x, direction, b.data());
+  problem.load_tangents(answer.x, direction, b.data());
   Vector rhs = b, q;
   problem.multiply_all(dx, product);
   problem.ops().add(-1.0, product, rhs);
@@ -88,26 +83,7 @@ StepStats contact_step_tangent(const ConstantSystem& system, const StepInputs& i
   space.project(load);
   problem.ops().add(1.0, load, rhs);
 
-  StepStats stats;
-  stats.scale = problem.ops().norm(rhs);
-  stats.tolerance = options.rtol * stats.scale + options.atol;
-  ContactSolve solve(problem, system, space, options.method, options.rtol,
-                     contact_options.cache_columns, pool);
-  KrylovResult result = solve.solve(rhs, stats.tolerance, options.max_iters, q);
-  if (!result.converged) {  // indefinite, or too hard for this preconditioner
-    const int spent = result.num_iters;
-    problem.assemble(x, true);
-    solve.prepare_tangent();
-    problem.assemble(x, false);
-    result = solve.solve_indefinite(rhs, stats.tolerance, options.max_iters, q);
-    result.num_iters += spent;
-  }
-  stats.residual_norm = result.residual_norm;
-  stats.num_iters = result.num_iters;
-  stats.converged = result.converged ? 1.0 : 0.0;
-  stats.num_solves = problem.num_solves;
-  stats.num_factorizations = problem.num_factorizations;
-
+  const StepStats stats = answer.solve(LinearSide::kForward, options, contact_options, rhs, q);
   problem.ops().add(1.0, q, dx);
   problem.multiply_all(dx, product);
   std::copy(dx.begin(), dx.end(), dx_out);

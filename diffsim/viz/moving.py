@@ -1,0 +1,193 @@
+"""A body or a vehicle that moves, to turn and play in a page: data for ``templates/moving.js``.
+
+Positions are whole numbers of 16 bits over the box of their part: finer than a screen shows, and a
+second of a mesh of a thousand nodes takes 200 kB. The page draws them on a plain canvas, so that it
+needs neither a network nor a graphics card.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+Ints = NDArray[np.integer]
+
+MAX_BYTES = 700_000  # of a view in the page: with plotly and its curves it stays below 3 MB
+MAX_TRIANGLES = 30_000  # of a view: a plain canvas draws that many ten times a second
+_LEVELS = 65535
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Deforming:
+    """A surface whose nodes move.
+
+    Attributes:
+        name: What the button that hides it says.
+        color: As ``#rrggbb``.
+        triangles: Node indices, (num_triangles, 3).
+        nodes_m: Positions over time, z up, (num_frames, num_nodes, 3) [m].
+    """
+
+    name: str
+    color: str
+    triangles: Ints
+    nodes_m: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rigid:
+    """A surface that moves as a whole.
+
+    Attributes:
+        name: What the button that hides it says; parts of one name share a button.
+        color: As ``#rrggbb``.
+        triangles: Node indices, (num_triangles, 3).
+        nodes_m: Positions in its own frame, (num_nodes, 3) [m].
+        turns: Rotations to the world, z up, (num_frames, 3, 3).
+        places_m: Its origin in the world, (num_frames, 3) [m].
+    """
+
+    name: str
+    color: str
+    triangles: Ints
+    nodes_m: Array
+    turns: Array
+    places_m: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """A line that does not move, such as a flown path, (num_points, 3) [m]."""
+
+    name: str
+    color: str
+    points_m: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moving:
+    """A view of things that move on one clock.
+
+    Attributes:
+        time_s: Times of the frames, (num_frames,) [s], ascending.
+        parts: What is shown.
+        caption: What to see.
+
+    Raises:
+        ValueError: frames that do not fit the times, positions that are not finite, no parts, or
+            more triangles than a page draws.
+    """
+
+    time_s: Array
+    parts: Sequence[Deforming | Rigid | Line]
+    caption: str
+
+    def __post_init__(self) -> None:
+        count = len(self.time_s)
+        if not self.parts or count == 0:
+            raise ValueError("a view needs a part and a frame at least")
+        for part in self.parts:
+            arrays = [v for k, v in vars(part).items() if k not in ("name", "color", "triangles")]
+            if not all(np.isfinite(a).all() for a in arrays):
+                raise ValueError(f"positions of {part.name!r} must be finite")
+            frames = {Deforming: "nodes_m", Rigid: "turns"}.get(type(part))
+            if frames is not None and len(getattr(part, frames)) != count:
+                raise ValueError(
+                    f"{part.name!r} must have {count} frames, as time_s has, got "
+                    f"{len(getattr(part, frames))}"
+                )
+        total = sum(len(p.triangles) for p in self.parts if not isinstance(p, Line))
+        if total > MAX_TRIANGLES:
+            raise ValueError(
+                f"a view draws at most {MAX_TRIANGLES:,} triangles, got {total:,}; show the "
+                "boundary alone, or convex hulls of parts"
+            )
+
+    @property
+    def html(self) -> str:
+        """Data of the view for the page's script."""
+        return json.dumps(self.content(), separators=(",", ":")).replace("</", "<\\/")
+
+    def content(self) -> dict[str, Any]:
+        """Times, parts and box; frames are left out evenly until the view fits ``MAX_BYTES``."""
+        step = 1
+        while _num_bytes(self, step) > MAX_BYTES and step < len(self.time_s):
+            step += 1
+        kept = np.arange(0, len(self.time_s), step)
+        low, high = _box(self.parts)
+        return {
+            "time": [round(float(t), 5) for t in self.time_s[kept]],
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "parts": [_packed(part, kept) for part in self.parts],
+        }
+
+
+def script() -> str:
+    """The script that draws the views, to stand once in a page."""
+    return resources.files("diffsim.viz").joinpath("templates/moving.js").read_text("utf-8")
+
+
+def _num_bytes(view: Moving, step: int) -> float:
+    """Length of the positions as base64."""
+    frames = len(range(0, len(view.time_s), step))
+    total = 0
+    for part in view.parts:
+        if isinstance(part, Deforming):
+            total += 6 * frames * part.nodes_m.shape[1] + 6 * len(part.triangles)
+        elif isinstance(part, Rigid):
+            total += 48 * frames + 6 * len(part.nodes_m) + 6 * len(part.triangles)
+        else:
+            total += 6 * len(part.points_m)
+    return total * 4 / 3
+
+
+def _box(parts: Sequence[Deforming | Rigid | Line]) -> tuple[Array, Array]:
+    """Corners of the box that all of it stays in."""
+    corners = []
+    for part in parts:
+        if isinstance(part, Rigid):
+            reach = np.linalg.norm(part.nodes_m, axis=1).max()
+            corners += [part.places_m.min(0) - reach, part.places_m.max(0) + reach]
+        else:
+            points = part.nodes_m if isinstance(part, Deforming) else part.points_m
+            corners += [points.reshape(-1, 3).min(0), points.reshape(-1, 3).max(0)]
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _packed(part: Deforming | Rigid | Line, kept: Ints) -> dict[str, Any]:
+    said: dict[str, Any] = {"name": part.name, "color": part.color}
+    if isinstance(part, Line):
+        return said | {"kind": "line", **_quantized(part.points_m)}
+    size = part.nodes_m.shape[-2]
+    said["triangles"] = _coded(part.triangles.astype("<u2" if size <= _LEVELS else "<u4"))
+    said["wide"] = size > _LEVELS
+    if isinstance(part, Deforming):
+        return said | {"kind": "deforming", "nodes": size, **_quantized(part.nodes_m[kept])}
+    poses = np.concatenate([part.turns[kept].reshape(-1, 9), part.places_m[kept]], axis=1)
+    return said | {
+        "kind": "rigid",
+        "nodes": size,
+        "poses": _coded(poses.astype("<f4")),
+        **_quantized(part.nodes_m),
+    }
+
+
+def _quantized(points: Array) -> dict[str, Any]:
+    flat = points.reshape(-1, 3).astype(np.float64)
+    low, high = flat.min(0), flat.max(0)
+    size = np.maximum(high - low, 1e-12)
+    levels = np.round((flat - low) / size * _LEVELS).astype("<u2")
+    return {"from": low.tolist(), "size": size.tolist(), "levels": _coded(levels)}
+
+
+def _coded(array: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")

@@ -1,0 +1,50 @@
+"""Slopes of the posterior of spreads, and shares of normal distributions, by other means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from diffsim.diagnose.faults.evidence import positive_quadrant
+from diffsim.diagnose.faults.given import given_by
+from diffsim.diagnose.faults.learn import log_posterior
+from diffsim.diagnose.faults.local import local_at, problem_of
+from diffsim.identify.problem import Problem
+from diffsim.identify.whitening import WhiteNoise
+from tests.diagnose.faults import days
+
+STEP = 1e-4
+
+
+def test_slopes_along_spreads_are_those_of_differences():
+    rng = np.random.default_rng(3)
+    runs = [r for k in range(4) for r in days.group(f"sound{k}", rng, {}, "sound")]
+    runs += days.group("known", rng, {"first": 0.2}, "first")
+    study = days.study(runs)
+    setup = days.setup(study)
+    given = given_by(study, setup)
+    problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), setup.effects)
+    effects = {e.name: e for e in problem.effects}
+    point = np.zeros(len(problem.names))
+    locals_ = {
+        g.label: local_at(
+            problem_of(problem, g), given.layout, point, [effects[c] for c in g.known or ()]
+        )
+        for g in given.groups
+    }
+    at = 0.4 * rng.standard_normal(len(given.layout.families))
+    _, slopes = log_posterior(given.layout, locals_, at)
+    for k, unit in enumerate(np.eye(len(at))):
+        up, down = (
+            log_posterior(given.layout, locals_, at + s * STEP * unit)[0] for s in (1.0, -1.0)
+        )
+        assert abs(slopes[k] - (up - down) / (2.0 * STEP)) < 1e-6 * max(abs(slopes[k]), 1.0)
+
+
+@pytest.mark.parametrize("correlation", [-0.99, -0.3, 0.0, 0.8])
+@pytest.mark.parametrize("mean", [(0.0, 0.0), (1.3, -0.4), (-2.0, -3.0), (4.0, 0.0), (0.0, -1.0)])
+def test_the_share_of_a_quadrant_is_that_of_numerical_integration(mean, correlation):
+    covariance = np.array([[1.0, correlation], [correlation, 1.0]])
+    share = multivariate_normal(cov=covariance, seed=0).cdf(np.array(mean))
+    assert positive_quadrant(np.array(mean), correlation) == pytest.approx(share, abs=2e-8)

@@ -1,0 +1,55 @@
+"""A weak second cause of one family is not named: it may be the first one's form."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.form import form_of, without_forms
+from diffsim.diagnose.judge import Decision
+
+NUM = 400
+TIME = np.linspace(0.0, 8.0, NUM)
+SHAPES = np.column_stack([np.sin(TIME), np.sin(TIME) + 0.5 * np.cos(3.0 * TIME)])
+
+
+def fit(strong, weak, families=("damping", "damping")):
+    """A fit with a base parameter and two effects of these lengths, in noise sd."""
+    slopes = np.column_stack([np.ones(NUM), SHAPES])
+    effects = [SimpleNamespace(family=f) for f in families]
+    x = np.array([0.0, strong, weak]) / np.linalg.norm(SHAPES[:, 0])
+    problem = SimpleNamespace(
+        effects=effects,
+        num_base=1,
+        stretch=lambda x: np.ones(len(x)),
+        scaled=lambda x: x,
+        columns_of=lambda e: [1 + next(i for i, other in enumerate(effects) if other is e)],
+    )
+    return SimpleNamespace(problem=problem, jacobian=slopes, x=x)
+
+
+def decision(verdict="named"):
+    return Decision(verdict, frozenset({3, 7}), (), None, 1.0)
+
+
+def test_a_weak_second_law_may_be_the_form_of_the_first():
+    assert form_of(fit(180.0, 8.0)) == {1: 0}
+    told = without_forms(decision(), fit(180.0, 8.0))
+    assert told.verdict == "ambiguous"
+    assert told.forms == {7: 3}
+    assert told.rivals == (Hypothesis(frozenset({3})),)
+
+
+def test_a_second_law_that_stands_out_is_named():
+    assert form_of(fit(180.0, 60.0)) == {}
+    assert without_forms(decision(), fit(180.0, 60.0)) == decision()
+
+
+def test_another_family_is_no_form():
+    assert form_of(fit(180.0, 8.0, ("damping", "timing"))) == {}
+
+
+def test_what_nobody_names_stays():
+    assert without_forms(decision("unknown"), fit(180.0, 8.0)) == decision("unknown")

@@ -1,0 +1,154 @@
+"""Instruments: which channels are late, lagged or behind a play together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose import diagnose
+from diffsim.systems.dials import channels_of, dials
+from diffsim.systems.grid import Grid, with_play
+from diffsim.systems.registry import description_of, setup_of
+
+STEP = 0.02
+T = STEP * np.arange(150)
+PLAY, LATE = 0.004, 0.05
+MODEL = {
+    "system": "ode",
+    "parameters": {"gain": {"value": 1.0, "percent": 5}},
+    "inputs": [{"name": "speed", "held": False}],
+    "states": {"x": 0},
+    "rates": {"x": "gain*speed"},
+    "readings": {"motor": "x", "carriage": "x"},
+}
+CHANNELS = (
+    Channel("motor", "m", "position", 1e-4),
+    Channel("carriage", "m", "position", 2e-4),
+)
+COMMANDS = {
+    "slow": 0.1 * np.sin(3.0 * T),
+    "fast": 0.2 * np.sin(7.0 * T),
+    "mixed": 0.1 * np.sin(2.0 * T) + 0.1 * np.sin(9.0 * T),
+    "test": 0.1 * np.sin(5.0 * T) * np.sin(0.7 * T),
+}
+
+
+def names(channels, **options):
+    return {d.name: d.channels for d in dials(channels, late_record=True, **options)}
+
+
+def test_channels_of_a_stated_sensor_share_its_clock():
+    channels = (
+        Channel("x", "m", "position", sensor="camera"),
+        Channel("angle", "rad", "angle", sensor="camera"),
+        Channel("joint", "rad", "angle", sensor="encoder"),
+    )
+    found = dials(channels, late_record=False)
+    clocks = {d.name: d.channels for d in found if "sensor_delay" in d.causes}
+    assert clocks == {"camera": ("x", "angle"), "encoder": ("joint",)}
+    zeros = {d.name: d.channels for d in found if "sensor_offset" in d.causes}
+    assert zeros["position_of_camera"] == ("x",) and zeros["angle_of_camera"] == ("angle",)
+
+
+def test_without_a_statement_kinds_and_each_of_few_channels_are_tried():
+    one, two, three = (Channel(n, "m", "position") for n in "abc")
+    angle = Channel("q", "rad", "angle")
+    assert names((one, two, angle)) == {
+        "": ("a", "b", "q"),
+        "position": ("a", "b"),
+        "angle": ("q",),
+        "a": ("a",),
+        "b": ("b",),
+    }
+    many = [Channel(f"m{i}", "m", "position") for i in range(5)]
+    assert names((*many, one, angle)).keys() == {"", "position", "angle"}
+    # of a record that is late as a whole nothing is known where inputs may be
+    assert "" not in {d.name for d in dials((one, three, angle), late_record=False)}
+
+
+def test_what_no_channel_is_called_is_told():
+    with pytest.raises(ValueError, match="no sensor, kind or channel 'carrige'; did you mean 'car"):
+        channels_of(CHANNELS, "carrige")
+    study = Study("s", "ode", CHANNELS, runs(), model=MODEL | {"clocks": {"camra": 0.1}})
+    (problem,) = description_of(study).problems(study)
+    assert "clocks.camra: no sensor, kind or channel 'camra'" in str(problem)
+
+
+def test_a_play_starts_anywhere_in_it():
+    u = torch.from_numpy(np.sin(3.0 * T))
+    grid, half = Grid.even(len(T), STEP), torch.tensor(0.3, dtype=torch.float64)
+    for start in (-1.0, -0.4, 0.0, 1.0):
+        seen = with_play(u, grid, half, torch.tensor(start, dtype=torch.float64)).numpy()
+        wanted = [start * 0.3]
+        for target in np.sin(3.0 * T)[1:]:
+            wanted.append(min(max(wanted[-1], target - 0.3), target + 0.3))
+        np.testing.assert_allclose(seen, wanted, atol=1e-15)
+    given = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(
+        lambda s: with_play(u[:40], Grid.even(40, STEP), half, s), (given,)
+    )
+
+
+def runs(seed: int = 4) -> tuple[Run, ...]:
+    """A motor that is read at once, and a carriage behind a play that a late camera sees."""
+    rng = np.random.default_rng(seed)
+    fine = np.linspace(-LATE, T[-1], 20 * len(T))
+    out = []
+    for order, (name, speed) in enumerate(COMMANDS.items()):
+        there = np.interp(fine, T, speed) * (fine >= 0.0)
+        x = np.cumsum(there) * (fine[1] - fine[0])
+        carriage = [rng.uniform(-PLAY, PLAY)]
+        for target in x[1:]:
+            carriage.append(min(max(carriage[-1], target - PLAY), target + PLAY))
+        measured = np.column_stack(
+            [np.interp(T, fine, x), np.interp(T - LATE, fine, np.array(carriage))]
+        )
+        measured += rng.normal(size=measured.shape) * [1e-4, 2e-4]
+        use = "test" if name == "test" else "fit"
+        out.append(Run(name, T, measured, {"speed": speed}, name, order, use))
+    return tuple(out)
+
+
+def test_a_play_and_a_late_camera_on_one_of_two_alike_channels_are_named():
+    study = Study("gantry", "ode", CHANNELS, runs(), model=MODEL)
+    setup = setup_of(study)
+    report = diagnose(study, setup.model, setup.effects, seed=0, unknowns=setup.unknowns)
+    assert report.verdict == "named", report.sentences
+    assert set(report.named) == {"sensor_delay_of_carriage", "sensor_backlash_of_carriage"}
+    for name, truth in (
+        ("sensor_delay_of_carriage", LATE),
+        ("sensor_backlash_of_carriage", PLAY),
+    ):
+        (size,) = next(c.size for c in report.causes if c.name == name).values()
+        assert size.low <= truth <= size.high and size.high - size.low < 0.1 * truth, name
+
+
+def test_a_stated_clock_is_fitted_for_each_run_and_no_cause():
+    clock = {"carriage": {"value": 0.0, "sd": 0.03, "per": "run", "unit": "s"}}
+    study = Study("gantry", "ode", CHANNELS, runs(), model=MODEL | {"clocks": clock})
+    setup = setup_of(study)
+    assert "sensor_delay_of_carriage" not in {e.name for e in setup.effects}
+    assert "sensor_delay_of_motor" in {e.name for e in setup.effects}
+    place = [p.name for p in setup.model.base].index("clock_of_carriage@fast")
+    q = setup.model.at_prior()
+    plain = setup.model.predict(study.runs[1], q).numpy()
+    q[place] += 2.0 * STEP / 0.03  # two samples late
+    late = setup.model.predict(study.runs[1], q).numpy()
+    np.testing.assert_array_equal(late[:, 0], plain[:, 0])
+    np.testing.assert_allclose(late[2:, 1], plain[:-2, 1], atol=1e-12)
+
+
+def test_a_late_record_is_a_cause_where_runs_begin_with_a_jump():
+    def causes(study):
+        return {e.name for e in setup_of(study).effects}
+
+    model = MODEL | {"readings": {"motor": "x"}}
+    study = Study("one", "ode", CHANNELS[:1], runs(), model=model)
+    study = replace(study, runs=tuple(replace(r, measured=r.measured[:, :1]) for r in study.runs))
+    assert "sensor_delay" not in causes(study)  # a late input, exactly
+    jumps = [replace(r, command={"speed": 0.1 + r.command["speed"]}) for r in study.runs]
+    assert "sensor_delay" in causes(replace(study, runs=tuple(jumps)))
