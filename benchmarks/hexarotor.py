@@ -2,7 +2,6 @@
 
     python -m benchmarks.hexarotor --out runs/hexarotor --executor processes:2
     python -m benchmarks.hexarotor --quick
-    python -m benchmarks.hexarotor --report        # table and figure of what is in --out
 
 The task is ``diffsim.copter.waypoints``: 15 numbers of the airframe (after arXiv 2510.04724), 8
 weights of an LQR, and in a second round 72 more, every entry of its gain. Each run has the same CPU

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.plot_style import new_figure, save, style
+from benchmarks.plot_style import new_figure, style
 from diffsim.copter.waypoints import WaypointTask
+from diffsim.viz.palette import save
 
 COLORS = {"gradient": "#0b6e75", "cma": "#c2571a", "controller only": "#8a93a3"}
 LABELS = {"gradient": "L-BFGS", "cma": "CMA-ES", "controller only": "L-BFGS, controller only"}
@@ -47,7 +48,7 @@ def draw(results: Results, path: Path) -> None:
         (axes[3], np.array(best["x"]), "by gradient"),
     ):
         airframe(axis, task, x, title)
-    save(figure, path)
+    save(figure, path, dpi=120)
 
 
 def airframe(axis: Any, task: WaypointTask, x: np.ndarray, title: str) -> None:

@@ -137,11 +137,11 @@ def main() -> None:
     print(f"{3 * len(exact)} DoF, {args.steps} steps of {STEP:g} s from {args.degrees:g} degrees")
     print("| method | forward [CPU s] | backward [CPU s] | off by |")
     print("|---|---:|---:|---:|")
-    for name, seconds in times.items():
+    for name, spent in times.items():
         gradient = f"{statistics.median(back[name]):.2f}" if name in back else "none"
         off = float((ends[name] - exact).norm()) / moved
         shown = f"{off:.1%}" if math.isfinite(off) else "diverged"
-        print(f"| {name} | {statistics.median(seconds):.2f} | {gradient} | {shown} |")
+        print(f"| {name} | {statistics.median(spent):.2f} | {gradient} | {shown} |")
 
 
 if __name__ == "__main__":

@@ -2,10 +2,12 @@
 
 python -m benchmarks.stokes_large                        # 128 x 128 x 64 twister, minutes
 python -m benchmarks.stokes_large --scene box --cells 32 64 --solver direct iterative
+python -m benchmarks.stokes_large --scene pipe --incompressible    # 128 x 128 x 128
 
 Scenes: "box" (no embedded wall), "twister" (slip wall, a wavy tunnel), "twister_no_slip", "funnel"
-(slip walls, two cases; half as high). The loss is the mean square of the velocity. Every solve runs
-in a process of its own, so that the peak of memory is its own.
+(slip walls, two cases; half as high), "pipe" (no slip, a bend in a cube). The loss is the mean
+square of the velocity. Every solve runs in a process of its own, so that the peak of memory is its
+own.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from diffsim.stokes.devices import funnel, twister
 from diffsim.stokes.devices.device import Device, quiet
 from diffsim.stokes.options import METHODS
 
-SCENES = ("box", "twister", "twister_no_slip", "funnel")
+SCENES = ("box", "pipe", "twister", "twister_no_slip", "funnel")
 FINEST = 64  # cells of the finest level set that is evaluated; beyond, interpolated (it takes long)
 FUNNEL = (0.1, 0.3, 0.3, 0.1, 0.3, 0.7, 0.6, 0.3, 0.6, 0.7)  # a design with open passages
 
@@ -45,6 +47,12 @@ def scene(name: str, cells: int) -> tuple[StokesFlow, Tensor, Mapping[str, Tenso
         speed = 64.0 * y * (1.0 - y) * z * (0.5 - z)
         inlet = torch.stack([speed, torch.zeros_like(speed), torch.zeros_like(speed)], dim=-1)
         return flow, torch.ones(grid.node_shape, dtype=torch.float64), {"x-": inlet}
+    if name == "pipe":
+        grid = Grid((cells, cells, cells), size=1.0)
+        flow = StokesFlow(grid, [Inlet("x-"), Open("x+")])
+        x, y, z = grid.nodes.unbind(-1)
+        phi = 0.3 - torch.hypot(y - 0.5 - 0.1 * torch.sin(torch.pi * x), z - 0.5)
+        return flow, phi, {"x-": torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)}
     device = _device(name, cells)
     x = torch.tensor(FUNNEL, dtype=torch.float64)
     if name != "funnel":
@@ -63,13 +71,21 @@ def _device(name: str, cells: int) -> Device:
     return twister(cells / 64, wall="no_slip" if name == "twister_no_slip" else "no_separation")
 
 
-def measure(name: str, cells: int, solver: str, rtol: float, threads: int) -> dict[str, Any]:
+def measure(
+    name: str, cells: int, solver: str, rtol: float, threads: int, incompressible: bool
+) -> dict[str, Any]:
     """Times by phase [s], iterations, residuals and memory [GB] of one value and gradient."""
     with quiet():
         (made, phi, inlet), level_set = timed(lambda: scene(name, cells))
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        options = SolverOptions(method=solver, rtol=rtol, num_threads=threads)
-        flow = StokesFlow(made.grid, made.boundary, wall=made.wall, solver=options)
+        options = SolverOptions(method=solver, rtol=rtol, num_threads=threads, max_iters=400)
+        flow = StokesFlow(
+            made.grid,
+            made.boundary,
+            wall=made.wall,
+            incompressible=incompressible,
+            solver=options,
+        )
         phi = phi.clone().requires_grad_()
         report, prepare = timed(lambda: flow.report(phi))
         field, forward = timed(lambda: flow(phi, inlet))
@@ -81,6 +97,7 @@ def measure(name: str, cells: int, solver: str, rtol: float, threads: int) -> di
         "shape": list(flow.grid.shape),
         "solver": report["solver"],
         "rtol": rtol,
+        "incompressible": incompressible,
         "threads": threads,
         "num_cells": report["num_cells"],
         "num_nodes": report["num_nodes"],
@@ -122,6 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     parser.add_argument("--cells", nargs="+", type=int, default=[128], help="along x")
     parser.add_argument("--solver", nargs="+", choices=METHODS, default=["iterative"])
     parser.add_argument("--rtol", type=float, default=1e-8)
+    parser.add_argument("--incompressible", action="store_true", help="div v = 0 in every cell")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path, help="JSON file")
     args = parser.parse_args(arguments)
@@ -131,7 +149,8 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
             for solver in args.solver:
                 context = multiprocessing.get_context("spawn")
                 with context.Pool(1) as pool:
-                    found = pool.apply(measure, (name, cells, solver, args.rtol, args.threads))
+                    settings = (name, cells, solver, args.rtol, args.threads, args.incompressible)
+                    found = pool.apply(measure, settings)
                 print(line(found), flush=True)
                 results.append(found)
     if args.out:

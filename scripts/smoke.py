@@ -90,7 +90,7 @@ def commands() -> None:
             ["examples", "list"],
             ["examples", "run", "sliding_block"],
             ["examples", "run", "train_gradient", "--", "--help"],
-            ["fly", copter.shipped_designs()[0], "--seconds", "1", "--out", "fly"],
+            ["fly", "pentacopter", "--seconds", "1", "--out", "fly"],
         ):
             done = subprocess.run(
                 [str(command), *arguments], cwd=folder, capture_output=True, text=True, check=False

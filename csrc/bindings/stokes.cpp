@@ -62,6 +62,7 @@ void bind_stokes(nb::module_& m) {
       .def_rw("bulk", &FlowOptions::bulk)
       .def_rw("incompressible", &FlowOptions::incompressible)
       .def_rw("solver", &FlowOptions::solver)
+      .def_rw("max_direct_nodes", &FlowOptions::max_direct_nodes)
       .def_rw("rtol", &FlowOptions::rtol)
       .def_rw("tolerance", &FlowOptions::tolerance)
       .def_rw("max_iters", &FlowOptions::max_iters);

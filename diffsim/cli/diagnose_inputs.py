@@ -40,7 +40,7 @@ FIRST: dict[str, Any] = {
     "noise_rounds": 1,
     "first_step": 2.0,
     "fit_rtol": 0.01,
-    "bend_after": 6,
+    "bend_after": 0,
 }
 
 

@@ -95,15 +95,15 @@ def _serve(pipe: Connection) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that calls clean up
     try:
         while True:
-            function, args = pipe.recv()
-            pipe.send_bytes(_outcome(function, args))
+            pipe.send_bytes(_outcome(pipe.recv_bytes()))
     except (EOFError, ConnectionError, KeyboardInterrupt):
         return
 
 
-def _outcome(function: Callable[..., Any], args: tuple[Any, ...]) -> bytes:
+def _outcome(sent: bytes) -> bytes:
     """What is sent back: (True, value), or (False, (error, traceback))."""
     try:
+        function, args = pickle.loads(sent)  # may not be importable here
         return pickle.dumps((True, one_thread(function, *args)))
     except Exception as error:  # of the call, or a value that cannot be sent
         return pickle.dumps((False, (_sendable(error), traceback.format_exc())))

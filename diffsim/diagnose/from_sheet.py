@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from diffsim.core.errors import DiffsimError
@@ -25,11 +27,14 @@ from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
     measured_of,
+    record_at,
     whitened,
 )
 
+Array = NDArray[np.float64]
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 LEAST_REFITS = 4  # sets that are fitted from there
+LINEARIZED = 2.0  # of the scans' time, that slopes there may take
 SHARE = 0.5  # of the CPU time of scans, for those at the data sheet
 WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
 PAIRED = 12  # causes that are best alone, each paired with every other
@@ -55,16 +60,31 @@ def center_at_sheet(
         The center, None where it cannot be simulated, and the simulations with the time it took.
     """
     wide, spent = simulations.wide, simulations.scan_seconds
-    # kept apart: scans are known by the set that they start from, here as at the plain model's fit
-    apart = replace(simulations, scans={}, store=None)
-    settings = replace(settings, scan_seconds=spent + SHARE * (settings.scan_seconds - spent))
+    budget = SHARE * (settings.scan_seconds - spent)
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
+    # kept apart: scans are known by the set that they start from, here as at the plain model's fit
+    apart = replace(simulations, scans=simulations.sheet_scans, place=" at the data sheet")
+    settings = replace(settings, scan_seconds=spent + budget)
     try:
-        at = linearization_at(wide, x, list(range(len(x))), screen=True)
+        if simulations.sheet is None and not _is_affordable(wide, x, LINEARIZED * budget):
+            return None, simulations
+        at = simulations.sheet or apart.remembered("slopes", lambda: _slopes(wide, x))
         center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
     except DiffsimError:
         return None, simulations
-    return center, replace(simulations, scan_seconds=made.scan_seconds)
+    spent = made.scan_seconds
+    return center, replace(simulations, scan_seconds=spent, sheet=at, sheet_scans=made.scans)
+
+
+def _slopes(wide: Problem, x: Array) -> Linearization:
+    return linearization_at(wide, x, list(range(len(x))), screen=True)
+
+
+def _is_affordable(wide: Problem, x: Array, seconds: float) -> bool:
+    """Whether all slopes at a point take no longer, by the time of one simulation of all runs."""
+    start = process_time()
+    record_at(wide, x)
+    return (process_time() - start) * len(x) <= seconds
 
 
 class _Warm:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,8 +183,10 @@ def _from_data_sheet(search: Search) -> tuple[Center, Search]:
     search = replace(search, simulations=made)
     if sheet is not None:
         ranked = promising_sets(sheet, search.settings.max_effects)
+        until = process_time() + search.settings.scan_seconds
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
-            search = refit(search, members, sheet, begin=cooled)
+            if process_time() < until:
+                search = refit(search, members, sheet, begin=cooled)
     best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
@@ -211,6 +214,7 @@ def refit(
     promised = 0.5 * _cost(near.weigh(members))
     message, best = "", None
     starts = _starts(search, members, near)
+    begin = None if members in search.simulations.fitted else begin
     for center in starts if begin is None else starts[:1]:
         try:
             start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)

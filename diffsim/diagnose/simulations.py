@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import process_time
 
 import numpy as np
@@ -82,6 +83,9 @@ class Simulations:
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_seconds: CPU time that these took [s].
         scans_late: Groups of effects that were not tried because that time was over.
+        sheet: All slopes of the plain model at its prior, where they were asked for.
+        sheet_scans: Sizes that were tried there.
+        place: Where the plain model is, for what is kept on disk; empty: at its fit.
     """
 
     wide: Problem
@@ -92,6 +96,9 @@ class Simulations:
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_seconds: float = 0.0
     scans_late: frozenset[tuple[Members, Members]] = frozenset()
+    sheet: Linearization | None = None
+    sheet_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
+    place: str = ""
 
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
@@ -144,7 +151,8 @@ class Simulations:
         )
         narrow = self.narrow(members)
         if begin is not None:
-            at = begin(narrow, at)
+            label, first = f"begin of {self._label(members)}", partial(begin, narrow, at)
+            at = self.remembered(label, first)
         return gauss_newton_kept(self.store, narrow, at, best_cost)
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
@@ -299,7 +307,17 @@ class Simulations:
         return replace(self, screened={**self.screened, members: at})
 
     def _label(self, members: Members) -> str:
-        return " + ".join(self.wide.effects[i].name for i in sorted(members))
+        return " + ".join(self.wide.effects[i].name for i in sorted(members)) + self.place
+
+    def remembered(self, what: str, make: Callable[[], Linearization]) -> Linearization:
+        """A linearization by its name, from an earlier process or made now."""
+        label = f"{what}{self.place}"
+        at = None if self.store is None else self.store.load(label)
+        if at is None:
+            at = make()
+            if self.store is not None:
+                self.store.save(label, at)
+        return at
 
     def _slopes_of(self, unknown: Unknown, members: Members, at: Linearization) -> Array:
         label = f"{unknown.name} at {self._label(members)}"

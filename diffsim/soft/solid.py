@@ -144,13 +144,13 @@ class Solid(nn.Module):
         """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
-    def physics(self, *, batch: int | None = None, **overrides: Value) -> Physics:
+    def physics(self, *, batch: Value | None = None, **overrides: Value) -> Physics:
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
-            batch: Members of a batch of states. Then each override may lead with a batch axis: one
-                number per member is (batch,) or (batch, 1), a number per member and element
-                (batch, num_elements). None: one set for all.
+            batch: Number of members of a batch of states. Then each override may lead with a batch
+                axis: one number per member is (batch,) or (batch, 1), a number per member and
+                element (batch, num_elements). None: one set for all.
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
                 rayleigh_beta, attached_mass, added_mass, node_mass, fiber_stiffness, as in the
                 constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
@@ -158,22 +158,21 @@ class Solid(nn.Module):
         Returns:
             :class:`~diffsim.soft.Physics`. Gradients: all overrides.
         """
-        if batch is not None:
-            require_count("batch", batch, at_least=1)
+        members = None if batch is None else require_count("batch", batch, at_least=1)
         values = {name: getattr(self, name) for name in PARAMETERS}
         for name, value in overrides.items():
             require_choice("physics override", name, PARAMETERS)
             values[name] = None if value is None else as_tensor(name, value)
-            if batch is not None and name in PER_ELEMENT:
+            if members is not None and name in PER_ELEMENT:
                 sizes = {"num_elements": self.mesh.num_elements}
                 if name == "density":
                     sizes["num_vertices"] = self.mesh.num_vertices
-                require_distinct(name, values[name], batch, sizes)
+                require_distinct(name, values[name], members, sizes)
         volume = LumpedVolume(
             elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
         )
         return make_physics(
-            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles, batch
+            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles, members
         )
 
     def rest_state(self, batch: int | None = None) -> State:

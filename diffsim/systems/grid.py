@@ -131,6 +131,16 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
         delay: () or (K,) [s].
         signed: Whether it may be early: then slopes at whole steps are central.
     """
+    late = _held_late(u, grid, delay, signed)
+    if bool((delay != 0.0).all()):
+        return late
+    # to the last digit the command itself at zero, with the slope by the delay there; that by the
+    # command is in the command
+    slope = _held_late(u.detach(), grid, delay, signed)
+    return torch.where(delay[..., None] != 0.0, late, u + (slope - slope.detach()))
+
+
+def _held_late(u: Tensor, grid: Grid, delay: Tensor, signed: bool) -> Tensor:
     t = grid.times
     t = torch.cat([t, 2.0 * t[-1:] - t[-2:-1]])  # the last sample is held for a step, too
     steps = t.diff()
@@ -139,9 +149,7 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
     ends = -far * u[..., :1], area[..., -1:] + far * u[..., -1:]
     area = torch.cat([ends[0], area, ends[1]], -1)
     whole = _read_at(area, t, t - delay[..., None], both_sides=signed)
-    late = whole.diff(dim=-1) / steps
-    # to the last digit the command itself at zero, with the slope there
-    return torch.where(delay[..., None] != 0.0, late, u + (late - late.detach()))
+    return whole.diff(dim=-1) / steps
 
 
 def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:

@@ -20,12 +20,11 @@ from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
 DT, STEPS = 0.001, 600  # [s]
-DAMPING = 0.02  # of the material [s], as the quadruped's
 RISE_WEIGHT = 0.3
 
 
 def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int = 1) -> Application:
-    """The cow of 1 cm cubes (quick: 1.5 cm and steps of 4 ms), of the quadruped's material.
+    """The cow of 1 cm cubes (quick: 1.5 cm and steps of 4 ms), as stiff as the quadruped.
 
     ``refine`` time steps are made of one, and ``cells`` elements along each edge of one, to see
     what they do.
@@ -39,7 +38,6 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int =
         youngs_modulus=3e5,
         amplitude=0.5,
         per_muscle=False,
-        damping=DAMPING,
         refine=cells,
     )
     return gait(

@@ -3,16 +3,18 @@
 Every choice of 4, 6 or 8 rotors, one of the shipped rotor models, a battery, and a torque that must
 be left at full load is a co-design of arm lengths, rotor directions and hover. Its figures are the
 payload with that torque left, the endurance without payload, and the torque. They pull apart: the
-front is what no other choice beats in all three. Before a choice is solved its bounds are compared
-with what is solved already: thrusts must carry the weight (the bound of ``codesign``), and no
-hover takes less power than equal thrusts that just carry the lightest frame.
+front is what no other choice surpasses in all three. Before a choice is solved its bounds are
+compared with what is solved already: thrusts must carry the weight (the bound of ``codesign``), and
+no hover takes less power than equal thrusts that just carry the lightest frame.
 
 Assumed, for the shipped tables do not have them: motor and propeller weigh 38 g (5 inch), 161 g (10
 inch) or 172 g (14 inch); 180 Wh/kg of which 80 % are used; 150 g and 5 W on board.
 
-Expected: EXPECTED
+Expected: within 0.7 m 101 of 333 choices are solved, and 21 are on the front: eight 5-inch rotors
+carry 2.8 kg, four 10-inch rotors hover for 32 minutes. Running time: 68 CPU seconds; 20 without the
+limit on width, where the largest propellers surpass all others.
 
-    python examples/copter/catalog.py --out runs/catalog --executor processes:2
+    python examples/copter/catalog.py --width 0.7 --out runs/catalog --executor processes:2
 """
 
 from __future__ import annotations
@@ -143,7 +145,7 @@ def picture(found: Chosen[Choice], path: Path) -> None:
         axis.plot([], [], "o", color=color, label=f"{torque:g} N m left")
     for count, mark in marks.items():
         axis.plot([], [], mark, color="#64748b", label=f"{count} rotors")
-    axis.plot([], [], ".", color="#cbd5e1", label="solved, beaten")
+    axis.plot([], [], ".", color="#cbd5e1", label="solved, dominated")
     axis.set_xlabel("endurance without payload [min]")
     axis.set_ylabel("payload with the torque left [kg]")
     axis.legend(frameon=False, fontsize=8)

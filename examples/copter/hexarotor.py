@@ -4,7 +4,10 @@ Fifteen numbers of the airframe (places and tilts of three rotors, mirrored, aft
 and eight weights of an LQR are improved by L-BFGS through hover, LQR and flight. The measure is the
 mean distance from waypoints that follow each other every 1.5 s, 2 m apart in any direction.
 
-Expected: EXPECTED
+Expected: 1.33 m on unseen flights for the flat regular hexarotor with middle weights, 0.90 m with
+its controller improved alone, 0.76 m with both. That is one descent each: from many starts the
+controller alone gets to 0.77 m, and both to 0.74 m (python -m benchmarks.hexarotor). Running time:
+26 CPU seconds.
 
     python examples/copter/hexarotor.py
 """

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -80,6 +81,15 @@ def test_errors_come_back_whole(two):
         run_each(work.unsendable, [0], two)
     with pytest.raises(Exception, match=r"(?i)pickle"):
         run_each(lambda k: k, [0], two)
+
+
+def test_a_function_that_workers_cannot_import_is_an_error_not_a_dead_worker(two, monkeypatch):
+    module = types.ModuleType("only_here")
+    exec("def run(k):\n    return k", module.__dict__)
+    monkeypatch.setitem(sys.modules, "only_here", module)
+    with pytest.raises(ModuleNotFoundError, match="only_here"):
+        run_each(module.run, [1], two)
+    assert run_each(work.drawn, [3], two) == [work.drawn(3)]
 
 
 def test_finished_runs_are_kept_one_by_one(two, tmp_path):

@@ -43,3 +43,33 @@ def test_table_3_1(tmp_path, capsys):
     assert built == pytest.approx(1.25 * 4759.2, rel=5e-3)  # clips shift the motors a little
     assert "max overall weight" in capsys.readouterr().out
     assert (tmp_path / "fabrication" / "index.html").is_file()
+
+
+def test_a_sweep_costs_payload_and_goes_on_where_it_was(tmp_path, capsys):
+    pytest.importorskip("cvxpy")
+    story = load_story("copter/payload_by_authority.py")
+    rows = story.main(["--out", str(tmp_path), "--torques", "0", "0.5"])
+    assert [row["weight_N"] for row in rows] == pytest.approx([58.36, 56.69], abs=0.02)
+    story.largest_weight = None  # is not called again
+    assert story.main(["--out", str(tmp_path), "--torques", "0", "0.5"]) == rows
+
+
+@pytest.mark.slow
+def test_both_together_fly_nearer_to_waypoints():
+    numbers = load_story("copter/hexarotor.py").main(["--evaluations", "80"])
+    plain, alone, both = (v for k, v in numbers.items() if "unseen" not in k)
+    assert plain == pytest.approx(1.362, abs=0.001)
+    assert both < 0.95 * alone < 0.9 * plain
+
+
+@pytest.mark.slow
+def test_the_largest_propellers_are_on_the_front_where_there_is_room(tmp_path):
+    pytest.importorskip("cvxpy")
+    story = load_story("copter/catalog.py")
+    found = story.main(
+        ["--out", str(tmp_path), "--rotor", "kde2814_10in", "kde2814_14in", "rx2206_gemfan5045x3"]
+    )
+    assert {choice.rotor for choice in found.choices} == {"kde2814_14in"}
+    assert len(found.solved) + len(found.pruned) + len(found.failed) == 81
+    assert len(found.pruned) > 50
+    assert (tmp_path / "front.png").stat().st_size > 5_000

@@ -22,6 +22,18 @@ def test_a_simulator_of_my_own_lacks_friction(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_camera_is_late_and_a_belt_has_play(tmp_path):
+    report = load_story("diagnose/late_camera.py").main(tmp_path)
+    truth = {"sensor_delay_of_carriage": 0.045, "sensor_backlash_of_carriage": 9e-4}
+    assert set(report.named) == set(truth), report.sentences
+    for cause in report.causes:
+        if cause.name in truth:
+            (size,) = cause.size.values()
+            assert size.low <= truth[cause.name] <= size.high, cause.name
+    assert all(g.passed for g in report.gates if g.name.startswith("gradient:") and g.applies)
+
+
+@pytest.mark.slow
 def test_a_mujoco_model_lacks_a_spring(tmp_path):
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
     size, sd = found("mujoco_pendulum", tmp_path, "added_spring_at_hinge")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from diffsim import soft
+from diffsim import mesh, soft
 from tests.soft.cases import irregular_mesh, leaf, noise, rail_mask, soft_body, two_muscles
 
 
@@ -57,6 +57,29 @@ def test_a_member_that_buckles_leaves_the_others_as_they_are():
     assert solves[0].num_solves.gt(0).tolist() == [k == 1 for k in range(9)]
     for k in (0, 1, 8):
         assert torch.equal(body(soft.State(x[k], state.v[k])).x, many[k])
+
+
+def test_a_body_with_a_chamber_goes_on_by_its_own_first_factor():
+    """Lanes do not know chambers: one tangent is factored and serves the steps after it."""
+    box = mesh.hex_box((3, 3, 3), (3.0, 3.0, 3.0))
+    inside = ((box.x_rest[box.elements].mean(1) - 1.5).abs() < 0.5).all(1)
+    shell = mesh.HexMesh(box.x_rest, box.elements[~inside])
+    ends = []
+    for method in ("auto", "newton_cholesky"):
+        body = soft_body(
+            shell,
+            youngs_modulus=3000.0,
+            dt=0.3,
+            chambers=[soft.PressureChamber.from_cavity(shell)],
+            solver=soft.SolverOptions(method=method, rtol=1e-10),
+        )
+        pressure = torch.tensor([3.0], dtype=torch.float64)
+        with soft.record_stats() as solves:
+            ends.append(body(body.rest_state(), pressure=pressure).x)
+        if method == "auto":
+            assert float(solves[0].num_factorizations[0]) == 1
+            assert float(solves[0].num_iters[0]) > 1
+    torch.testing.assert_close(*ends, rtol=0, atol=1e-9)
 
 
 def test_a_tolerance_below_rounding_ends_and_is_reported():

@@ -167,3 +167,15 @@ def test_limits_are_said_in_the_unit_of_the_command():
     assert actuator.in_words(actuator.RATE_LIMIT, "N").words(0.5) == "a rate limit near 2 N/s"
     assert actuator.in_words(actuator.SLACK, "m", "mm").words(0.0074) == "7.4 mm of slack"
     assert actuator.in_words(actuator.LAG, "N").words is None
+
+
+def test_what_comes_before_a_delay_of_zero_keeps_its_slope():
+    u = torch.linspace(0.0, 1.0, 9, dtype=torch.float64).sin().requires_grad_()
+    zero = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    out = maps.held_delayed(u, maps.Grid.even(9, 0.1), zero)
+    by_signal, by_delay = torch.autograd.grad(out.sum(), (u, zero))
+    np.testing.assert_allclose(by_signal, 1.0)  # it was 2: the delayed signal counted, too
+    step = torch.tensor(1e-6, dtype=torch.float64)
+    with torch.no_grad():
+        ends = [maps.held_delayed(u, maps.Grid.even(9, 0.1), s).sum() for s in (step, -step)]
+    assert float(by_delay) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)

@@ -1,6 +1,8 @@
 #include "kernels/stokes/cut_cells.h"
 
 #include <algorithm>
+#include <type_traits>
+#include <vector>
 
 #include "kernels/stokes/flow_operator.h"
 
@@ -71,6 +73,46 @@ void for_plane(const StokesGrid<D>& grid, int axis, std::int64_t index, F&& f) {
     if (at[axis] + 1 == index) f(cell, 1, share);
   }
 }
+
+/// The cells at a grid plane as a grid of their own: a cell's plane asks for nothing beyond it.
+template <int D>
+struct Slab {
+  GridShape shape;
+  std::int64_t index = 0;          // of the plane
+  std::vector<std::int64_t> node;  // of the whole grid
+
+  Slab(const GridShape& whole, int axis, std::int64_t at) : shape(whole) {
+    const std::int64_t first = std::max<std::int64_t>(0, at - 1);
+    shape.cells[axis] = std::min(whole.cells[axis], at + 1) - first;
+    index = at - first;
+    const StokesGrid<D> grid(whole), slab(shape);
+    node.resize(static_cast<std::size_t>(slab.num_nodes));
+    for (std::int64_t i = 0; i < slab.num_nodes; ++i) {
+      std::int64_t position[D];
+      slab.node_position(i, position);
+      position[axis] += first;
+      node[static_cast<std::size_t>(i)] = grid.first_node(position);
+    }
+  }
+  /// Values of fields (count, num_nodes, width) on the slab.
+  std::vector<double> gather(const double* field, std::int64_t count, std::int64_t num_nodes,
+                             int width) const {
+    std::vector<double> out;
+    out.reserve(static_cast<std::size_t>(count * width) * node.size());
+    for (std::int64_t k = 0; k < count; ++k)
+      for (std::int64_t i : node)
+        out.insert(out.end(), field + (k * num_nodes + i) * width,
+                   field + (k * num_nodes + i + 1) * width);
+    return out;
+  }
+  void scatter(const std::vector<double>& from, std::int64_t num_nodes, int width,
+               double* field) const {
+    std::size_t next = 0;
+    for (std::int64_t k = 0; next < from.size(); ++k)
+      for (std::int64_t i : node)
+        for (int a = 0; a < width; ++a) field[(k * num_nodes + i) * width + a] = from[next++];
+  }
+};
 
 template <int D>
 void plane_flux_of(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
@@ -159,36 +201,62 @@ void cut_cells_jvp(const GridShape& shape, const double* phi, const double* d_ph
     cut_cells_jvp_of<3>(shape, phi, d_phi, d_volume, d_area, d_normal, pool);
 }
 
+namespace {
+
+std::int64_t num_nodes_of(const GridShape& shape) {
+  std::int64_t nodes = 1;
+  for (int a = 0; a < shape.dim; ++a) nodes *= shape.cells[a] + 1;
+  return nodes;
+}
+
+/// f(slab) with the dimension as its type's.
+template <typename F>
+void on_slab(const GridShape& shape, int axis, std::int64_t index, F&& f) {
+  if (shape.dim == 2)
+    f(Slab<2>(shape, axis, index), std::integral_constant<int, 2>());
+  else
+    f(Slab<3>(shape, axis, index), std::integral_constant<int, 3>());
+}
+
+}  // namespace
+
 void plane_flux(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
                 int axis, std::int64_t index, double* flux) {
   std::fill(flux, flux + cases, 0.0);
-  if (shape.dim == 2)
-    plane_flux_of<2>(shape, phi, v, cases, axis, index, flux, nullptr, nullptr, nullptr);
-  else
-    plane_flux_of<3>(shape, phi, v, cases, axis, index, flux, nullptr, nullptr, nullptr);
+  const std::int64_t N = num_nodes_of(shape);
+  on_slab(shape, axis, index, [&](const auto& slab, auto dim) {
+    plane_flux_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(),
+                       slab.gather(v, cases, N, dim).data(), cases, axis, slab.index, flux, nullptr,
+                       nullptr, nullptr);
+  });
 }
 
 void plane_flux_vjp(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
                     int axis, std::int64_t index, const double* grad_flux, double* grad_phi,
                     double* grad_v) {
-  std::int64_t nodes = 1;
-  for (int a = 0; a < shape.dim; ++a) nodes *= shape.cells[a] + 1;
-  std::fill(grad_phi, grad_phi + nodes, 0.0);
-  std::fill(grad_v, grad_v + cases * nodes * shape.dim, 0.0);
-  if (shape.dim == 2)
-    plane_flux_of<2>(shape, phi, v, cases, axis, index, nullptr, grad_flux, grad_phi, grad_v);
-  else
-    plane_flux_of<3>(shape, phi, v, cases, axis, index, nullptr, grad_flux, grad_phi, grad_v);
+  const std::int64_t N = num_nodes_of(shape);
+  std::fill(grad_phi, grad_phi + N, 0.0);
+  std::fill(grad_v, grad_v + cases * N * shape.dim, 0.0);
+  on_slab(shape, axis, index, [&](const auto& slab, auto dim) {
+    std::vector<double> by_phi(slab.node.size(), 0.0), by_v(by_phi.size() * cases * dim, 0.0);
+    plane_flux_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(),
+                       slab.gather(v, cases, N, dim).data(), cases, axis, slab.index, nullptr,
+                       grad_flux, by_phi.data(), by_v.data());
+    slab.scatter(by_phi, N, 1, grad_phi);
+    slab.scatter(by_v, N, dim, grad_v);
+  });
 }
 
 void plane_flux_jvp(const GridShape& shape, const double* phi, const double* v, const double* d_phi,
                     const double* d_v, std::int64_t cases, int axis, std::int64_t index,
                     double* d_flux) {
   std::fill(d_flux, d_flux + cases, 0.0);
-  if (shape.dim == 2)
-    plane_flux_jvp_of<2>(shape, phi, v, d_phi, d_v, cases, axis, index, d_flux);
-  else
-    plane_flux_jvp_of<3>(shape, phi, v, d_phi, d_v, cases, axis, index, d_flux);
+  const std::int64_t N = num_nodes_of(shape);
+  on_slab(shape, axis, index, [&](const auto& slab, auto dim) {
+    plane_flux_jvp_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(),
+                           slab.gather(v, cases, N, dim).data(), slab.gather(d_phi, 1, N, 1).data(),
+                           slab.gather(d_v, cases, N, dim).data(), cases, axis, slab.index, d_flux);
+  });
 }
 
 }  // namespace diffsim

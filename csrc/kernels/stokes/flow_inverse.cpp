@@ -11,29 +11,28 @@ double seconds() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-/// Where the iterative path begins to be the faster one, by measurement: in two dimensions, and
-/// where incompressible (a solve per step of the pressure's iteration), beyond what fits into
-/// memory.
+/// Where the iterative path begins to be the faster one, by measurement: in two dimensions beyond
+/// what fits into memory.
 template <int D>
 bool choose_iterative(const FlowOptions& options, std::int64_t num_nodes) {
   if (options.solver != FlowSolver::kAuto) return options.solver == FlowSolver::kIterative;
-  return D == 3 && !options.incompressible && num_nodes > kMaxDirectNodes;
+  return D == 3 && num_nodes > options.max_direct_nodes;
 }
 
 }  // namespace
 
 template <int D>
-FlowInverse<D>::FlowInverse(const FlowSpace<D>& space, const FlowGeometryInputs& in,
-                            StokesPlan& plan, ThreadPool& pool, FlowReport& report, double start)
-    : space_(space), memory_(plan.memory()) {
+FlowInverse<D>::FlowInverse(const FlowSpace<D>& space, StokesPlan& plan, ThreadPool& pool,
+                            FlowReport& report, double start)
+    : space_(space), report_(report), memory_(plan.memory()) {
   const FlowMatrix<D> matrix(op(), pool);
   report.geometry_s = seconds() - start;
   report.num_nodes = matrix.num_nodes();
   report.iterative = choose_iterative<D>(options(), matrix.num_nodes());
   if (report.iterative)
-    prepare_iterative(in, matrix, report, pool);
+    prepare_iterative(matrix, pool);
   else
-    factorize(in, matrix, plan, report, pool);
+    factorize(matrix, plan, pool);
 }
 
 template <int D>
@@ -42,15 +41,14 @@ FlowInverse<D>::~FlowInverse() {
 }
 
 template <int D>
-void FlowInverse<D>::factorize(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix,
-                               StokesPlan& plan, FlowReport& report, ThreadPool& pool) {
+void FlowInverse<D>::factorize(const FlowMatrix<D>& matrix, StokesPlan& plan, ThreadPool& pool) {
   const double start = seconds();
-  factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(in.fixed, plan),
+  factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(space_.fixed(), plan),
                                              FactorPrecision::kFloat64, memory_->take());
   const double analysis_end = seconds();
   {
-    const std::vector<double> values = matrix.assemble(in.fixed, options().bulk, pool);
-    report.assembly_s = seconds() - analysis_end;
+    const std::vector<double> values = matrix.assemble(space_.fixed(), options().bulk, pool);
+    report_.assembly_s = seconds() - analysis_end;
     try {
       factor_->refactor(values.data(), pool);
     } catch (const NotPositiveDefinite& e) {
@@ -58,24 +56,23 @@ void FlowInverse<D>::factorize(const FlowGeometryInputs& in, const FlowMatrix<D>
       throw NotPositiveDefinite(node * D + e.unknown % D, e.pivot);
     }
   }
-  report.factor_s = seconds() - analysis_end - report.assembly_s;
-  report.analysis_s = analysis_end - start;
-  report.factor_nnz = factor_->nnz();
-  report.solver_bytes = report.factor_bytes = factor_->bytes();
-  report.factor_flops = factor_->flops();
+  report_.factor_s = seconds() - analysis_end - report_.assembly_s;
+  report_.analysis_s = analysis_end - start;
+  report_.factor_nnz = factor_->nnz();
+  report_.solver_bytes = report_.factor_bytes = factor_->bytes();
+  report_.factor_flops = factor_->flops();
 }
 
 template <int D>
-void FlowInverse<D>::prepare_iterative(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix,
-                                       FlowReport& report, ThreadPool& pool) {
+void FlowInverse<D>::prepare_iterative(const FlowMatrix<D>& matrix, ThreadPool& pool) {
   const double start = seconds();
   try {
-    mixed_ = std::make_unique<FlowMixed<D>>(op(), matrix, in.fixed, pool);
+    mixed_ = std::make_unique<FlowMixed<D>>(op(), space_.closed(), matrix, space_.fixed(), pool);
   } catch (const NotPositiveDefinite& e) {
     throw NotPositiveDefinite(-1, e.pivot);  // an unknown of a coarse grid means nothing outside
   }
-  report.assembly_s = seconds() - start;
-  report.solver_bytes = mixed_->bytes();
+  report_.assembly_s = seconds() - start;
+  report_.solver_bytes = mixed_->bytes();
 }
 
 template <int D>
@@ -88,26 +85,62 @@ void FlowInverse<D>::take_mass(const FlowResidual& residual, std::int64_t k, con
 }
 
 template <int D>
+void FlowInverse<D>::add_compliance(double eta, const double* p, double* C) const {
+  const ClosedRegions<D>& closed = space_.closed();
+  const auto sum = closed.sums([&](const auto& c) { return c.volume * p[c.cell]; });
+  for (const auto& c : closed.cells())
+    C[c.cell] += c.volume * sum[u(c.region)] / (options().bulk * eta * closed.weight(c.region));
+}
+
+template <int D>
 void FlowInverse<D>::solve(std::int64_t cases, double eta, const FlowResidual& residual,
                            const Forced& forced, double* v, double* p, FlowStats* stats,
                            ThreadPool& pool) {
+  if (mixed_) {
+    solve_mixed(cases, eta, residual, forced, v, p, stats, pool);
+    const bool converged =
+        std::all_of(stats, stats + cases, [](const FlowStats& s) { return s.converged != 0.0; });
+    if (converged || options().solver != FlowSolver::kAuto || !fall_back(pool)) return;
+    space_.clear_free(cases, v);
+    std::fill(p, p + cases * grid().num_cells, 0.0);
+    for (std::int64_t k = 0; k < cases; ++k) stats[k] = {0.0, 0.0, 1.0, stats[k].net_inflow, 0.0};
+  }
+  solve_direct(cases, eta, residual, forced, v, p, stats, pool);
+}
+
+/// A factor in place of an iterative solver that did not converge; false where there is none.
+template <int D>
+bool FlowInverse<D>::fall_back(ThreadPool& pool) {
+  StokesPlan plan;  // this pattern is an exception
+  try {
+    factorize(FlowMatrix<D>(op(), pool), plan, pool);
+  } catch (const NotPositiveDefinite&) {
+    factor_.reset();
+    return false;
+  }
+  mixed_.reset();
+  report_.iterative = false;
+  return true;
+}
+
+template <int D>
+void FlowInverse<D>::solve_direct(std::int64_t cases, double eta, const FlowResidual& residual,
+                                  const Forced& forced, double* v, double* p, FlowStats* stats,
+                                  ThreadPool& pool) {
   const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
   const bool strict = options().incompressible;
-  if (mixed_)
-    start_mixed(cases, eta, residual, forced, v, p, stats, pool);
-  else
-    start_direct(cases, eta, residual, forced, v, p, pool);
+  start_direct(cases, eta, residual, forced, v, p, pool);
   std::vector<double> C(u(M)), remainder(strict ? u(M * cases) : 0);
   for (std::int64_t k = 0; k < cases; ++k) {
     take_mass(residual, k, forced, C.data());
     if (strict) space_.closed().subtract(space_.closed().means(C.data()), C.data());
-    if (factor_) stats[k].num_iters = 1.0;
+    stats[k].num_iters = 1.0;
     stats[k].divergence = space_.divergence(C.data(), v + k * N);
     for (std::int64_t cell = 0; cell < M && strict; ++cell)
       remainder[u(k * M + cell)] = -C[u(cell)];
   }
   if (strict) close(eta, cases, v, p, remainder.data(), stats, pool);
-  for (std::int64_t k = 0; k < cases && factor_; ++k) {
+  for (std::int64_t k = 0; k < cases; ++k) {
     take_mass(residual, k, forced, C.data());
     space_.add_pressure(-options().bulk * eta, C.data(), p + k * M);
   }
@@ -130,24 +163,41 @@ void FlowInverse<D>::start_direct(std::int64_t cases, double eta, const FlowResi
   for (std::int64_t k = 0; k < cases; ++k) space_.scatter_add(b.data(), k, cases, 1.0, v + k * N);
 }
 
+/// Where incompressible, the equations of what is left are solved until the divergence is small.
 template <int D>
-void FlowInverse<D>::start_mixed(std::int64_t cases, double eta, const FlowResidual& residual,
+void FlowInverse<D>::solve_mixed(std::int64_t cases, double eta, const FlowResidual& residual,
                                  const Forced& forced, double* v, double* p, FlowStats* stats,
                                  ThreadPool& pool) {
   const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
+  const bool strict = options().incompressible;
   std::vector<double> r(u(N)), C(u(M)), step(u(N)), pressure(u(M));
-  for (std::int64_t k = 0; k < cases; ++k) {
+  const auto take_excess = [&](std::int64_t k) {
     take_mass(residual, k, forced, C.data());
-    residual.momentum(k, nullptr, r.data());
-    for (double& value : r) value /= -eta;
-    for (double& value : C) value = -value;
-    const KrylovResult result = mixed_->solve(r.data(), C.data(), step.data(), pressure.data(),
-                                              options().rtol, options().max_iters, pool);
-    stats[k].num_iters = result.num_iters;
-    stats[k].residual = result.residual_norm;
-    stats[k].converged = result.converged;
-    for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += step[u(i)];
-    for (std::int64_t cell = 0; cell < M; ++cell) p[k * M + cell] = eta * pressure[u(cell)];
+    if (strict) add_compliance(eta, p + k * M, C.data());
+  };
+  for (std::int64_t k = 0; k < cases; ++k) {
+    FlowStats& s = stats[k];
+    double rtol = options().rtol;
+    for (int round = 0;; ++round) {
+      take_excess(k);
+      residual.momentum(k, round ? p + k * M : nullptr, r.data());
+      for (double& value : r) value /= -eta;
+      for (double& value : C) value = -value;
+      const KrylovResult result =
+          mixed_->solve(r.data(), C.data(), step.data(), pressure.data(), rtol,
+                        options().max_iters - static_cast<int>(s.num_iters), pool);
+      s.num_iters += result.num_iters;
+      s.residual = result.residual_norm * (round ? s.residual : 1.0);
+      for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += step[u(i)];
+      for (std::int64_t cell = 0; cell < M; ++cell) p[k * M + cell] += eta * pressure[u(cell)];
+      take_excess(k);
+      s.divergence = space_.divergence(C.data(), v + k * N);
+      s.converged = strict ? s.residual <= options().rtol && s.divergence <= options().tolerance
+                           : result.converged;
+      if (!strict || s.converged != 0.0 || s.num_iters >= options().max_iters || !result.converged)
+        break;
+      rtol = std::max(1e-6, std::min(0.1, 0.3 * options().tolerance / s.divergence));
+    }
   }
 }
 
@@ -162,8 +212,6 @@ void FlowInverse<D>::close(double eta, std::int64_t cases, double* v, double* p,
   const double bulk = options().bulk * eta;
   std::vector<double> d(u(M * cases), 0.0), y(u(M)), rest(u(N), 0.0), r(u(N)), C(u(M));
   std::vector<double> b(space_.num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
-  std::vector<double> inner_iters(u(cases));
-  for (std::int64_t k = 0; k < cases; ++k) inner_iters[u(k)] = stats[k].num_iters;
   const auto dot = [&](const double* a, const double* c) {
     double sum = 0.0;
     for (std::int64_t cell = 0; cell < M; ++cell) sum += a[cell] * c[cell];
@@ -185,22 +233,14 @@ void FlowInverse<D>::close(double eta, std::int64_t cases, double* v, double* p,
         d[u(k * M + cell)] = y[u(cell)] + beta * d[u(k * M + cell)];
     }
     if (done || iter >= options().max_iters) return;
-    for (std::int64_t k = 0; k < cases && factor_; ++k) {
+    for (std::int64_t k = 0; k < cases; ++k) {
       op().residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
       space_.gather(r.data(), b.data(), k, cases, -1.0 / eta);
     }
-    if (factor_) factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+    factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
     for (std::int64_t k = 0; k < cases; ++k) {
       std::fill(step.begin(), step.end(), 0.0);
-      if (factor_) {
-        space_.scatter_add(b.data(), k, cases, 1.0, step.data());
-      } else {  // K v = C' d / eta as E v - C' p = 0, C v + p M / bulk = d M / (bulk eta)
-        for (std::int64_t cell = 0; cell < M; ++cell)
-          C[u(cell)] = d[u(k * M + cell)] / bulk * op().pressure_volume(cell);
-        const KrylovResult inner = mixed_->solve(rest.data(), C.data(), step.data(), y.data(),
-                                                 options().rtol, options().max_iters, pool);
-        inner_iters[u(k)] += inner.num_iters;
-      }
+      space_.scatter_add(b.data(), k, cases, 1.0, step.data());
       op().outflow(step.data(), nullptr, C.data(), pool);
       space_.skip_rigid(C.data());
       space_.closed().subtract(space_.closed().means(C.data()), C.data());
@@ -208,11 +248,11 @@ void FlowInverse<D>::close(double eta, std::int64_t cases, double* v, double* p,
       if (!(curvature > 0.0)) continue;
       const double alpha = ry[u(k)] / curvature;
       for (std::int64_t cell = 0; cell < M; ++cell) {
-        p[k * M + cell] += alpha * (factor_ ? d[u(k * M + cell)] : eta * y[u(cell)]);
+        p[k * M + cell] += alpha * d[u(k * M + cell)];
         remainder[k * M + cell] -= alpha * C[u(cell)];
       }
       for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += alpha * step[u(i)];
-      stats[k].num_iters = factor_ ? iter + 1 : inner_iters[u(k)];
+      stats[k].num_iters = iter + 1;
     }
   }
 }

@@ -26,9 +26,9 @@ struct FlowResidual {
 template <int D>
 class FlowInverse {
  public:
-  /// @param space outlives this
-  FlowInverse(const FlowSpace<D>& space, const FlowGeometryInputs& in, StokesPlan& plan,
-              ThreadPool& pool, FlowReport& report, double start);
+  /// @param space, report outlive this; the report changes where "auto" turns to the factor
+  FlowInverse(const FlowSpace<D>& space, StokesPlan& plan, ThreadPool& pool, FlowReport& report,
+              double start);
   ~FlowInverse();
   FlowInverse(const FlowInverse&) = delete;
   FlowInverse& operator=(const FlowInverse&) = delete;
@@ -47,21 +47,25 @@ class FlowInverse {
                  double* C) const;
 
  private:
-  void factorize(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix, StokesPlan& plan,
-                 FlowReport& report, ThreadPool& pool);
-  void prepare_iterative(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix,
-                         FlowReport& report, ThreadPool& pool);
+  void factorize(const FlowMatrix<D>& matrix, StokesPlan& plan, ThreadPool& pool);
+  void prepare_iterative(const FlowMatrix<D>& matrix, ThreadPool& pool);
+  bool fall_back(ThreadPool& pool);
   void start_direct(std::int64_t cases, double eta, const FlowResidual& residual,
                     const Forced& forced, double* v, double* p, ThreadPool& pool);
-  void start_mixed(std::int64_t cases, double eta, const FlowResidual& residual,
+  void solve_direct(std::int64_t cases, double eta, const FlowResidual& residual,
+                    const Forced& forced, double* v, double* p, FlowStats* stats, ThreadPool& pool);
+  void solve_mixed(std::int64_t cases, double eta, const FlowResidual& residual,
                    const Forced& forced, double* v, double* p, FlowStats* stats, ThreadPool& pool);
   void close(double eta, std::int64_t cases, double* v, double* p, double* remainder,
              FlowStats* stats, ThreadPool& pool);
+  /// V (V.p) / (bulk eta W) in closed regions, added.
+  void add_compliance(double eta, const double* p, double* C) const;
   const FlowOperator<D>& op() const { return space_.op(); }
   const FlowOptions& options() const { return space_.options(); }
   const StokesGrid<D>& grid() const { return space_.grid(); }
 
   const FlowSpace<D>& space_;
+  FlowReport& report_;
   std::shared_ptr<StokesMemory> memory_;
   std::unique_ptr<CholeskyFactor> factor_;  // or
   std::unique_ptr<FlowMixed<D>> mixed_;

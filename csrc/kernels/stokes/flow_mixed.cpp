@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <cstring>
 
 #include "kernels/stokes/flexible_gmres.h"
 
@@ -27,9 +28,9 @@ void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
 }  // namespace
 
 template <int D>
-FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const FlowMatrix<D>& matrix,
-                        const std::uint8_t* fixed, ThreadPool& pool)
-    : op_(op), gamma_(std::min(kGamma, kLargestGamma * op.options().bulk)) {
+FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const ClosedRegions<D>& closed,
+                        const FlowMatrix<D>& matrix, const std::uint8_t* fixed, ThreadPool& pool)
+    : op_(op), closed_(closed), gamma_(std::min(kGamma, kLargestGamma * op.options().bulk)) {
   const FlowGeometry<D>& geometry = op.geometry();
   const StokesGrid<D>& grid = geometry.grid();
   velocity_scale_ = grid.h_min * grid.h_min / grid.cell_volume;
@@ -41,6 +42,7 @@ FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const FlowMatrix<D>& matrix,
   }
   matrix_.values = matrix.assemble(fixed, gamma_, pool);
   for (double& value : matrix_.values) value *= velocity_scale_;
+  matrix_.values.push_back(0.0);  // rows of blocks are read four numbers at a time
   const std::vector<std::int64_t>& nodes = geometry.active_nodes();
   num_velocities_ = static_cast<std::int64_t>(nodes.size()) * D;
   NodePositions<D> positions(nodes.size());
@@ -85,8 +87,14 @@ void FlowMixed<D>::set_divergence() {
       scaled(op_.weights(cell), cut_.data() + cut_.size() - kCorners * D);
     }
     const double M = op_.pressure_volume(cell) / grid.cell_volume;
+    bool rigid = true;  // all velocities prescribed: no equation, and a pressure of zero
+    for (int i = 0; i < kCorners * D; ++i)
+      rigid = rigid && fixed_[u(std::int64_t{cell_nodes_[cell_nodes_.size() - kCorners +
+                                                         static_cast<std::size_t>(i / D)]} *
+                                    D +
+                                i % D)];
     mass_.push_back(M);
-    shift_.push_back(M / (options.bulk - gamma_));
+    shift_.push_back(strict() && !rigid ? 0.0 : M / (options.bulk - gamma_));
   }
 }
 
@@ -280,22 +288,61 @@ void FlowMixed<D>::take_divergence(const double* v, double* q, ThreadPool& pool)
 }
 
 template <int D>
+typename ClosedRegions<D>::Sums FlowMixed<D>::closed_sums(const double* p) const {
+  typename ClosedRegions<D>::Sums sum = closed_.sums(
+      [&](const auto& c) { return strict() ? c.volume * p[number_[u(c.cell)]] : 0.0; });
+  for (std::size_t i = 0; i < sum.size(); ++i) {
+    const double W = closed_.weight(static_cast<std::int64_t>(i));
+    if (W > 0.0) sum[i] /= (op_.options().bulk - gamma_) * W;
+  }
+  return sum;
+}
+
+/// One row of a matrix of blocks times x, of which an entry more than the last is read.
+template <int D>
+void block_row(const double* A, const std::int32_t* columns, std::int64_t count, const double* x,
+               double* s) {
+  if constexpr (D == 3) {
+    using Four = double __attribute__((vector_size(32)));
+    Four sum[3] = {};  // by row: three chains that do not wait for each other
+    for (std::int64_t k = 0; k < count; ++k, A += 9) {
+      Four v, row[3];
+      std::memcpy(&v, x + std::int64_t{columns[k]} * 3, sizeof v);
+      for (int a = 0; a < 3; ++a) std::memcpy(&row[a], A + 3 * a, sizeof row[a]);
+      for (int a = 0; a < 3; ++a) sum[a] += row[a] * v;
+    }
+    for (int a = 0; a < 3; ++a) s[a] = sum[a][0] + sum[a][1] + sum[a][2];
+  } else {
+    double sum[D][D] = {};
+    for (std::int64_t k = 0; k < count; ++k, A += D * D)
+      for (int a = 0; a < D; ++a)
+        for (int b = 0; b < D; ++b) sum[a][b] += A[a * D + b] * x[std::int64_t{columns[k]} * D + b];
+    for (int a = 0; a < D; ++a) {
+      s[a] = 0.0;
+      for (int b = 0; b < D; ++b) s[a] += sum[a][b];
+    }
+  }
+}
+
+template <int D>
 void FlowMixed<D>::apply(const Vector& x, Vector& y, ThreadPool& pool) const {
   const double* p = x.data() + num_velocities_;
   for_chunks(matrix_.num_nodes(), pool, [&](std::int64_t i) {
-    double s[D] = {};
-    for (std::int64_t k = matrix_.indptr[u(i)]; k < matrix_.indptr[u(i) + 1]; ++k) {
-      const double* A = matrix_.values.data() + k * D * D;
-      const double* v = x.data() + std::int64_t{matrix_.columns[u(k)]} * D;
-      for (int a = 0; a < D; ++a)
-        for (int b = 0; b < D; ++b) s[a] += A[a * D + b] * v[b];
-    }
+    const std::int64_t first = matrix_.indptr[u(i)];
+    double s[D];
+    block_row<D>(matrix_.values.data() + first * D * D, matrix_.columns.data() + first,
+                 matrix_.indptr[u(i) + 1] - first, x.data(), s);
     for (int a = 0; a < D; ++a) y[u(i * D + a)] = s[a];
   });
   add_gradient(-1.0, p, y.data(), pool);
   double* q = y.data() + num_velocities_;
   take_divergence(x.data(), q, pool);
   for (std::size_t cell = 0; cell < cells_.size(); ++cell) q[cell] += shift_[cell] * p[cell];
+  if (!strict()) return;
+  const auto sum = closed_sums(p);
+  const double cell_volume = op_.geometry().grid().cell_volume;
+  for (const auto& c : closed_.cells())
+    q[number_[u(c.cell)]] += c.volume / cell_volume * sum[u(c.region)];
 }
 
 template <int D>
@@ -343,9 +390,15 @@ KrylovResult FlowMixed<D>::solve(const double* f, const double* g, double* v, do
   result.residual_norm = size > 0.0 ? result.residual_norm / size : 0.0;
   for (std::size_t i = 0; i < num_velocities; ++i)
     if (!fixed_[i]) v[nodes[i / D] * D + static_cast<std::int64_t>(i % D)] = x[i];
-  const double by_gamma = 1.0 / (1.0 - gamma_ / op_.options().bulk);
+  const double by_gamma = strict() ? 1.0 : 1.0 / (1.0 - gamma_ / op_.options().bulk);
+  double* q = x.data() + num_velocities;
+  if (strict()) {
+    const auto sum = closed_sums(q);
+    for (const auto& c : closed_.cells())
+      q[number_[u(c.cell)]] += gamma_ * c.ratio * sum[u(c.region)];
+  }
   for (std::size_t cell = 0; cell < num_cells; ++cell)
-    p[cells_[cell]] = x[num_velocities + cell] * by_gamma / op_.geometry().grid().h_min;
+    p[cells_[cell]] = q[cell] * by_gamma / op_.geometry().grid().h_min;
   return result;
 }
 

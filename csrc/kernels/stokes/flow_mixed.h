@@ -12,12 +12,17 @@
 // in sign along two or three axes, times anything smooth, are held by far less than M. They are
 // waves of the shortest length, for which E is about its diagonal. So L stands for S on them; Q
 // spans them, patterns of alternating signs with one amplitude each per 2^D cells.
+//
+// Where incompressible, B = V V' / (bulk W) in closed regions (closed_regions.h), and nothing
+// elsewhere, takes the place of M / bulk. Then p - gamma M^-1 B p is the unknown, and
+// V V' / ((bulk - gamma) W) the lower right block.
 #pragma once
 
 #include <memory>
 #include <vector>
 
 #include "kernels/linalg/krylov.h"
+#include "kernels/stokes/closed_regions.h"
 #include "kernels/stokes/flow_matrix.h"
 #include "kernels/stokes/flow_multigrid.h"
 
@@ -26,10 +31,11 @@ namespace diffsim {
 template <int D>
 class FlowMixed {
  public:
-  /// @param fixed (num_grid_nodes, D) nonzero where the component is prescribed
+  /// @param closed outlives this
+  /// @param fixed  (num_grid_nodes, D) nonzero where the component is prescribed
   /// @throws NotPositiveDefinite with an unknown of a coarse grid
-  FlowMixed(const FlowOperator<D>& op, const FlowMatrix<D>& matrix, const std::uint8_t* fixed,
-            ThreadPool& pool);
+  FlowMixed(const FlowOperator<D>& op, const ClosedRegions<D>& closed, const FlowMatrix<D>& matrix,
+            const std::uint8_t* fixed, ThreadPool& pool);
 
   /// @param f (num_grid_nodes, D), read at free components of active nodes
   /// @param g (num_cells,), read in active cells
@@ -55,9 +61,13 @@ class FlowMixed {
   void precondition(const Vector& r, Vector& z, ThreadPool& pool);
   void add_gradient(double scale, const double* p, double* y, ThreadPool& pool) const;
   void take_divergence(const double* v, double* q, ThreadPool& pool) const;
+  bool strict() const { return op_.options().incompressible; }
+  /// V.p / ((bulk - gamma) W) of closed regions, where incompressible.
+  typename ClosedRegions<D>::Sums closed_sums(const double* p) const;
 
   // Velocities and pressures are scaled so that all matrices have entries about one.
   const FlowOperator<D>& op_;
+  const ClosedRegions<D>& closed_;
   double gamma_, velocity_scale_, divergence_scale_;
   NodeMatrix<D> matrix_;             // scaled E_gamma
   std::vector<std::uint8_t> fixed_;  // (num_nodes, D) of active nodes
@@ -68,7 +78,7 @@ class FlowMixed {
   std::vector<std::int32_t> cut_index_;   // of active cells, -1 where full
   std::vector<double> cut_;               // (cut cells, 2^D, D) divergence
   double full_[kCorners * D];
-  std::vector<double> mass_, shift_;      // of active cells: M, M / (bulk - gamma)
+  std::vector<double> mass_, shift_;      // of active cells: M, M / (bulk - gamma) or 0
   std::vector<double> inverse_diagonal_;  // (num_nodes, D, D) of E, zero where fixed
   std::vector<double> weight_;            // (1 + gamma) / M + 1 / diag(L)
   std::vector<std::int32_t> macro_;       // of active cells

@@ -2,6 +2,10 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <utility>
+#if defined(__F16C__)
+#include <immintrin.h>
+#endif
 
 namespace diffsim {
 namespace {
@@ -15,6 +19,20 @@ constexpr std::size_t kLeastCoarsening = 2;
 constexpr std::int64_t kChunk = 256;  // rows of a task
 // Nodes couple with nodes up to two planes away.
 constexpr std::int64_t kPlaneColors = 3;
+
+// Numbers of 16 bits have 11 digits and end at 65504; below 6e-5 they lose digits.
+constexpr float kHalfScale = 64.0f, kLargestHalf = 6e4f;
+#if defined(__F16C__)
+constexpr bool kHasHalf = true;
+using Quad = float __attribute__((vector_size(16)));
+std::uint16_t to_half(float x) { return _cvtss_sh(x, _MM_FROUND_TO_NEAREST_INT); }
+Quad four_halves(const std::uint16_t* from) {
+  return reinterpret_cast<Quad>(
+      _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
+}
+#else
+constexpr bool kHasHalf = false;
+#endif
 
 template <typename F>
 void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
@@ -131,20 +149,43 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
   Level& level = levels_.back();
   const std::int64_t n = A.num_nodes(), num_blocks = A.indptr.back();
   level.indptr = A.indptr;
-  level.columns = A.columns;
-  level.blocks.resize(u(num_blocks * D * kLanes));
+  level.columns.resize(A.columns.size());
+  level.middle.resize(u(n));
+  float largest = 0.0f;
+  for (double value : A.values)
+    largest = std::max(largest, static_cast<float>(std::abs(scale * value)));
+  level.is_half = kHasHalf && levels_.size() == 1 && largest * kHalfScale < kLargestHalf;
+  if (level.is_half)
+    level.halves.resize(u(num_blocks * D * D + 1));  // read four at a time
+  else
+    level.blocks.resize(u(num_blocks * D * kLanes));
   level.inverse.assign(u(n * D * kLanes), 0.0f);
   for (AlignedBuffer<float>* v : {&level.x, &level.b, &level.r}) {
     v->resize(u(n * kLanes));
     std::fill(v->data(), v->data() + n * kLanes, 0.0f);
   }
   for_chunks(n, pool, [&](std::int64_t i) {
+    const auto turn = [&](std::int64_t j) {  // of a forward sweep
+      return std::make_pair((positions[u(j)][0] - positions[0][0]) % kPlaneColors, j);
+    };
+    std::int64_t next[3] = {A.indptr[u(i)], A.indptr[u(i)], 0};  // earlier, itself, later
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k)
+      next[1] += turn(A.columns[u(k)]) < turn(i);
+    level.middle[u(i)] = next[1];
+    next[2] = next[1] + 1;
     for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
+      const std::int64_t j = A.columns[u(k)], at = next[j == i ? 1 : turn(j) < turn(i) ? 0 : 2]++;
+      level.columns[u(at)] = A.columns[u(k)];
       const double* from = A.values.data() + k * D * D;
-      float* to = level.blocks.data() + k * D * kLanes;
       for (int b = 0; b < D; ++b)
-        for (int a = 0; a < kLanes; ++a)
-          to[b * kLanes + a] = a < D ? static_cast<float>(scale * from[a * D + b]) : 0.0f;
+        for (int a = 0; a < kLanes; ++a) {
+          const float value = a < D ? static_cast<float>(scale * from[a * D + b]) : 0.0f;
+          if (!level.is_half) level.blocks.data()[(at * D + b) * kLanes + a] = value;
+#if defined(__F16C__)
+          if (level.is_half && a < D)
+            level.halves.data()[(at * D + b) * D + a] = to_half(kHalfScale * value);
+#endif
+        }
       if (A.columns[u(k)] != i) continue;
       Eigen::Map<const Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(from);
       const Eigen::Matrix<double, D, D> inverse = (scale * block).inverse();
@@ -158,7 +199,8 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
     for (std::int32_t p = positions[u(i - 1)][0]; p < positions[u(i)][0]; ++p)
       level.planes.push_back(i);
   level.planes.push_back(n);
-  bytes_ += num_blocks * (D * kLanes * 4 + 4) + n * (D * kLanes + 3 * kLanes) * 4;
+  bytes_ += num_blocks * ((level.is_half ? D * D * 2 : D * kLanes * 4) + 4) +
+            n * (D * kLanes + 3 * kLanes) * 4;
 }
 
 template <int D>
@@ -252,25 +294,50 @@ void FlowMultigrid<D>::factorize(const NodeMatrix<D>& A, const NodePositions<D>&
   bytes_ += coarsest_->bytes();
 }
 
+/// Blocks [begin, end) of a row times x; the last lanes mean nothing.
+template <int D>
+template <bool kHalf>
+typename FlowMultigrid<D>::Lanes FlowMultigrid<D>::sum_blocks(const Level& level,
+                                                              std::int64_t begin,
+                                                              std::int64_t end) const {
+  const float* x = level.x.data();
+  Lanes s[2][D] = {};  // chains of sums that do not wait for each other
+  const auto add = [&](std::int64_t k, Lanes* sum) {
+    const float* y = x + static_cast<std::int64_t>(level.columns[u(k)]) * kLanes;
+    for (int c = 0; c < D; ++c) {
+#if defined(__F16C__)
+      if constexpr (kHalf) {
+        sum[c] += four_halves(level.halves.data() + (k * D + c) * D) * y[c];
+        continue;
+      }
+#endif
+      sum[c] += reinterpret_cast<const Lanes*>(level.blocks.data() + k * D * kLanes)[c] * y[c];
+    }
+  };
+  std::int64_t k = begin;
+  for (; k + 2 <= end; k += 2) {
+    add(k, s[0]);
+    add(k + 1, s[1]);
+  }
+  if (k < end) add(k, s[0]);
+  Lanes total = {};
+  for (int c = 0; c < D; ++c) total += s[0][c] + s[1][c];
+  return kHalf ? total * (1.0f / kHalfScale) : total;
+}
+
+/// Forward from x = 0, where only the blocks of earlier nodes count, or backward.
 template <int D>
 void FlowMultigrid<D>::sweep(Level& level, bool backward, ThreadPool& pool) const {
   const std::int64_t num_planes = static_cast<std::int64_t>(level.planes.size()) - 1;
   const float* b = level.b.data();
   float* x = level.x.data();
   const auto update = [&](std::int64_t i) {
-    Lanes s = *reinterpret_cast<const Lanes*>(b + i * kLanes);
-    const std::int64_t end = level.indptr[u(i) + 1];
-    for (std::int64_t k = level.indptr[u(i)]; k < end; ++k) {
-      const Lanes* A = reinterpret_cast<const Lanes*>(level.blocks.data() + k * D * kLanes);
-      const float* y = x + static_cast<std::int64_t>(level.columns[u(k)]) * kLanes;
-      for (int c = 0; c < D; ++c) s -= A[c] * y[c];
-    }
+    const Lanes s =
+        *reinterpret_cast<const Lanes*>(b + i * kLanes) -
+        product(level, level.indptr[u(i)], backward ? level.indptr[u(i) + 1] : level.middle[u(i)]);
+    const Lanes* inverse = reinterpret_cast<const Lanes*>(level.inverse.data() + i * D * kLanes);
     Lanes step = {};
-    for (int c = 0; c < D; ++c) {
-      Lanes column;
-      for (int a = 0; a < kLanes; ++a) column[a] = level.inverse[u((i * D + c) * kLanes + a)];
-      step += column * s[c];
-    }
+    for (int c = 0; c < D; ++c) step += inverse[c] * s[c];
     *reinterpret_cast<Lanes*>(x + i * kLanes) += step;
   };
   for (std::int64_t turn = 0; turn < kPlaneColors; ++turn) {
@@ -287,17 +354,12 @@ void FlowMultigrid<D>::sweep(Level& level, bool backward, ThreadPool& pool) cons
   }
 }
 
+/// After a forward sweep from zero, which leaves the blocks of later nodes alone.
 template <int D>
 void FlowMultigrid<D>::residual(Level& level, ThreadPool& pool) const {
-  const float *b = level.b.data(), *x = level.x.data();
   float* r = level.r.data();
   for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
-    Lanes s = *reinterpret_cast<const Lanes*>(b + i * kLanes);
-    for (std::int64_t k = level.indptr[u(i)]; k < level.indptr[u(i) + 1]; ++k) {
-      const Lanes* A = reinterpret_cast<const Lanes*>(level.blocks.data() + k * D * kLanes);
-      const float* y = x + static_cast<std::int64_t>(level.columns[u(k)]) * kLanes;
-      for (int c = 0; c < D; ++c) s -= A[c] * y[c];
-    }
+    const Lanes s = -product(level, level.middle[u(i)] + 1, level.indptr[u(i) + 1]);
     for (int a = 0; a < D; ++a) r[i * kLanes + a] = level.fixed[u(i * D + a)] ? 0.0f : s[a];
   });
 }

@@ -5,7 +5,9 @@
 // active fine node. Multilinear prolongation, Galerkin matrices, one sweep of Gauss-Seidel by nodes
 // before and after the coarse correction, backwards after, so that a cycle is symmetric. Planes of
 // nodes across axis 0 are swept in three colors (a node couples with nodes up to two planes away),
-// so the result does not depend on the number of threads. The coarsest matrix is factorized.
+// so the result does not depend on the number of threads. The coarsest matrix is factorized. Time
+// is that of reading the finest matrix: where the processor converts numbers of 16 bits, it has
+// those.
 #pragma once
 
 #include <array>
@@ -51,9 +53,11 @@ class FlowMultigrid {
   using Lanes = float __attribute__((vector_size(16)));
 
   struct Level {
-    std::vector<std::int64_t> indptr;
+    std::vector<std::int64_t> indptr, middle;  // blocks before `middle` come earlier in a sweep
     std::vector<std::int32_t> columns;
-    AlignedBuffer<float> blocks;            // (num_blocks, D, kLanes), columns of the blocks
+    AlignedBuffer<float> blocks;          // (num_blocks, D, kLanes), columns of the blocks, or
+    AlignedBuffer<std::uint16_t> halves;  // (num_blocks, D, D) times kHalfScale
+    bool is_half = false;
     std::vector<float> inverse;             // (num_nodes, D, kLanes) of the diagonal blocks
     std::vector<std::int64_t> planes;       // first row of each plane, and the end
     std::vector<std::uint8_t> fixed;        // (num_nodes, D)
@@ -75,6 +79,12 @@ class FlowMultigrid {
   void factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
                  ThreadPool& pool);
   void cycle(std::size_t l, ThreadPool& pool);
+  template <bool kHalf>
+  Lanes sum_blocks(const Level& level, std::int64_t begin, std::int64_t end) const;
+  Lanes product(const Level& level, std::int64_t begin, std::int64_t end) const {
+    return level.is_half ? sum_blocks<true>(level, begin, end)
+                         : sum_blocks<false>(level, begin, end);
+  }
   void sweep(Level& level, bool backward, ThreadPool& pool) const;
   void residual(Level& level, ThreadPool& pool) const;
 

@@ -11,6 +11,9 @@ namespace diffsim {
 
 enum class FlowSolver { kAuto, kDirect, kIterative };
 
+/// Active nodes up to which "auto" is direct, in three dimensions.
+constexpr std::int64_t kMaxDirectNodes = 30000;
+
 struct FlowOptions {
   bool slip = false;           // slip wall instead of no-slip
   double beta = 20.0;          // Nitsche penalty [-]
@@ -24,6 +27,7 @@ struct FlowOptions {
   double tolerance = 1e-9;  // of the relative divergence, where incompressible
   int max_iters = 100;
   FlowSolver solver = FlowSolver::kAuto;
+  std::int64_t max_direct_nodes = kMaxDirectNodes;
   double rtol = 1e-9;  // of the iterative solver's residual
 };
 
@@ -159,7 +163,7 @@ void for_face_points(const StokesGrid<D>& grid, std::int64_t first_node, int axi
   std::int64_t nodes[kFaceNodes];
   int count = 0, corner_of[kFaceNodes];
   for (int i = 0; i < 1 << D; ++i)
-    if (StokesGrid<D>::corner_bit(i, axis) == side) {
+    if (StokesGrid<D>::corner_bit(i, axis) == side && count < kFaceNodes) {
       corner_of[count] = i;
       nodes[count++] = first_node + grid.corner_offset[i];
     }

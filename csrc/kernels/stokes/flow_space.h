@@ -34,6 +34,13 @@ class FlowSpace {
   const StokesGrid<D>& grid() const { return op_.geometry().grid(); }
   const FlowRegions<D>& regions() const { return regions_; }
   bool fixed(std::int64_t component) const { return fixed_[u(component)]; }
+  const std::uint8_t* fixed() const { return fixed_.data(); }  // (num_nodes, D)
+  /// Zeroes the free components of v, (cases, num_nodes, D).
+  void clear_free(std::int64_t cases, double* v) const {
+    const std::int64_t N = grid().num_nodes * D;
+    for (std::int64_t i = 0; i < cases * N; ++i)
+      if (!fixed_[u(i % N)]) v[i] = 0.0;
+  }
   std::size_t num_unknowns() const { return geometry().active_nodes().size() * D; }
 
   /// f(component of the grid, component of the matrix)

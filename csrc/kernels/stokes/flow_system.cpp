@@ -28,7 +28,7 @@ class FlowSystem final : public StokesSystem {
              ThreadPool& pool)
       : start_(seconds()),
         space_(in, options, pool),
-        inverse_(space_, in, plan, pool, report_, start_) {
+        inverse_(space_, plan, pool, report_, start_) {
     report_.num_cells = geometry().num_active_cells();
     for (std::int64_t cell : geometry().cut_cells())
       report_.num_cut_cells += geometry().active(cell);

@@ -23,9 +23,6 @@ struct FlowGeometryInputs {
   bool open[2 * kStokesMaxDim] = {};    // faces of the box, axis by axis, low side first
 };
 
-/// Active nodes up to which "auto" is direct, in three dimensions.
-constexpr std::int64_t kMaxDirectNodes = 80000;
-
 /// Numbers about a prepared system.
 struct FlowReport {
   std::int64_t num_cells = 0, num_cut_cells = 0, num_nodes = 0;  // active ones
