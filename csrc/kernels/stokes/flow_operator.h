@@ -12,7 +12,7 @@ namespace diffsim {
 enum class FlowSolver { kAuto, kDirect, kIterative };
 
 /// Active nodes up to which "auto" is direct, in three dimensions.
-constexpr std::int64_t kMaxDirectNodes = 30000;
+constexpr std::int64_t kMaxDirectNodes = 40000;
 
 struct FlowOptions {
   bool slip = false;           // slip wall instead of no-slip
