@@ -96,9 +96,7 @@ def test_same_as_direct(dim, incompressible, wall):
 
 
 @pytest.mark.reference
-@pytest.mark.parametrize(
-    "wall", ["no_slip", pytest.param("no_separation", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("wall", ["no_slip", pytest.param("no_separation", marks=pytest.mark.slow)])
 def test_incompressible_in_three_dimensions(wall):
     """No farther from the answer than the factor's iteration to the same tolerance.
 
