@@ -18,6 +18,7 @@ from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import TODO, Problem, check_study
 from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.separate import cut_in_two, require_separate
+from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.registry import description_of, setup_of
 
 MAX_RUNS = 24  # rows of the table
@@ -178,8 +179,10 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
             given_by(study, setup)
         except ValueError as error:
             return [Problem("error", "study.yaml", str(error))], ""
+    # where a play begins is only fitted beside a play
+    shown = [p.name for p in base if not p.name.startswith(PLAY_START)]
     return list(trial_problems(study, setup)), (
-        f"model: {len(base)} base parameters ({_some([p.name for p in base])}), "
+        f"model: {len(shown)} base parameters ({_some(shown)}), "
         f"{len(causes)} candidate causes ({_some(causes)})"
     )
 

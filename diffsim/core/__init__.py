@@ -1,5 +1,7 @@
 """Basis of all rooms: errors, argument checks, atomic files, rotations, compiled core."""
 
+from typing import TYPE_CHECKING
+
 from diffsim.core.errors import (
     ConvergenceError,
     ConvergenceWarning,
@@ -8,9 +10,16 @@ from diffsim.core.errors import (
     InvertedElementError,
     MeshError,
 )
-from diffsim.core.executors import open_executor
 from diffsim.core.interrupts import interruptible
-from diffsim.core.runs import run_each, run_kept
+from diffsim.core.lazy import offered
+
+if TYPE_CHECKING:
+    from diffsim.core.executors import open_executor
+    from diffsim.core.runs import run_each, run_kept
+
+# what needs numpy or processes is imported when it is asked for
+_WHERE = {"open_executor": "executors", "run_each": "runs", "run_kept": "runs"}
+__getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
 
 __all__ = [
     "ConvergenceError",

@@ -135,7 +135,7 @@ class SoftContext:
         inertia = shared.pop("inertia")
         kappa, fiber_kappa = preconditioner_stiffness(self.material, **shared)
         require_magnitude("mass / dt^2 [N/m]", inertia, STIFFNESSES)
-        require_magnitude("elastic stiffness [Pa]", kappa, STIFFNESSES)
+        require_magnitude("stiffness of youngs_modulus, poissons_ratio [Pa]", kappa, STIFFNESSES)
         made, node, pivot = core.make_constant_system(
             self.pattern,
             fixed=self.fixed.data_ptr(),

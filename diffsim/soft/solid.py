@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -216,8 +216,7 @@ def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
     if fixed is None:
         return mask
     if not isinstance(fixed, Tensor):  # a list or an array: of indices, or of True and False
-        is_mask = np.asarray(fixed).dtype.kind == "b"
-        fixed = as_array("fixed", fixed, torch.bool if is_mask else torch.int64)
+        fixed = as_array("fixed", fixed, torch.bool if _is_mask(fixed) else torch.int64)
     if fixed.dtype == torch.bool:
         if fixed.ndim == 1:
             return mask | require("fixed", fixed, (num_vertices,), torch.bool)[:, None]
@@ -225,6 +224,14 @@ def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
     nodes = require("fixed", fixed, ("k",), torch.int64)
     mask[require_indices("fixed", nodes, num_vertices, "vertices")] = True
     return mask
+
+
+def _is_mask(given: Any) -> bool:
+    """Whether a list or an array holds True and False rather than indices."""
+    try:
+        return np.asarray(given).dtype.kind == "b"
+    except ValueError:  # rows of different lengths: neither, which ``as_array`` says
+        return False
 
 
 def _contact_nodes(given: Tensor | None, mesh: HexMesh | TetMesh, fixed: Tensor) -> Tensor:

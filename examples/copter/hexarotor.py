@@ -23,8 +23,7 @@ import numpy as np
 
 from diffsim import optim
 from diffsim.copter.waypoints import WaypointTask
-from diffsim.core import interruptible
-from diffsim.core.errors import DiffsimError
+from diffsim.core import DiffsimError, interruptible
 
 
 def improved(task: WaypointTask, evaluations: int, *, airframe: bool) -> np.ndarray:

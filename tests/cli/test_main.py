@@ -145,7 +145,7 @@ def test_demo_elsewhere_says_where_it_is(capsys, monkeypatch, tmp_path):
 
     monkeypatch.setattr(demo, "STORY", tmp_path / "examples" / "demo")
     assert cli.main(["demo"]) == 2
-    assert "the demo is part of the source checkout" in capsys.readouterr().err
+    assert "the demo's scripts are missing" in capsys.readouterr().err
 
 
 def test_help_of_the_demo_says_what_it_is(capsys):
