@@ -12,7 +12,6 @@ gradient. Some 30 simulations: minutes.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import torch
 
 from benchmarks.machine import machine
 from diffsim.applications import Application, evaluate, solver_options
+from diffsim.applications.minimize import log_of
 from diffsim.applications.table import OURS, load
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
@@ -39,16 +39,17 @@ def build(
     return load(name).build(solver_options(OURS, rtol=rtol), quick, refine, cells)
 
 
-def best_of(folder: Path) -> np.ndarray:
-    """Parameters of the smallest loss on record."""
+def best_of(application: Application, folder: Path) -> np.ndarray:
+    """Parameters of the smallest loss that was evaluated with its gradient, of those on record."""
     path = folder / f"{OURS}.jsonl"
     if not path.is_file():
         raise FileNotFoundError(
             f"{path} does not exist; make it with python -m benchmarks.applications --out "
             f"{folder.parent}, or give parameters with --at"
         )
-    rows = [json.loads(line) for line in path.read_text().splitlines()]
-    return np.array(min(rows, key=lambda row: row["loss"])["values"])
+    made = log_of(application, path)["evaluations"]
+    best = min((e for e in made if not e["failure"]), key=lambda e: e["value"])
+    return application.parameters.values(np.array(best["x"]))
 
 
 def travel(application: Application, values: np.ndarray) -> dict[str, float]:
@@ -108,9 +109,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="default: runs/gait_checks/NAME.json")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    values = best_of(args.record) if args.record else np.array(args.at)
     rtol = load(args.name).RTOL
     usual = build(args.name, rtol, quick=args.quick)
+    values = best_of(usual, args.record) if args.record else np.array(args.at)
     out: dict[str, Any] = {"machine": machine(), "values": values.tolist(), "rtol": rtol}
     out["as optimized"] = travel(usual, values)
     print("as optimized", out["as optimized"], flush=True)
