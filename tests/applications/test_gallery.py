@@ -107,3 +107,10 @@ def test_bad_entries_are_named(scripts, change, message):
 def test_shipped_entries_are_well_formed():
     found = gallery.entries()
     assert len({e.key for e in found}) == len(found) > 5
+
+
+@pytest.mark.parametrize("entry", [e for e in gallery.entries() if e.page], ids=lambda e: e.key)
+def test_what_the_gallery_quotes_of_a_page_stands_there(entry):
+    found = gallery._from_page(entry)
+    assert not found["failure"]
+    assert (gallery.DOCS / "images" / entry.image).is_file()
