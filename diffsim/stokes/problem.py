@@ -12,19 +12,6 @@ from diffsim.core.values import as_array
 from diffsim.stokes._ops_flow import FlowInputs
 from diffsim.stokes.boundary import Boundary
 
-SIZES = (1e-100, 1e100)
-"""Of a level set: its slopes are squared, for which float64 has no room beyond."""
-
-
-def _require_size(phi: Tensor) -> None:
-    largest = float(phi.detach().abs().max())
-    if not (largest == 0.0 or SIZES[0] <= largest <= SIZES[1]):
-        raise ValueError(
-            f"phi must have values between {SIZES[0]:g} and {SIZES[1]:g} in size, where float64 "
-            f"has room for their squares, got at most {largest:g}; scale it, such as to a signed "
-            "distance [m]: the wall stays where it is"
-        )
-
 
 def flow_inputs(
     boundary: Boundary,
@@ -55,7 +42,6 @@ def flow_inputs(
     """
     grid = boundary.grid
     phi = require("phi", phi, grid.node_shape, torch.float64)
-    _require_size(phi)
     eta = torch.as_tensor(viscosity)
     eta = require("viscosity", eta.to(torch.float64).reshape(-1), (1,), torch.float64)
     if not torch.compiler.is_compiling() and float(eta.detach()) <= 0.0:
