@@ -16,6 +16,7 @@ import torch
 
 import diffsim
 from diffsim.core.compiled import INSTRUCTION_SET, core
+from diffsim.core.executors import num_processors
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -24,7 +25,7 @@ def machine() -> dict[str, Any]:
     """Processor, software, date and commit."""
     return {
         "cpu": _cpu_model(),
-        "cores": num_cores(),
+        "cores": num_processors(),
         "caches": _caches(),
         "memory_available_GiB": round(available_memory() / 2**30, 1),
         "instruction_set": INSTRUCTION_SET,
@@ -53,11 +54,6 @@ def code_fingerprint(*rooms: str) -> str:
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def num_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def available_memory() -> int:

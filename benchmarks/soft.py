@@ -23,10 +23,10 @@ from typing import Any
 
 from benchmarks import soft_accuracy, soft_cantilever, soft_explicit, soft_scaling
 from benchmarks.harness import Benchmark
-from benchmarks.machine import num_cores
 from benchmarks.soft_plots import draw_figures
 from benchmarks.soft_tables import report
 from diffsim.core import interruptible
+from diffsim.core.executors import num_processors
 
 MILLION_WIDTH = 43  # 4 w x w x w cells: 1,004,784 DoF
 
@@ -115,9 +115,11 @@ def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
     parser.add_argument("--million", action="store_true", help="scaling up to a million DoF")
     args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
-    threads = args.threads or [t for t in plan.cantilever.threads if t <= num_cores()]
-    if min(threads) < 1 or max(threads) > num_cores():
-        parser.error(f"--threads must lie between 1 and {num_cores()}, the cores of this process")
+    threads = args.threads or [t for t in plan.cantilever.threads if t <= num_processors()]
+    if min(threads) < 1 or max(threads) > num_processors():
+        parser.error(
+            f"--threads must lie between 1 and {num_processors()}, the cores of this process"
+        )
     widths = [*plan.scaling.widths, *([MILLION_WIDTH] if args.million else [])]
     if args.max_dof:
         widths = [w for w in widths if soft_scaling.num_dof(w) <= args.max_dof]

@@ -25,10 +25,11 @@ from typing import Any
 
 from benchmarks import stokes_worker
 from benchmarks.harness import Benchmark, Part
-from benchmarks.machine import available_memory, num_cores
+from benchmarks.machine import available_memory
 from benchmarks.processes import run_child
 from benchmarks.stokes_tables import draw_figures, report
 from diffsim.core import interruptible
+from diffsim.core.executors import num_processors
 from diffsim.stokes.devices import DEVICES
 
 BYTES_PER_NODE = 40_000
@@ -162,9 +163,11 @@ def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
     parser.add_argument("--max-cells", type=int, help="largest n of stages scaling and iterative")
     args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
-    threads = tuple(args.threads or [t for t in plan.devices.threads if t <= num_cores()])
-    if min(threads) < 1 or max(threads) > num_cores():
-        parser.error(f"--threads must lie between 1 and {num_cores()}, the cores of this process")
+    threads = tuple(args.threads or [t for t in plan.devices.threads if t <= num_processors()])
+    if min(threads) < 1 or max(threads) > num_processors():
+        parser.error(
+            f"--threads must lie between 1 and {num_processors()}, the cores of this process"
+        )
     if args.repetitions is not None and args.repetitions < 1:
         parser.error(f"--repetitions must be at least 1, got {args.repetitions}")
 

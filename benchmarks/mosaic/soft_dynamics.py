@@ -7,14 +7,17 @@ many steps, and a gradient that must go back through all of them.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
+from benchmarks.mosaic.pull_back import leaves_of, pull_back
 from diffsim import mesh, soft
 
-DIFFERENTIABLE = ({"youngs_modulus", "velocity"}, {"tip_path"})
+INPUTS = ("youngs_modulus", "velocity")
+DIFFERENTIABLE = (set(INPUTS), {"tip_path"})
 
 
 def inputs(n: int = 8, steps: int = 20) -> dict[str, Any]:
@@ -37,7 +40,7 @@ def inputs(n: int = 8, steps: int = 20) -> dict[str, Any]:
 def apply(given: dict[str, Any]) -> dict[str, np.ndarray]:
     """``tip_path``: mean position of the nodes of the free face, (steps + 1, 3) [m]."""
     with torch.no_grad():
-        return {"tip_path": _path(given, *_leaves(given)).numpy().astype(np.float32)}
+        return {"tip_path": _path(given, **leaves_of(given, INPUTS)).numpy().astype(np.float32)}
 
 
 def vector_jacobian_product(
@@ -49,21 +52,8 @@ def vector_jacobian_product(
     """Cotangent of the path, pulled back through all steps by the adjoint."""
     if not (vjp_inputs <= DIFFERENTIABLE[0] and vjp_outputs <= DIFFERENTIABLE[1]):
         raise ValueError(f"differentiable are {DIFFERENTIABLE}, got {vjp_inputs}, {vjp_outputs}")
-    leaves = dict(zip(("youngs_modulus", "velocity"), _leaves(given), strict=True))
-    for name in vjp_inputs:
-        leaves[name].requires_grad_()
-    path = _path(given, **leaves)
-    names = sorted(vjp_inputs)
-    cotangent = torch.from_numpy(np.asarray(cotangent_vector["tip_path"], np.float64))
-    grads = torch.autograd.grad(path, [leaves[name] for name in names], cotangent)
-    return {n: g.numpy().astype(np.float32) for n, g in zip(names, grads, strict=True)}
-
-
-def _leaves(given: dict[str, Any]) -> list[torch.Tensor]:
-    return [
-        torch.from_numpy(np.array(given[name], np.float64))
-        for name in ("youngs_modulus", "velocity")
-    ]
+    function = partial(_path, given)
+    return pull_back(function, leaves_of(given, INPUTS), vjp_inputs, cotangent_vector["tip_path"])
 
 
 def _path(

@@ -7,14 +7,17 @@ porosity that stands for it: walls that cut cells anywhere are the difficulty.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
+from benchmarks.mosaic.pull_back import leaves_of, pull_back
 from diffsim.stokes import Grid, Inlet, Open, StokesFlow
 
-DIFFERENTIABLE = ({"level_set", "viscosity"}, {"outflow"})
+INPUTS = ("level_set", "viscosity")
+DIFFERENTIABLE = (set(INPUTS), {"outflow"})
 HEIGHT = 1.0  # [m]; the channel is 4/3 as long
 
 
@@ -35,7 +38,7 @@ def inputs(n: int = 24, wall: str = "no_slip") -> dict[str, Any]:
 def apply(given: dict[str, Any]) -> dict[str, np.ndarray]:
     """``outflow``: velocity at the nodes of the face x = max, (n + 1, 2) [m/s]; 0 in the solid."""
     with torch.no_grad():
-        return {"outflow": _outflow(given, *_leaves(given)).numpy().astype(np.float32)}
+        return {"outflow": _outflow(given, **leaves_of(given, INPUTS)).numpy().astype(np.float32)}
 
 
 def vector_jacobian_product(
@@ -47,24 +50,8 @@ def vector_jacobian_product(
     """Cotangent of the outflow, pulled back through the flow and its cut cells."""
     if not (vjp_inputs <= DIFFERENTIABLE[0] and vjp_outputs <= DIFFERENTIABLE[1]):
         raise ValueError(f"differentiable are {DIFFERENTIABLE}, got {vjp_inputs}, {vjp_outputs}")
-    leaves = dict(zip(("level_set", "viscosity"), _leaves(given), strict=True))
-    for name in vjp_inputs:
-        leaves[name].requires_grad_()
-    names = sorted(vjp_inputs)
-    cotangent = torch.from_numpy(np.asarray(cotangent_vector["outflow"], np.float64))
-    grads = torch.autograd.grad(
-        _outflow(given, **leaves), [leaves[name] for name in names], cotangent, allow_unused=True
-    )
-    return {
-        name: (torch.zeros_like(leaves[name]) if grad is None else grad).numpy().astype(np.float32)
-        for name, grad in zip(names, grads, strict=True)
-    }
-
-
-def _leaves(given: dict[str, Any]) -> list[torch.Tensor]:
-    return [
-        torch.from_numpy(np.array(given[name], np.float64)) for name in ("level_set", "viscosity")
-    ]
+    function = partial(_outflow, given)
+    return pull_back(function, leaves_of(given, INPUTS), vjp_inputs, cotangent_vector["outflow"])
 
 
 def _outflow(

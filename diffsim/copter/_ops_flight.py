@@ -14,7 +14,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import directions_of, make_first_order, make_layer
 
 BODY: int = core.FLIGHT_BODY
 MAX_ROTORS: int = core.FLIGHT_MAX_ROTORS
@@ -320,13 +320,9 @@ def _(start, feed_forward, *args):
 def _tangent(ctx, *moved):
     records, *saved = ctx.saved_tensors
     inputs = FlightInputs(*saved)
-    directions = {
-        f"d_{name}": torch.zeros_like(value) if direction is None else direction
-        for (name, value), direction in zip(inputs._asdict().items(), moved, strict=False)
-    }
     return flight_jvp_layer(
         **inputs._asdict(),
-        **directions,
+        **directions_of(inputs._asdict(), moved),
         batch=records.shape[0],
         steps=records.shape[1] - 1,
         **ctx.settings._asdict(),

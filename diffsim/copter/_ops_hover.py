@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import directions_of, make_first_order, make_layer
 
 INFO = ("status", "rank", "free_rank", "num_iters")
 FEASIBLE: float = core.HOVER_FEASIBLE
@@ -235,10 +235,7 @@ def _tangent(ctx: Any, *moved: Tensor | None) -> tuple[Tensor | None, ...]:
     count = len(HoverProblem._fields)
     problem = HoverProblem(*ctx.saved_tensors[:count])
     solution = HoverSolution(*ctx.saved_tensors[count:])
-    directions = {
-        f"d_{name}": torch.zeros_like(value) if direction is None else direction
-        for (name, value), direction in zip(problem._asdict().items(), moved, strict=False)
-    }
+    directions = directions_of(problem._asdict(), moved)
     d_thrusts = hover_jvp_layer(
         **problem._asdict(), **solution._asdict(), **directions, **ctx.options
     )

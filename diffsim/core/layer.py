@@ -104,6 +104,22 @@ def make_layer(
     return _callable(op, set_context, flat_backward, flat_tangent)
 
 
+def directions_of(
+    inputs: Mapping[str, Tensor], moved: Sequence[Tensor | None]
+) -> dict[str, Tensor]:
+    """Directions of inputs as an op of the tangent takes them, by ``d_NAME``.
+
+    Args:
+        inputs: Inputs by name, in the order of the layer.
+        moved: Their directions, in that order; None where one does not move: zeros. What follows
+            them belongs to options.
+    """
+    return {
+        f"d_{name}": torch.zeros_like(value) if direction is None else direction
+        for (name, value), direction in zip(inputs.items(), moved, strict=False)
+    }
+
+
 def make_first_order(op: Any) -> Callable[..., Any]:
     """A function that calls an op whose derivative is not known, and raises where one is asked for.
 

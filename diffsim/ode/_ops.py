@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import directions_of, make_first_order, make_layer
 
 _PROBLEM = (
     *("rate_code", "reading_code", "rate_out", "reading_out", "constants"),
@@ -201,11 +201,8 @@ def _backward(ctx: Any, grad_readings: Tensor, grad_states: Tensor) -> tuple[Any
 def _tangent(ctx: Any, *moved: Any) -> tuple[Tensor, Tensor]:
     given = _saved(ctx)
     del given["states"]
-    directions = {
-        f"d_{name}": torch.zeros_like(given[name]) if direction is None else direction
-        for name, direction in zip(_FORWARD[-3:], moved[-3:], strict=True)
-    }
-    return ode_integrate_jvp_layer(**given, **directions)
+    moving = {name: given[name] for name in _FORWARD[-3:]}
+    return ode_integrate_jvp_layer(**given, **directions_of(moving, moved[-3:]))
 
 
 ode_integrate_vjp_layer = make_first_order(ode_integrate_vjp)

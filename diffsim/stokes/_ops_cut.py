@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import directions_of, make_first_order, make_layer
 
 
 def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
@@ -22,14 +22,19 @@ def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
     return core.make_grid_shape(tuple(cells), tuple(spacing))
 
 
+def _cut_outputs(phi: Tensor, cells: list[int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Volume and area (num_cells,) and normal (num_cells, dim) of cut cells, to be filled."""
+    count = math.prod(cells)
+    return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
+
+
 @custom_op("diffsim::stokes_cut_cells")
 def cut_cells(
     phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Fluid volume, interface area and normal of all cells; csrc/kernels/stokes/cut_cells.h."""
     shape = _grid(cells, spacing, phi)
-    volume = phi.new_empty(math.prod(cells))
-    area, normal = torch.empty_like(volume), volume.new_empty(volume.numel(), len(cells))
+    volume, area, normal = _cut_outputs(phi, cells)
     core.cut_cells(
         shape=shape,
         phi=phi.data_ptr(),
@@ -43,8 +48,7 @@ def cut_cells(
 
 @cut_cells.register_fake
 def _(phi, cells, spacing, num_threads):
-    count = math.prod(cells)
-    return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
+    return _cut_outputs(phi, cells)
 
 
 @custom_op("diffsim::stokes_cut_cells_vjp")
@@ -91,8 +95,7 @@ def cut_cells_jvp(
     shape = _grid(cells, spacing, phi)
     d_phi = d_phi.contiguous()
     _grid(cells, spacing, d_phi)
-    volume = phi.new_empty(math.prod(cells))
-    area, normal = torch.empty_like(volume), volume.new_empty(volume.numel(), len(cells))
+    volume, area, normal = _cut_outputs(phi, cells)
     core.cut_cells_jvp(
         shape=shape,
         phi=phi.data_ptr(),
@@ -107,8 +110,7 @@ def cut_cells_jvp(
 
 @cut_cells_jvp.register_fake
 def _(phi, d_phi, cells, spacing, num_threads):
-    count = math.prod(cells)
-    return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
+    return _cut_outputs(phi, cells)
 
 
 def _cut_setup(ctx, inputs, output):
@@ -130,11 +132,11 @@ def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
     return grad_phi, None, None, None
 
 
-def _cut_tangent(ctx, d_phi, *_):
+def _cut_tangent(ctx, *moved):
     (phi,) = ctx.saved_tensors
     return cut_cells_jvp_layer(
         phi=phi,
-        d_phi=torch.zeros_like(phi) if d_phi is None else d_phi,
+        **directions_of({"phi": phi}, moved),
         cells=ctx.cells,
         spacing=ctx.spacing,
         num_threads=ctx.num_threads,
@@ -265,13 +267,12 @@ def _flux_backward(ctx, grad_flux):
     return grad_phi, grad_velocity, None, None, None, None
 
 
-def _flux_tangent(ctx, d_phi, d_velocity, *_):
+def _flux_tangent(ctx, *moved):
     phi, velocity = ctx.saved_tensors
     return plane_flux_jvp_layer(
         phi=phi,
         velocity=velocity,
-        d_phi=torch.zeros_like(phi) if d_phi is None else d_phi,
-        d_velocity=torch.zeros_like(velocity) if d_velocity is None else d_velocity,
+        **directions_of({"phi": phi, "velocity": velocity}, moved),
         cells=ctx.cells,
         spacing=ctx.spacing,
         axis=ctx.axis,

@@ -16,7 +16,7 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import directions_of, make_first_order, make_layer
 from diffsim.core.record import Solve, announce, is_recording, verdict, warn
 from diffsim.stokes._systems import StokesContext, context
 from diffsim.stokes.boundary import refuse_net_inflow
@@ -279,15 +279,11 @@ def _tangent(ctx, *moved):
     # The same system along the direction of the inputs; csrc/kernels/stokes/flow_system.cpp.
     velocity, pressure, *saved = ctx.saved_tensors
     inputs = FlowInputs(*saved)
-    directions = {
-        f"d_{name}": torch.zeros_like(value) if direction is None else direction
-        for (name, value), direction in zip(inputs._asdict().items(), moved, strict=False)
-    }
     rates = stokes_flow_jvp_layer(
         velocity=velocity,
         pressure=pressure,
         **inputs._asdict(),
-        **directions,
+        **directions_of(inputs._asdict(), moved),
         handle=ctx.handle,
         num_threads=ctx.num_threads,
         on_failure=ctx.on_failure,
