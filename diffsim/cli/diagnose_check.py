@@ -182,10 +182,12 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
             return [Problem("error", "study.yaml", str(error))], ""
     # where a play begins is only fitted beside a play
     shown = [p.name for p in base if not p.name.startswith(PLAY_START)]
+    more = len(base) - len(shown)
+    starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
     cut = setup.study or study
     told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
     return list(trial_problems(study, setup)), "".join(told) + (
-        f"model: {len(shown)} base parameters ({_some(shown)}), "
+        f"model: {len(shown)} base parameters ({_some(shown)}{starts}), "
         f"{len(causes)} candidate causes ({_some(causes)})"
     )
 

@@ -209,7 +209,8 @@ def _extend(args: argparse.Namespace) -> None:
     for name in sizes:
         unit = "" if units[name] == "-" else units[name]
         value, sd = extension.fit.values[name], extension.fit.sd[name]
-        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} (was {saved.values[name]:.6g})")
+        was = f"(was {saved.values[name]:.6g})" if name in saved.values else "(of a new run)"
+        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} {was}")
     before, after = extension.null.chi2, extension.fit.chi2
     print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
     if extension.gain is None:

@@ -149,7 +149,8 @@ class ChannelEntry(Source):
         "subtracted, so that the channel is a change from a state at rest",
     )
     shown_unit: Unit | None = Field(
-        None, description="Unit in which reports show errors; default: `unit`"
+        None,
+        description="Unit in which reports show errors; default: `unit`, for degC kelvins",
     )
 
 

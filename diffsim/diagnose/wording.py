@@ -377,12 +377,22 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
     """Causes with their 90 % intervals."""
     parts = []
     for row in (row.as_read() for row in rows):
+        if len(row.size) > 1 and all(c.startswith("@") for c in row.size):
+            parts.append(_by_run(row))
+            continue
         sizes = ", ".join(
             f"{'' if len(row.size) == 1 else c + ' '}{_ends(size)}" for c, size in row.size.items()
         )
         unit = "" if row.unit == "-" else f" {row.unit}"
         parts.append(f"{row.name} ({sizes}{unit}; 90 % interval)")
     return " and ".join(parts)
+
+
+def _by_run(row: CauseRow) -> str:
+    """A size of each run: between which values they lie."""
+    values = [size.value for size in row.size.values()]
+    unit = "" if row.unit == "-" else f" {row.unit}"
+    return f"{row.name} ({min(values):.3g} to {max(values):.3g}{unit} in {len(values)} runs)"
 
 
 def _range(row: CauseRow) -> str:
