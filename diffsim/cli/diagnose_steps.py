@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
-from diffsim.cli.diagnose_check import check, require_ready
+from diffsim.cli.diagnose_check import check, not_used, require_ready
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
     INPUTS_FILE,
@@ -71,6 +71,8 @@ def _inputs(
         accept_numerics=args.accept_numerics,
         with_bank=with_bank,
     )
+    for line in not_used(inputs.study.left_out[len(study.left_out) :]):
+        print(line)
     return inputs, args.out or Path(DIAGNOSES) / study.name
 
 
