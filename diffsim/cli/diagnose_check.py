@@ -185,8 +185,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     more = len(base) - len(shown)
     starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
     cut = setup.study or study
-    told = [f"{line}
-" for line in not_used(cut.left_out[len(study.left_out) :])]
+    told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
     return list(trial_problems(study, setup)), "".join(told) + (
         f"model: {len(shown)} base parameters ({_some(shown)}{starts}), "
         f"{len(causes)} candidate causes ({_some(causes)})"
