@@ -2,6 +2,7 @@
 
 python -m benchmarks.soft_jumper                     # the same jump at smaller time steps; speed
 python -m benchmarks.soft_jumper --curves rl/results/soft_jumper
+python -m benchmarks.soft_jumper --picture docs/images/soft_jumper
 
 Published returns: Xing, Luk, Oh, "Stabilizing reinforcement learning in differentiable multiphysics
 simulation" (ICLR 2025, arXiv:2412.12089), soft jumper, final policies after 6 million steps.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from matplotlib.axes import Axes
 from benchmarks.envs import Case, gradient_price
 from benchmarks.plot_style import legend_below, new_figure, save, style
 from diffsim.core import interruptible
+from diffsim.envs import TaskState
 from diffsim.envs.soft_named import SoftJumper
 from diffsim.learn.run import read_rows
 from diffsim.viz.figures import CYCLE
@@ -36,25 +39,31 @@ def command(seconds: float) -> float:
     return min(seconds / 0.5, 1.0) if seconds < 0.7 else -1.0
 
 
-def rise(substeps: int, control_steps: int = 84) -> tuple[float, float]:
-    """How high the center of the jump by ``command`` rises [m], and CPU seconds per control step.
+def jump(task: SoftJumper, control_steps: int = 84) -> Iterator[TaskState]:
+    """States of the jump by ``command``, the first one included."""
+    state = task.start(1, np.random.default_rng(0))
+    yield state
+    with torch.no_grad():
+        for k in range(control_steps):
+            level = command((k + 0.5) * CONTROL_PERIOD)
+            state, _ = task.step(state, torch.full((1, task.num_actions), level).double())
+            yield state
+
+
+def still_jumper(substeps: int) -> SoftJumper:
+    """The task from rest on the floor.
 
     The solver's tolerance falls with the time step's square, as its scale grows.
     """
     robot = {"dt": CONTROL_PERIOD / substeps, "rtol": 4e-4 / substeps**2}
-    task = SoftJumper(robot=robot, substeps=substeps, drop=0.0, aside=0.0, size_spread=0.0)
-    state = task.start(1, np.random.default_rng(0))
-    first, began = task.robot.center(state["x"])[0, 2], time.process_time()
-    highest = 0.0
-    with torch.no_grad():
-        for k in range(control_steps):
-            level = command((k + 0.5) * CONTROL_PERIOD)
-            state = task.advance(
-                state | {"step": torch.tensor([k])},
-                torch.full((1, task.num_actions), level, dtype=torch.float64),
-            ) | {"step": torch.tensor([k])}
-            highest = max(highest, float(task.robot.center(state["x"])[0, 2] - first))
-    return highest, (time.process_time() - began) / control_steps
+    return SoftJumper(robot=robot, substeps=substeps, drop=0.0, aside=0.0, size_spread=0.0)
+
+
+def rise(substeps: int) -> tuple[float, float]:
+    """How high the center of the jump rises [m], and CPU seconds per control step."""
+    task, began = still_jumper(substeps), time.process_time()
+    heights = [float(task.robot.center(state["x"])[0, 2]) for state in jump(task)]
+    return max(heights) - heights[0], (time.process_time() - began) / (len(heights) - 1)
 
 
 def report_steps() -> None:
@@ -91,6 +100,20 @@ def draw_curves(records: Path, out: Path) -> None:
     save(figure, out)
 
 
+def draw_jump(out: Path) -> None:
+    """Four pictures of the jump: at rest, shrunk, leaving the floor, at its height."""
+    task = still_jumper(2)
+    states = list(jump(task))
+    heights = [float(task.robot.center(state["x"])[0, 2]) for state in states]
+    figure = new_figure(9.6, 2.1)
+    moments = (0, 41, 48, int(np.argmax(heights)))
+    for ax, k in zip(figure.subplots(1, len(moments)), moments, strict=True):
+        ax.imshow(task.picture(states[k], 0))
+        ax.set_axis_off()
+        ax.set_title(f"{k * CONTROL_PERIOD:.2f} s, center at {heights[k]:.2f} m", fontsize=8)
+    save(figure, out)
+
+
 def _published_line(ax: Axes, value: float, color: str, name: str) -> None:
     ax.axhline(value, color=color, lw=0.9, ls="--", label=f"{name}, published, 6 million steps")
 
@@ -101,12 +124,15 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--curves", type=Path, default=None, help="folder METHOD/seed_N of runs")
+    parser.add_argument("--picture", type=Path, default=None, help="where to put one of a jump")
     parser.add_argument("--out", type=Path, default=Path("docs/images/learning_SoftJumper"))
     args = parser.parse_args()
-    if args.curves is None:
-        report_steps()
-    else:
+    if args.picture is not None:
+        draw_jump(args.picture)
+    if args.curves is not None:
         draw_curves(args.curves, args.out)
+    if args.curves is None and args.picture is None:
+        report_steps()
 
 
 if __name__ == "__main__":

@@ -329,8 +329,8 @@ class SoftJumperEnv(NamedEnv):
     |---|---|
     | actions | 0-215: shrink (1) or swell (-1) two tetrahedra each, by an isotropic stress of up \
 to 300 Pa |
-    | observations | 0-2 center [0.1 m], 3-5 its velocity [0.1 m/s], 6-221 last actions, 222-824 \
-x, y, z of 201 nodes from the center [0.1 m]; all unbounded but for actions |
+    | observations | 0-2 center [0.1 m], 3-5 its velocity [0.1 m/s], 6-221 last actions, 222-752 \
+x, y, z of 177 nodes from the center [0.1 m]; all unbounded but for actions |
     | reward | per step: 1.0 forward speed of the center [m/s] + 3.0 its height above the start's \
 [m] - 0.001 sum of squared actions |
     | start | at rest, soles 0 to 0.4 m above the floor, x and y +-0.8 m, size of the positions \

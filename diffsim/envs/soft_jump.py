@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import require_number
+from diffsim.envs.pictures import body_picture
 from diffsim.envs.soft_tasks import SoftTask
 from diffsim.envs.task import Entry, TaskState
 from diffsim.systems.robots import SoftRobot
@@ -97,6 +99,13 @@ class Jump(SoftTask):
             "rise": self.rise_weight * rise,
             "effort": -self.effort_weight * action.square().sum(-1),
         }
+
+    def picture(self, state: TaskState, index: int) -> NDArray[np.uint8]:
+        """The skin; the camera goes along but not up."""
+        x = state["x"][index].detach()
+        center = self.robot.center(x)
+        center[2] = 0.55 * self._extent
+        return body_picture(x, self._faces, center=center, reach=0.9 * self._extent, ground=0.0)
 
     def _entries(self) -> list[Entry]:
         inf = math.inf

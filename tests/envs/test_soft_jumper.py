@@ -48,7 +48,7 @@ def test_reward_of_a_known_motion() -> None:
     expected = {
         "forward": 0.03 * 60.0,
         "rise": 3.0 * (0.2 - 0.05),
-        "effort": -1e-3 * 54 * 0.25,
+        "effort": -1e-3 * 42 * 0.25,
     }
     assert set(terms) == set(expected)
     for name, value in expected.items():
@@ -88,7 +88,7 @@ def jump(task: Task, amplitude: torch.Tensor) -> tuple[list[TaskState], torch.Te
 
 
 def test_gradient_of_a_jump_against_central_differences() -> None:
-    """From the floor into the air, each command its own share: one direction of 54 numbers."""
+    """From the floor into the air, each command its own share: one direction of 42 numbers."""
     task = jumper(robot={"coarse": True, "rtol": 1e-11}, **STILL)
     amplitude = torch.linspace(0.7, 0.9, task.num_actions, dtype=torch.float64).requires_grad_()
     states, total = jump(task, amplitude)
