@@ -41,6 +41,7 @@ class DescribedModel:
         channels: Names of the channels, in the order of the study.
         parameters: Quantities of the description: base parameters, and values of a run.
         reach: Least and greatest value of the only command; None: there are none or several.
+        clocks: Indices of the channels that are late together, by the quantity that says how much.
     """
 
     def __init__(
@@ -50,8 +51,10 @@ class DescribedModel:
         channels: Sequence[str],
         parameters: BaseParameters,
         reach: tuple[float, float] | None = None,
+        clocks: Mapping[str, tuple[int, ...]] | None = None,
     ):
         self.given, self.channels, self.parameters = given, tuple(channels), parameters
+        self._clocks = clocks or {}
         numerics = given.numerics
         self._dt, self._rtol = numerics.time_step, numerics.tolerance
         self.commands = given.commands
@@ -110,6 +113,7 @@ class DescribedModel:
             "friction_shares": rig.sliding,
             "time_scale": own["clock_rate"],
             "clock_offset": own["clock_offset"],
+            "late": tuple((channels, own[key]) for key, channels in self._clocks.items()),
             "output_maps": (seen(rig.look, given.camera, own, self.channels),),
             "obstacles": tuple(
                 contact.plane(w.normal, w.offset, friction=w.friction) for w in given.walls
