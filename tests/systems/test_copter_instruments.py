@@ -106,7 +106,8 @@ def test_a_lag_in_windows_is_the_exponential_filter():
     step = torch.where(t < 0.1, 0.0, 1.0).to(f64)[None, None, :, None]
     seen = lagged_in_windows(step, dt=STEP, tau=tau)[0, 0, :, 0]
     rise = (t[4:] - 0.08) / STEP  # straight from 0 to 1 between two samples, then exponential
-    wanted = 1.0 - 0.05 / STEP * (1.0 - np.exp(-STEP / 0.05)) * np.exp(-(rise - 1.0) * STEP / 0.05)
+    begun = 0.05 / STEP * (1.0 - np.exp(-STEP / 0.05))
+    wanted = 1.0 - begun * torch.exp(-(rise - 1.0) * STEP / 0.05)
     torch.testing.assert_close(seen[5:], wanted[1:], atol=1e-12, rtol=0.0)
     none = torch.zeros(1, dtype=f64)
     torch.testing.assert_close(lagged_in_windows(step, dt=STEP, tau=none), step)

@@ -23,6 +23,7 @@ from diffsim.systems.soft_body.causes import (
     REACH,
     TIMED,
     commanded_reach,
+    fitted_reach,
     is_timed,
     library,
     unknowns,
@@ -33,6 +34,7 @@ from diffsim.systems.soft_body.instruments import (
     instrument_effects,
     instrument_scales,
 )
+from diffsim.systems.soft_body.quasi_static import pose_commands
 
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
 
@@ -100,7 +102,7 @@ class SoftBodyDescription(SoftBodyKeys):
             raise ValueError("\n".join(str(p) for p in wrong))
         described = self._described(study)
         model = described.model()
-        reach = {REACH: list(commanded_reach(study, self.commands))} if self.commands else {}
+        reach = {REACH: list(fitted_reach(study, self.commands))} if self.commands else {}
         instruments = instrument_scales(study)
         model.frame = {TIMED: is_timed(self, study), **reach, INSTRUMENTS: instruments}
         rig = described.rig()
@@ -134,12 +136,15 @@ class SoftBodyDescription(SoftBodyKeys):
     def _described(self, study: Study) -> DescribedModel:
         parameters = BaseParameters(self.quantities(), study.runs)
         names = [c.name for c in study.channels]
-        reach = commanded_reach(study, self.commands) if len(self.commands) == 1 else None
+        commands = None
+        if len(self.commands) == 1:
+            now = commanded_reach(study, self.commands)
+            commands = pose_commands(fitted_reach(study, self.commands), now, self.numerics.poses)
         clocks = {
             clock_of(name): tuple(names.index(c) for c in own)
             for name, own in self._late(study).items()
         }
-        return DescribedModel(self, study.folder, names, parameters, reach, clocks)
+        return DescribedModel(self, study.folder, names, parameters, commands, clocks)
 
     def _late(self, study: Study) -> dict[str, tuple[str, ...]]:
         """Channels of each stated clock."""
