@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -114,12 +114,12 @@ class Moving:
     @property
     def html(self) -> str:
         """Data of the view for the page's script."""
-        return json.dumps(self.content(), separators=(",", ":")).replace("</", "<\\/")
+        return _json(self.content())
 
-    def content(self) -> dict[str, Any]:
-        """Times, parts and box; frames are left out evenly until the view fits ``MAX_BYTES``."""
+    def content(self, max_bytes: float = MAX_BYTES) -> dict[str, Any]:
+        """Times, parts and box; frames are left out evenly until the view fits ``max_bytes``."""
         step = 1
-        while _num_bytes(self, step) > MAX_BYTES and step < len(self.time_s):
+        while _num_bytes(self, step) > max_bytes and step < len(self.time_s):
             step += 1
         kept = np.arange(0, len(self.time_s), step)
         low, high = _box(self.parts)
@@ -129,6 +129,34 @@ class Moving:
             "high": high.tolist(),
             "parts": [_packed(part, kept) for part in self.parts],
         }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MovingChoice:
+    """Views in one place, with a menu to choose by.
+
+    Attributes:
+        views: Views by name, such as runs; one or more.
+        caption: What to see.
+    """
+
+    views: Mapping[str, Moving]
+    caption: str
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise ValueError("views must hold one or more")
+
+    @property
+    def html(self) -> str:
+        """Data of all views for the page's script; they share ``MAX_BYTES``."""
+        share = MAX_BYTES / len(self.views)
+        return _json([{"name": n, **view.content(share)} for n, view in self.views.items()])
+
+
+def _json(content: Any) -> str:
+    """As it may stand in a script of a page."""
+    return json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
 
 
 def script() -> str:
