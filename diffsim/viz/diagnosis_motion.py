@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 MAX_RUNS = 12  # in the menu
 FRAME_RATE = 25.0  # [Hz]
+_THROUGH = 0.45  # opacity of the model before, which the others show through
 _MEASURED, _BEFORE, _AFTER = "measured", "model before", "extended model"
 _COLORS = {_MEASURED: INK, _BEFORE: NULL, _AFTER: EXTENDED}
 
@@ -76,7 +77,13 @@ def _view(run: PredictedRun, shapes: dict[str, MovingShape]) -> Moving | None:
     slots = np.floor((run.time_s[frames] - run.time_s[frames[0]]) * FRAME_RATE + 1e-6)
     kept = frames[np.unique(slots, return_index=True)[1]]
     parts = [
-        Deforming(name=name, color=_COLORS[name], triangles=s.triangles, nodes_m=s.nodes_m[kept])
+        Deforming(
+            name=name,
+            color=_COLORS[name],
+            triangles=s.triangles,
+            nodes_m=s.nodes_m[kept],
+            opacity=_THROUGH if name == _BEFORE and len(shapes) > 1 else 1.0,
+        )
         for name, s in shapes.items()
     ]
     return Moving(time_s=run.time_s[kept], parts=parts, caption="")

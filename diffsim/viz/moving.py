@@ -34,12 +34,14 @@ class Deforming:
         color: As ``#rrggbb``.
         triangles: Node indices, (num_triangles, 3).
         nodes_m: Positions over time, z up, (num_frames, num_nodes, 3) [m].
+        opacity: Less than 1 where another surface shows through.
     """
 
     name: str
     color: str
     triangles: Ints
     nodes_m: Array
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +97,8 @@ class Moving:
         if not self.parts or count == 0:
             raise ValueError("a view needs a part and a frame at least")
         for part in self.parts:
-            arrays = [v for k, v in vars(part).items() if k not in ("name", "color", "triangles")]
+            fixed = ("name", "color", "triangles", "opacity")
+            arrays = [v for k, v in vars(part).items() if k not in fixed]
             if not all(np.isfinite(a).all() for a in arrays):
                 raise ValueError(f"positions of {part.name!r} must be finite")
             frames = {Deforming: "nodes_m", Rigid: "turns"}.get(type(part))
@@ -199,6 +202,7 @@ def _packed(part: Deforming | Rigid | Line, kept: Ints) -> dict[str, Any]:
     said["triangles"] = _coded(part.triangles.astype("<u2" if size <= _LEVELS else "<u4"))
     said["wide"] = size > _LEVELS
     if isinstance(part, Deforming):
+        said["opacity"] = part.opacity
         return said | {"kind": "deforming", "nodes": size, **_quantized(part.nodes_m[kept])}
     poses = np.concatenate([part.turns[kept].reshape(-1, 9), part.places_m[kept]], axis=1)
     return said | {

@@ -199,9 +199,11 @@
         pen.lineTo(...spot(face.c, face.j));
         pen.lineTo(...spot(face.c, face.k));
         pen.closePath();
+        pen.globalAlpha = face.part.opacity ?? 1;
         pen.fill();
-        pen.stroke(); // closes the hairline between neighbors
+        if (pen.globalAlpha === 1) pen.stroke(); // closes the hairline between neighbors
       }
+      pen.globalAlpha = 1;
       this.slider.value = this.frame;
       this.clock.textContent = `${this.time[this.frame].toFixed(2)} s`;
       this.box.dataset.drawn = faces.length; // for tests
