@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import torch
 from diffsim import mesh
 from diffsim.data.study import Channel
 from diffsim.identify import Problem, WhiteNoise
+from diffsim.identify.model_file import SavedModel, rebuilt
 from diffsim.systems.registry import setup_of
+from diffsim.systems.soft_body.quasi_static import pose_commands
 
 from .described import BAR, TENDON, described, predicted, run_of, study_of
 
@@ -179,6 +182,43 @@ def test_poses_follow_the_command_and_are_computed_once():
     assert torch.allclose(there[1:12], there[1:12].flip(0), atol=1e-9)
     late = predicted(study, {"delay": 0.1})[0]
     assert torch.allclose(late[4:], there[2:-2], atol=1e-5)
+
+
+def test_a_frozen_model_follows_a_larger_stroke_than_it_was_fitted_to():
+    """It was refused: poses were spread over the new stroke, so sizes "meant something else"."""
+    study = study_of(TENDON, (PULLED,))
+    further = study_of(TENDON, (replace(PULLED, command={"pull_m": pulled(9e-3)}),))
+    model = setup_of(study).model
+    base = {p.name: p for p in model.base}
+    saved = SavedModel(
+        path=Path("extended_model.yaml"),
+        values={name: p.value for name, p in base.items()},
+        sd={name: p.sd for name, p in base.items()},
+        units={name: p.unit for name, p in base.items()},
+        parameters=tuple(base),
+        components=(),
+        frame=dict(model.frame),
+    )
+    again = rebuilt(saved, setup_of(saved.framed(further)))
+    assert again.frame == model.frame
+    run = further.runs[0]
+    there = again.predict(run, again.at_prior()).detach()
+    fresh = setup_of(further).model  # poses of its own, over all of the larger stroke
+    own = fresh.predict(run, torch.zeros(len(base), dtype=torch.float64)).detach()
+    assert float(own.abs().max()) > 2e-3
+    np.testing.assert_allclose(there, own, atol=1e-3 * float(own.abs().max()))
+
+
+def test_poses_go_on_at_their_spacing():
+    fitted = pose_commands((0.0, 1.0), (0.0, 1.0), 12)
+    assert fitted is not None and float(fitted[-1]) == pytest.approx(1.1)
+    more = pose_commands((0.0, 1.0), (-0.05, 1.4), 12)
+    assert more is not None
+    np.testing.assert_allclose(more.diff(), 0.1, rtol=1e-12)
+    assert float(more[-1]) >= 1.4 * 1.1 and float(more[0]) <= -0.05
+    assert set(fitted.tolist()) <= set(more.tolist())
+    assert len(pose_commands((0.0, 1.0), (0.0, 1e6), 12)) < 200  # a wrong unit costs no hours
+    assert pose_commands((0.0, 0.0), (0.0, 0.0), 12) is None
 
 
 def test_a_commanded_force_bends_as_its_moment_does():
