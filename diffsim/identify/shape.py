@@ -16,10 +16,13 @@ class MovingShape:
         triangles: Node indices, (num_triangles, 3).
         nodes_m: Places over time, z up, (num_samples, num_nodes, 3) [m]; NaN where a sample says
             nothing of them.
+        closed: Whether it has an inside, its triangles seen counter-clockwise from outside; then
+            what faces away is not drawn.
     """
 
     triangles: NDArray[np.int64]
     nodes_m: NDArray[np.float64]
+    closed: bool = False
 
 
 __all__ = ["MovingShape"]

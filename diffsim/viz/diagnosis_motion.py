@@ -82,6 +82,7 @@ def _view(run: PredictedRun, shapes: dict[str, MovingShape]) -> Moving | None:
             color=_COLORS[name],
             triangles=s.triangles,
             nodes_m=s.nodes_m[kept],
+            closed=s.closed,
             opacity=_THROUGH if name == _BEFORE and len(shapes) > 1 else 1.0,
         )
         for name, s in shapes.items()

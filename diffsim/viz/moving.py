@@ -35,6 +35,7 @@ class Deforming:
         triangles: Node indices, (num_triangles, 3).
         nodes_m: Positions over time, z up, (num_frames, num_nodes, 3) [m].
         opacity: Less than 1 where another surface shows through.
+        closed: Its triangles are seen counter-clockwise from outside, and only from there.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Deforming:
     triangles: Ints
     nodes_m: Array
     opacity: float = 1.0
+    closed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +99,7 @@ class Moving:
         if not self.parts or count == 0:
             raise ValueError("a view needs a part and a frame at least")
         for part in self.parts:
-            fixed = ("name", "color", "triangles", "opacity")
+            fixed = ("name", "color", "triangles", "opacity", "closed")
             arrays = [v for k, v in vars(part).items() if k not in fixed]
             if not all(np.isfinite(a).all() for a in arrays):
                 raise ValueError(f"positions of {part.name!r} must be finite")
@@ -202,7 +204,7 @@ def _packed(part: Deforming | Rigid | Line, kept: Ints) -> dict[str, Any]:
     said["triangles"] = _coded(part.triangles.astype("<u2" if size <= _LEVELS else "<u4"))
     said["wide"] = size > _LEVELS
     if isinstance(part, Deforming):
-        said["opacity"] = part.opacity
+        said |= {"opacity": part.opacity, "closed": part.closed}
         return said | {"kind": "deforming", "nodes": size, **_quantized(part.nodes_m[kept])}
     poses = np.concatenate([part.turns[kept].reshape(-1, 9), part.places_m[kept]], axis=1)
     return said | {

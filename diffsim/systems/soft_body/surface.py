@@ -33,6 +33,7 @@ def surface_of(scene: SoftScene) -> MovingShape:
     return MovingShape(
         triangles=local.reshape(-1, 3).numpy(),
         nodes_m=np.ascontiguousarray(places.reshape(len(places), -1, 3)),
+        closed=True,
     )
 
 

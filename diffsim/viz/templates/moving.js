@@ -184,6 +184,8 @@
           const u = [c[j] - c[i], c[j + 1] - c[i + 1], c[j + 2] - c[i + 2]];
           const v = [c[k] - c[i], c[k + 1] - c[i + 1], c[k + 2] - c[i + 2]];
           const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+          const towards = n[2] * (eye - c[i + 2]) - n[0] * c[i] - n[1] * c[i + 1];
+          if (part.closed && towards < 0) continue; // hidden by the part itself
           const length = Math.hypot(...n) || 1;
           const light = Math.abs(0.35 * n[0] + 0.6 * n[1] + 0.72 * n[2]) / length;
           faces.push({ depth: c[i + 2] + c[j + 2] + c[k + 2], part, c, i, j, k,
