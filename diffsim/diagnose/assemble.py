@@ -186,7 +186,8 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         commands=seen.commands,
         unmet=unmet_by(frozen.best.problem),
     )
-    gained = found.gain if is_test and frozen.best.problem.effects else None
+    gain = found.gain if frozen.best.problem.effects else None
+    gained = gain if is_test else None  # runs that chose between causes prove none
     assert frozen.answer is not None  # of the same diagnosis
     return replace(
         frozen,
@@ -194,7 +195,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         errors=found.errors,
         outside=found.outside,
         gain=gained,
-        headline=headline(frozen.answer, found.errors, found.failed),
+        headline=headline(frozen.answer, found.errors, found.failed, gain),
         sentences=sentences(frozen.answer, gained, found.errors, found.failed),
     )
 

@@ -10,6 +10,8 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from diffsim import cli
+from diffsim.data import save_study
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.identify import fit
@@ -206,6 +208,20 @@ def test_the_window_ends_before_the_touch():
     assert [c.name for c in cut.channels][-1] == "rest_height_m"
     rest = np.array([r.measured[-1, -1] for r in cut.runs])
     np.testing.assert_allclose(rest, 0.025, atol=1e-4)
+
+
+def test_a_toss_too_short_to_count_is_told(tmp_path, capsys):
+    """It was left out without a word, of test runs too."""
+    study = box_study()
+    short = study.runs[3]
+    short = replace(short, time_s=short.time_s[:9], measured=short.measured[:9])
+    study = replace(study, runs=(*study.runs[:3], short, *study.runs[4:]))
+    cut = setup_of(study).study
+    assert len(cut.runs) == len(study.runs) - 1
+    (told,) = cut.left_out
+    assert told == "run toss_3: its window has fewer than 10 frames of flight"
+    assert cli.main(["diagnose", "check", str(save_study(study, tmp_path))]) == 0
+    assert f"not used: {told}" in capsys.readouterr().out
 
 
 def test_angles_are_as_good_as_quaternions():

@@ -21,11 +21,13 @@ from diffsim.systems.soft_body.causes import (
     REACH,
     TIMED,
     commanded_reach,
+    fitted_reach,
     is_timed,
     library,
     unknowns,
 )
 from diffsim.systems.soft_body.described import DescribedModel
+from diffsim.systems.soft_body.quasi_static import pose_commands
 
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
 
@@ -89,7 +91,7 @@ class SoftBodyDescription(SoftBodyKeys):
             raise ValueError("\n".join(str(p) for p in wrong))
         described = self._described(study)
         model = described.model()
-        reach = {REACH: list(commanded_reach(study, self.commands))} if self.commands else {}
+        reach = {REACH: list(fitted_reach(study, self.commands))} if self.commands else {}
         model.frame = {TIMED: is_timed(self, study), **reach}
         rig = described.rig()
         mass_kg = float(rig.volume.sum()) * self.material.density.value
@@ -108,8 +110,11 @@ class SoftBodyDescription(SoftBodyKeys):
     def _described(self, study: Study) -> DescribedModel:
         parameters = BaseParameters(self.quantities(), study.runs)
         names = [c.name for c in study.channels]
-        reach = commanded_reach(study, self.commands) if len(self.commands) == 1 else None
-        return DescribedModel(self, study.folder, names, parameters, reach)
+        commands = None
+        if len(self.commands) == 1:
+            now = commanded_reach(study, self.commands)
+            commands = pose_commands(fitted_reach(study, self.commands), now, self.numerics.poses)
+        return DescribedModel(self, study.folder, names, parameters, commands)
 
 
 def _masses(where: str, fact: str, runs: Sequence[Run]) -> Iterator[Problem]:
