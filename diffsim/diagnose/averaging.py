@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import optimize, special, stats
 
 from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.gates import numerical_shift
@@ -132,6 +132,26 @@ class Averaged:
             sd = np.hypot([p[1][k] for p in parts], MODEL_FORM * mean)
             out[component] = _interval(weights, unit * mean, unit * sd, effect)
         return out
+
+    def differs_jointly(self, i: int) -> bool:
+        """Whether the components of an effect are together not zero, whatever each is alone.
+
+        A size for all and one for each propeller share what they say: of neither alone zero can be
+        excluded, of their sum it can. By the heaviest set with a fit, at 90 %, widened as intervals
+        are.
+        """
+        fits = {h: w.fit for h, w in self.search.weighed.items() if i in h.effects}
+        held = [h for h, fit in fits.items() if fit is not None and self.weights.get(h, 0.0) > 0.0]
+        if not held:
+            return False
+        fit = fits[max(held, key=lambda h: self.weights[h])]
+        assert fit is not None
+        own = fit.problem.columns_of(self.search.wide.effects[i])
+        u, stretch = fit.problem.scaled(fit.x)[own], fit.problem.stretch(fit.x)[own]
+        spread = fit.covariance[np.ix_(own, own)] * np.outer(stretch, stretch)
+        widest = max(self.factors.get(fit.problem.names[c], self.usual) for c in own)
+        away = float(u @ np.linalg.solve(spread, u)) / widest**2
+        return away > float(stats.chi2.ppf(0.9, len(own)))
 
     def _part(self, h: Hypothesis, i: int, names: Sequence[str] | None) -> tuple[Array, Array]:
         """Mean and sd of an effect's scaled coordinates in a set.

@@ -92,9 +92,11 @@ def _helps_nothing(gain: Gain | None) -> bool:
 
 
 def _may_be_zero(about: Averaged, i: int) -> bool:
-    """Whether the widened intervals of all components of a size hold zero."""
+    """Whether the widened intervals of all components of a size hold zero, together too."""
     sizes = about.size(i).values()
-    return bool(sizes) and all(size.low <= 0.0 <= size.high for size in sizes)
+    if not sizes or not all(size.low <= 0.0 <= size.high for size in sizes):
+        return False
+    return len(sizes) == 1 or not about.differs_jointly(i)
 
 
 def _left_out(decision: Decision, about: Averaged) -> float:

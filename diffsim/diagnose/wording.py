@@ -89,7 +89,8 @@ def headline(
     said = _said(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in _effects(answer))
     named = [row for row in _effects(answer) if row.name in answer.named]
-    subject = "They take" if len(named) > 1 else "It takes"
+    said_of = [row for row in named if row.status == CERTAIN] or named  # as `_missing` says them
+    subject = "They take" if len(said_of) > 1 else "It takes"
     if failed:
         endings = [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
     else:

@@ -16,7 +16,7 @@ from diffsim.diagnose.data_sheet import _pulled_together, base_rows, pull_limit,
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
-from diffsim.diagnose.wording import _on_unseen, _opened
+from diffsim.diagnose.wording import Answer, _on_unseen, _opened, headline
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from diffsim.identify.model import Parameter
 from tests.diagnose import linear
@@ -174,6 +174,16 @@ def test_a_cause_may_say_its_size_in_words():
     report = diagnosed({PUSH: 1.0}, (limit,))
     # the shapes of a linear effect go by the name that it was made with
     assert report.headline.startswith("A speed limit near 1 m/s is missing.")
+
+
+def test_a_headline_counts_the_causes_that_it_says():
+    report = diagnosed({PUSH: 1.0, OTHER: 1.0}, (PUSH, OTHER), tests=2)
+    error = ErrorRow("t", "position", "m", 2.0, 1.0, 1.0, 100, 0)
+    both = tuple(replace(row, words=f"some {row.name}") for row in report.causes)
+    one = tuple(replace(r, status="likely") if r.name == OTHER.name else r for r in both)
+    for causes, subject in ((both, "They take"), (one, "It takes")):
+        answer = Answer("named", None, causes, (), (), None, named=(PUSH.name, OTHER.name))
+        assert f". {subject} the error" in headline(answer, [error])
 
 
 def test_a_headline_does_not_praise_what_helps_nothing():

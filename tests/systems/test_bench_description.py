@@ -181,3 +181,12 @@ def test_two_runs_do_not_ask_for_a_zero_each():
     s = setup_of(bench(runs=RUNS[1:]))
     zero = next(e for e in s.effects if e.name == "zero_per_run_of_thrust_n")
     assert zero.needs(bench(runs=RUNS[1:])) == "3 runs to fit"
+
+
+def test_a_size_for_all_and_one_for_each_are_certain_together():
+    """Of two propellers neither size alone excludes zero; what both have together does."""
+    runs = (*(("A", "fit"), ("B", "fit")) * 2, ("A", "test"))
+    report = found(bench(HIDDEN["exponent_of_thrust"][1], runs=runs))
+    (cause,) = [c for c in report.causes if c.name == "exponent_of_thrust"]
+    assert all(size.low <= 0.0 <= size.high for size in cause.size.values()), cause.size
+    assert cause.status == "certain"
