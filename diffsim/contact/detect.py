@@ -94,6 +94,8 @@ def detect(
         paths = _Paths.of(many[0], moved[0], start, end)
         entry = paths.entry(many[0].shape, continuous)
         planes = _planes(0, many[0], moved[0], dt, paths, entry, push, member)
+    elif torch.compiler.is_compiling() and not any(one.shape.can_tunnel for one in many):
+        planes = _stacked_planes(many, moved, dt, start, end, push, member)
     else:
         planes = _nearest_planes(many, moved, dt, start, end, push, continuous, member)
     return ContactPlanes(*(field.reshape(*shape, *field.shape[1:]) for field in planes))
@@ -158,6 +160,31 @@ def _nearest_planes(
     return ContactPlanes(*(torch.cat(fields)[back] for fields in zip(*parts, strict=True)))
 
 
+def _stacked_planes(
+    many: list[Obstacle],
+    moved: list[Obstacle],
+    dt: float,
+    start: Tensor,
+    end: Tensor,
+    push: float,
+    member: Tensor,
+) -> ContactPlanes:
+    """The same of half spaces in one graph: what a number decides is evaluated either way."""
+    parts, depths = [], []
+    for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
+        paths = _Paths.of(obstacle, later, start, end)
+        parts.append(_planes(k, obstacle, later, dt, paths, None, push, member))
+        depths.append(paths.phi1.detach())
+    choice = torch.stack(depths).argmin(0)
+
+    def chosen(*fields: Tensor) -> Tensor:
+        stacked = torch.stack(fields)
+        at = choice.reshape(1, -1, *[1] * (stacked.ndim - 2)).expand(1, *stacked.shape[1:])
+        return stacked.gather(0, at)[0]
+
+    return ContactPlanes(*(chosen(*fields) for fields in zip(*parts, strict=True)))
+
+
 def _planes(
     index: int,
     obstacle: Obstacle,
@@ -192,7 +219,8 @@ def _planes(
         value.expand_as(phi) if value.ndim == 0 else value[member]
         for value in (obstacle.friction, obstacle.restitution)
     )
-    if restitution.requires_grad or bool((restitution > 0).any()):
+    bounces = torch.compiler.is_compiling() or restitution.requires_grad  # one graph has both
+    if bounces or bool((restitution > 0).any()):
         approach = dot(normal, end - reference)
         bounce = -restitution * approach
         inside = phi.detach() < 0

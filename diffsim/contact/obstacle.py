@@ -118,7 +118,9 @@ class Obstacle:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a velocity, or one that gradients are wanted to."""
+        """Whether it has a velocity, or one that gradients are wanted to; in a graph it has."""
+        if torch.compiler.is_compiling():  # moving by zero changes no bit
+            return True
         both = (self.velocity, self.angular_velocity)
         return any(w.requires_grad or bool(w.any()) for w in both)
 

@@ -104,6 +104,24 @@ def test_a_stiff_body_lands_sliding(kind, seed):
 
 
 @pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("youngs", [1e6, 1e7, 1e8])
+@pytest.mark.parametrize("spin", [(0.5, 1.0, 3.0), (2.0, -1.0, 0.3)])
+def test_stiff_bodies_land_spinning(kind, youngs, spin):
+    """Six kinds of landing at three speeds each: 1000 kg/m^3 in steps of 10 ms."""
+    solver = soft.SolverOptions(rtol=1e-6)
+    for speed in (0.5, 1.0, 1.5):
+        body = slab(kind, (3, 3, 2), youngs_modulus=youngs, density=1000.0, dt=0.01, solver=solver)
+        state = moving(body, (0.3, 0.1, -speed), spin=spin)
+        lowest = float(state.x[:, 2].min())
+        floor = contact.floor(lowest - 0.005 * speed, friction=0.3)  # met in the first step
+        touched = 0
+        for _ in range(3):
+            state, _ = checked_step(body, state, floor, 1e-2)
+            touched += int((state.contact_force != 0.0).any())
+        assert touched > 0
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
 def test_stiff_and_soft_elements_side_by_side(kind):
     m = (mesh.hex_box if kind == "hex" else mesh.tet_box)((2, 2, 2), (1.0, 1.0, 1.0))
     youngs = torch.where(torch.arange(m.num_elements) % 2 == 0, 1.0, 1e4).double()

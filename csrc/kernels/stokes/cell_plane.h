@@ -77,8 +77,11 @@ class EdgeCrossing {
       place_ = a;
       T square = 0.0;
       for (int i = 0; i < 3; ++i) square += (row[i + 1] - row[i]) * (row[i + 1] - row[i]);
-      const T rough = 36.0 * twist_ * twist_ / (kRough * square);
-      const T weight = T(1.0) / (1.0 + rough * rough);
+      T weight = 0.0;  // where squares underflow, the edge is straight
+      if (value_of(square) > 0.0) {
+        const T rough = 36.0 * twist_ * twist_ / (kRough * square);
+        weight = T(1.0) / (1.0 + rough * rough);
+      }
       bend_ = bend_ * weight;
       twist_ = twist_ * weight;
     }
