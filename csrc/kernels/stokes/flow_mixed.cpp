@@ -1,6 +1,6 @@
 #include "kernels/stokes/flow_mixed.h"
 
-#include <Eigen/Dense>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cstring>
 

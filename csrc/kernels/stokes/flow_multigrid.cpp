@@ -1,6 +1,6 @@
 #include "kernels/stokes/flow_multigrid.h"
 
-#include <Eigen/Dense>
+#include <Eigen/LU>
 #include <algorithm>
 #include <utility>
 #if defined(__F16C__)
