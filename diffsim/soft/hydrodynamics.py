@@ -17,8 +17,6 @@ from diffsim.soft.parameters import Value, as_tensor, hold
 LIMITS = ("isotropic", "component")
 DRAG_COEFFICIENTS = (0.05, 0.05, 1.85, 2.05)
 THRUST_COEFFICIENTS = (-0.8, -0.5, 0.1, 2.5)
-# Corner triples whose triangles cover a face twice (quad, in both of its triangulations) or once.
-_TRIANGLES = {4: ((0, 1, 2), (0, 2, 3), (0, 1, 3), (3, 1, 2)), 3: ((0, 1, 2),)}
 
 
 class HydroForces(NamedTuple):
@@ -152,9 +150,9 @@ class Hydrodynamics(nn.Module):
         if water_velocity is not None:
             water = require("water_velocity", water_velocity, ("...", 3))
         water = broadcast("water_velocity", water, (*x.shape[:-2], 3))
-        per_face = self._face_forces(self._at_corners(x), self._at_corners(v), water)
         corners = self.faces.shape[1]
-        shares = (per_face / corners).repeat_interleave(corners, dim=-2)
+        per_face = self._face_forces(self._at_corners(x), self._at_corners(v), water) / corners
+        shares = per_face.transpose(-1, -2).repeat_interleave(corners, dim=-2)
         forces = torch.zeros_like(x).index_add(-2, self.faces.flatten(), shares)
         return self._limited(forces)
 
@@ -180,25 +178,30 @@ class Hydrodynamics(nn.Module):
             require_range("density", self.density, above=0.0, hint="unit is kg/m^3")
 
     def _at_corners(self, nodal: Tensor) -> Tensor:
-        """(..., num_vertices, 3) -> (..., num_faces, corners, 3)."""
-        picked = nodal.index_select(-2, self.faces.flatten())  # faster than advanced indexing
-        return picked.reshape(*nodal.shape[:-2], *self.faces.shape, 3)
+        """(..., num_vertices, 3) -> (..., corners, 3, num_faces).
+
+        Faces come last: operations along three components are slow where these come last.
+        """
+        rows = nodal.transpose(-1, -2).contiguous()
+        picked = rows.index_select(-1, self.faces.T.flatten())  # faster than advanced indexing
+        num_faces, corners = self.faces.shape
+        return picked.reshape(*rows.shape[:-1], corners, num_faces).transpose(-2, -3)
 
     def _face_forces(self, x: Tensor, v: Tensor, water: Tensor) -> Tensor:
-        """Forces (..., num_faces, 3) on faces with corners x, v (..., num_faces, corners, 3)."""
+        """Forces (..., 3, num_faces) on faces with corners x, v (..., corners, 3, num_faces)."""
         area, normal = _area_and_normal(x)
-        v_rel = water[..., None, :] - v.mean(-2)
+        v_rel = water[..., None] - _sum(v, -3) / v.shape[-3]
         speed = _norm(v_rel)
-        head_on = -(normal * v_rel).sum(-1)
+        head_on = -_sum(normal * v_rel, -2)
         wet = head_on > 0.0
         # asin(head_on / speed) without its infinite slope at head-on flow
-        along = _norm(v_rel + head_on[..., None] * normal)
+        along = _norm(v_rel + head_on[..., None, :] * normal)
         alpha = torch.atan2(torch.where(wet, head_on, 1.0), torch.where(wet, along, 0.0))
         pressure = torch.where(wet, 0.5 * self.density * area, 0.0)
         if self.fade_angle > 0.0:
             pressure = pressure * _smooth_step(alpha / self.fade_angle)
-        drag = (pressure * self.drag_coefficient(alpha) * speed)[..., None] * v_rel
-        thrust = (pressure * self.thrust_coefficient(alpha) * speed**2)[..., None] * normal
+        drag = (pressure * self.drag_coefficient(alpha) * speed)[..., None, :] * v_rel
+        thrust = (pressure * self.thrust_coefficient(alpha) * speed**2)[..., None, :] * normal
         return drag - thrust
 
     def _limited(self, forces: Tensor) -> HydroForces:
@@ -209,7 +212,7 @@ class Hydrodynamics(nn.Module):
             limited = (forces.abs() > self.max_force).any(-1)
             result = forces.clamp(-self.max_force, self.max_force)
         else:
-            length = _norm(forces)
+            length = torch.linalg.vector_norm(forces, dim=-1)
             limited = length > self.max_force
             scale = self.max_force / torch.where(limited, length, self.max_force)
             result = torch.where(limited[..., None], scale[..., None] * forces, forces)
@@ -250,20 +253,40 @@ def _smooth_step(s: Tensor) -> Tensor:
 
 
 def _area_and_normal(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Area (..., F) and unit normal (..., F, 3) of faces with corners (..., F, 3 or 4, 3).
+    """Area (..., F) and unit normal (..., 3, F) of faces with corners (..., 3 or 4, 3, F).
 
     A quad's area is the mean over its two triangulations, its normal that of their summed area
     vectors; a collapsed face has normal 0.
     """
-    corners = torch.tensor(_TRIANGLES[x.shape[-2]])
-    p0, p1, p2 = (x.index_select(-2, corners[:, c]) for c in range(3))
-    vectors = torch.linalg.cross(p1 - p0, p2 - p1)  # twice the triangles' area vectors
-    area = _norm(vectors).sum(-1) / (2.0 if x.shape[-2] == 3 else 4.0)
-    total = vectors.sum(-2)
+    first, *others = x.unbind(-3)
+    edges = [corner - first for corner in others]
+    total = _cross(edges[0], edges[1])  # twice the triangle's area vector
+    if len(edges) == 2:
+        area = 0.5 * _norm(total)
+    else:  # triangles 012 and 023, or 013 and 312: both pairs have the same sum
+        triangles = (total, _cross(edges[1], edges[2]), _cross(edges[0], edges[2]))
+        total = triangles[0] + triangles[1]
+        area = 0.25 * _sum(_norm(torch.stack((*triangles, total - triangles[2]))), 0)
     length = _norm(total)
-    return area, total / torch.where(length > 0.0, length, 1.0)[..., None]
+    return area, total / torch.where(length > 0.0, length, 1.0)[..., None, :]
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    """a x b, vectors along the last axis but one."""
+    (a0, a1, a2), (b0, b1, b2) = a.unbind(-2), b.unbind(-2)
+    return torch.stack((a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0), dim=-2)
+
+
+def _sum(terms: Tensor, dim: int) -> Tensor:
+    """Sum over few terms along an axis that is not the last, where ``torch.sum`` is slow."""
+    first, *others = terms.unbind(dim)
+    for term in others:
+        first = first + term
+    return first
 
 
 def _norm(vectors: Tensor) -> Tensor:
-    """|v| over the last axis, with gradient 0 at v = 0."""
-    return torch.linalg.vector_norm(vectors, dim=-1)
+    """|v| over the last axis but one, with gradient 0 at v = 0."""
+    square = _sum(vectors * vectors, -2)
+    some = square > 0.0
+    return torch.where(some, torch.where(some, square, 1.0).sqrt(), 0.0)
