@@ -25,13 +25,16 @@ from diffsim.core import interruptible
 from diffsim.envs import TaskState
 from diffsim.envs.soft_named import SoftJumper
 from diffsim.learn.run import read_rows
+from diffsim.learn.setup import evaluate
 from diffsim.viz.figures import CYCLE
 
 PUBLISHED = {"sapo": 1820.5, "apg": 956.6, "shac": 853.3, "ppo": 261.5}
 LABELS = {"sapo": "SAPO", "shac": "SHAC", "gradient": "Adam (APG)", "apg": "APG", "ppo": "PPO"}
 SUBSTEPS = (1, 2, 4, 8, 16)
+SQUARE_WAVES = (2.0, 2.5, 3.0, 3.5, 4.0)  # [Hz]
+BY_HAND = 139.0  # return of the best of them, 3 Hz
 CONTROL_PERIOD = 1.0 / 60.0  # [s]
-EPISODE = 300
+EPISODE, EPISODES = 300, 4  # control steps, and how many episodes rate a controller
 
 
 def command(seconds: float) -> float:
@@ -64,6 +67,21 @@ def rise(substeps: int) -> tuple[float, float]:
     task, began = still_jumper(substeps), time.process_time()
     heights = [float(task.robot.center(state["x"])[0, 2]) for state in jump(task)]
     return max(heights) - heights[0], (time.process_time() - began) / (len(heights) - 1)
+
+
+def report_square_waves() -> None:
+    """Returns of all muscles shrinking and swelling together, from the starts that rate runs."""
+    task = SoftJumper()
+    print("| square wave | return |\n|---|---|")
+    for hertz in SQUARE_WAVES:
+        per_step = evaluate(task, lambda seen, k, f=hertz: square_wave(task, seen, k, f), EPISODES)
+        print(f"| {hertz:g} Hz | {task.max_steps * per_step:.0f} |", flush=True)
+
+
+def square_wave(task: SoftJumper, seen: torch.Tensor, step: int, hertz: float) -> torch.Tensor:
+    """Commands (batch, num_actions): 1 in the first half of a period, -1 in the second."""
+    level = 1.0 if (step * task.dt * hertz) % 1.0 < 0.5 else -1.0
+    return torch.full((len(seen), task.num_actions), level, dtype=torch.float64)
 
 
 def report_steps() -> None:
@@ -133,6 +151,7 @@ def main() -> None:
         draw_curves(args.curves, args.out)
     if args.curves is None and args.picture is None:
         report_steps()
+        report_square_waves()
 
 
 if __name__ == "__main__":
