@@ -1,4 +1,4 @@
-"""Results on the screen as soon as they are there: the first within seconds, the page at the end."""
+"""Results on the screen as soon as they are there; the page follows at the end."""
 
 from __future__ import annotations
 
