@@ -116,12 +116,19 @@ def _judging(step: argparse.ArgumentParser) -> None:
     step.add_argument("--quick", action="store_true", help="fewer refits: a first impression")
     step.add_argument(
         "--threads",
-        "--workers",  # its name before all commands had one word for it
         dest="workers",
         type=positive,
         default=1,
         metavar="N",
         help="simulate N runs at a time (default: 1)",
+    )
+    # its name before all commands had one word for it
+    step.add_argument(
+        "--workers",
+        dest="workers",
+        type=positive,
+        default=argparse.SUPPRESS,
+        help=argparse.SUPPRESS,
     )
     step.add_argument(
         "--accept-numerics",

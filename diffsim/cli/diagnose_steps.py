@@ -23,6 +23,7 @@ from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.cli.diagnose_judged import write_judged
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.optional import advice, present
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
@@ -117,6 +118,8 @@ def _explain(args: argparse.Namespace) -> None:
         out = args.out or Path(DIAGNOSES) / study.name
         judged(study, out, everything=True, seed=args.seed)
         return
+    for line in _pictures_left_out():
+        print(line)
     inputs, out = _inputs(args, study)
     before = _read_json(out / INPUTS_FILE)  # written last: it says that all files are there
     if before is not None and (out / REPORT_FILE).is_file() and not args.force:
@@ -150,6 +153,19 @@ def _explain(args: argparse.Namespace) -> None:
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
     _tell(report.headline, report.verdict, report.sentences)
+
+
+def _pictures_left_out() -> list[str]:
+    """What will not be drawn for want of packages, said before anything is computed."""
+    needed = {PAGE_FILE: ("matplotlib", "plotly", "jinja2"), RECORDING_FILE: ("rerun",)}
+    lines = []
+    for name, modules in needed.items():
+        if missing := [module for module in modules if not present(module)]:
+            lines.append(
+                f"{name} will not be drawn, the answer is saved without it; for it: "
+                f"{advice(missing)}, then the same command again"
+            )
+    return lines
 
 
 def _tell(headline: str, verdict: str, sentences: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ from diffsim import __version__
 from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.core.stages import Stages, code_digest, file_digest
 from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study, write_beam_study
-from examples.demo import diagnosis, fitting, ladder, mesh_study, numerics, verdict
+from examples.demo import diagnosis, early, fitting, ladder, mesh_study, numerics, verdict
 from examples.demo.plan import FULL, QUICK, Plan
 from examples.demo.workers import Workers
 
@@ -125,10 +125,12 @@ def _compute(
     light, loaded = sorted(study.repeats().values(), key=lambda t: t[0].tip_load_mass_kg)
     floor = {case: repeat["vertical_rms_m"] for case, repeat in told["repeats"].items()}
     target = told["trials"][light[0].name]["static_sag_m"]
+    workers.say(early.measured(target, floor[light[0].case]))
     workers.stage("stiffness from the sag", 0)
     sag = results["sag_fit"] = stages.run(
         "sag_fit", lambda: fitting.fit_sag(bar, plan.published(), target)
     )
+    workers.say(early.stiffness(sag["youngs_modulus"], bar.youngs_modulus_published_Pa))
     workers.stage("numerical damping", numerics.num_steps(plan))
     results["numerics"] = stages.run(
         "numerics", lambda: numerics.describe(bar, plan, sag["youngs_modulus"], workers)
@@ -146,6 +148,7 @@ def _compute(
             damping=["rayleigh_beta"],
         ),
     )
+    workers.say(early.fitted("without the weight", single["value"]))
     workers.stage("identification, both cases", _fit_steps(plan, 2))
     joint = results["joint"] = stages.run(
         "joint",
@@ -159,6 +162,7 @@ def _compute(
             damping=["rayleigh_beta", "rayleigh_alpha"],
         ),
     )
+    workers.say(early.fitted("both cases", joint["value"]))
     models = ladder.rungs(bar, plan, sag, single, joint)
     workers.stage("simulations", ladder.num_steps(plan))
     results["simulated"] = stages.run(

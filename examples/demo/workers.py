@@ -43,6 +43,12 @@ class Workers:
             self._planned += steps
             self.bar.set_postfix_str(name)
 
+    def say(self, line: str) -> None:
+        """A result, on its own line above the bar; nothing where there is no bar."""
+        if not self.bar.disable:
+            with self._lock:
+                self.bar.write(line)
+
     def tick(self) -> None:
         """One step is done."""
         if self._stop.is_set():

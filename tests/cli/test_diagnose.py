@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import torch
 import yaml
 
 from diffsim import cli
+from diffsim.cli import main
 from diffsim.cli.diagnose_inputs import changed, choose, inputs_of
+from diffsim.core.optional import advice
 from diffsim.data.labs import CopterLab
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
@@ -142,6 +145,24 @@ def test_a_page_that_lacked_its_package_is_made_once_it_is_there(
     said = capsys.readouterr().out
     assert "lacks report.html" in said and "going on with what" in said
     assert (tmp_path / "report.html").exists() and not (tmp_path / "interrupted").exists()
+
+
+def test_what_cannot_be_drawn_is_said_before_anything_is_computed(monkeypatch, capsys):
+    class Computes(Exception):
+        pass
+
+    def begins(*_):
+        raise Computes
+
+    monkeypatch.setattr(
+        "diffsim.cli.diagnose_steps.read_study", lambda _: SimpleNamespace(faults=None)
+    )
+    monkeypatch.setattr("diffsim.cli.diagnose_steps._inputs", begins)
+    monkeypatch.setattr("diffsim.cli.diagnose_steps.present", lambda name: name != "plotly")
+    with pytest.raises(Computes):
+        main(["diagnose", "explain", "any"])
+    (said,) = capsys.readouterr().out.splitlines()
+    assert said.startswith("report.html will not be drawn") and advice(["plotly"]) in said
 
 
 @pytest.mark.parametrize("last", [-2, -5, 3])

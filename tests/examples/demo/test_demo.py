@@ -142,7 +142,10 @@ def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys
     assert cli.main(command) == 130
     stages = {path.stem for path in (tmp_path / "run" / "stages").glob("*.json")}
     assert stages == {"measured", "mesh", "sag_fit"}
-    assert "--resume" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "--resume" in said.err
+    first = [line.split()[0] for line in said.out.splitlines() if line.strip()]
+    assert first == ["measured", "stiffness"]  # what was known before the long part
     assert not (tmp_path / "run" / "report.html").exists()
 
 

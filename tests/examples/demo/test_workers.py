@@ -51,6 +51,14 @@ def test_the_bar_follows_the_plan():
     assert workers.bar.n == 30
 
 
+def test_results_are_said_above_the_bar(capsys):
+    for quiet, expected in ((False, ["the first"]), (True, [])):
+        workers = Workers(1, 30, quiet=quiet)
+        workers.say("the first")
+        assert capsys.readouterr().out.splitlines() == expected
+        workers.bar.close()
+
+
 def test_no_threads_is_refused():
     with pytest.raises(ValueError, match="threads must be at least 1, got 0"):
         Workers(0, 1)
