@@ -22,6 +22,7 @@ from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.registry import description_of, setup_of
 
 MAX_RUNS = 24  # rows of the table
+MAX_LEFT_OUT = 8  # sentences on what is not used
 MAX_FACTS = 3  # of a run that are shown
 NAMES_ITS_COLUMNS = ("ode", "bench", "soft_body", "rigid_body", "multicopter", "flow_network")
 
@@ -181,8 +182,12 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
             return [Problem("error", "study.yaml", str(error))], ""
     # where a play begins is only fitted beside a play
     shown = [p.name for p in base if not p.name.startswith(PLAY_START)]
-    return list(trial_problems(study, setup)), (
-        f"model: {len(shown)} base parameters ({_some(shown)}), "
+    more = len(base) - len(shown)
+    starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
+    cut = setup.study or study
+    told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
+    return list(trial_problems(study, setup)), "".join(told) + (
+        f"model: {len(shown)} base parameters ({_some(shown)}{starts}), "
         f"{len(causes)} candidate causes ({_some(causes)})"
     )
 
@@ -211,10 +216,15 @@ def _summary(study: Study) -> Iterator[str]:
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
         yield f"repeats: {_some([f'{n} runs of {g}' for g, n in repeats.items()])}"
-    for sentence in study.left_out[:8]:
+    yield from not_used(study.left_out)
+
+
+def not_used(sentences: Sequence[str]) -> Iterator[str]:
+    """Lines on what of the recordings is not used, the first of them in full."""
+    for sentence in sentences[:MAX_LEFT_OUT]:
         yield f"not used: {sentence}"
-    if len(study.left_out) > 8:
-        yield f"not used: ... and {len(study.left_out) - 8} more"
+    if (more := len(sentences) - MAX_LEFT_OUT) > 0:
+        yield f"not used: ... and {more} more"
 
 
 def _uses(study: Study) -> Iterator[str]:

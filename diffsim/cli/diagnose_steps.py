@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
-from diffsim.cli.diagnose_check import check, require_ready
+from diffsim.cli.diagnose_check import check, not_used, require_ready
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
     INPUTS_FILE,
@@ -21,6 +21,7 @@ from diffsim.cli.diagnose_files import (
 )
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
+from diffsim.cli.diagnose_judged import write_judged
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
@@ -70,6 +71,8 @@ def _inputs(
         accept_numerics=args.accept_numerics,
         with_bank=with_bank,
     )
+    for line in not_used(inputs.study.left_out[len(study.left_out) :]):
+        print(line)
     return inputs, args.out or Path(DIAGNOSES) / study.name
 
 
@@ -206,7 +209,8 @@ def _extend(args: argparse.Namespace) -> None:
     for name in sizes:
         unit = "" if units[name] == "-" else units[name]
         value, sd = extension.fit.values[name], extension.fit.sd[name]
-        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} (was {saved.values[name]:.6g})")
+        was = f"(was {saved.values[name]:.6g})" if name in saved.values else "(of a new run)"
+        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} {was}")
     before, after = extension.null.chi2, extension.fit.chi2
     print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
     if extension.gain is None:
@@ -236,6 +240,8 @@ def _judge(args: argparse.Namespace) -> None:
         _tell_outside(name, [far for far in found.outside if far.run == name])
     content = {"study": inputs.study.name, "model": str(saved.path), **found.to_dict()}
     print(f"wrote {write_json_atomic(out / JUDGE_FILE, content)}")
+    for path in write_judged(out, inputs.study, found):
+        print(f"wrote {path}")
 
 
 def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:

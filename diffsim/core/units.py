@@ -71,7 +71,8 @@ def _parsed(unit: str) -> Any:
 
 
 def factor(unit: str, into: str) -> float:
-    """Number of ``into`` in one ``unit``, such as 0.001 for mm into m.
+    """Number of ``into`` in one ``unit``, such as 0.001 for mm into m; of differences: a kelvin is
+    one degree Celsius.
 
     Args:
         unit: Unit that a number has, such as "mbar".
@@ -83,6 +84,9 @@ def factor(unit: str, into: str) -> float:
     have, want = _parsed(unit), _parsed(into)
     if have.dimensionality != want.dimensionality:
         raise ValueError(f"unit {unit!r} is no unit of the quantity that is wanted in {into!r}")
+    ours, theirs = to_si(unit), to_si(into)
+    if ours.offset or theirs.offset:
+        return ours.factor / theirs.factor
     return float(_registry().Quantity(1.0, have).to(want).magnitude)
 
 
@@ -122,12 +126,15 @@ def to_si(unit: str) -> SI:
     return SI(_COHERENT.get(name, short), size, offset)
 
 
-def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
+def in_si(
+    value: float | int | str, unit: str = NO_UNIT, *, difference: bool = False
+) -> tuple[float, str]:
     """A number, or a number with a unit as text, in SI, and the unit that it then has.
 
     Args:
-        value: 0.003, or "3 mm".
+        value: 0.003, "3 mm", or "22 degC", which are 295.15 K.
         unit: Unit of a bare number.
+        difference: Whether it is one, such as a standard deviation: 2 degC are 2 K then.
 
     Raises:
         ValueError: not a number, or an unknown unit.
@@ -137,7 +144,7 @@ def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
         comma = "; use a decimal point" if matched and matched.group(2).startswith(",") else ""
         raise ValueError(f"must be a number, or one with its unit, got {value!r}{comma}")
     si = to_si(matched.group(2) or unit)
-    return si.factor * float(matched.group(1)), si.unit
+    return si.factor * float(matched.group(1)) + (0.0 if difference else si.offset), si.unit
 
 
 def in_unit(value: float | int | str, unit: str) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -149,7 +150,9 @@ class RunReader:
         require_increasing(table, rows, recorded, self._time_name(entry))
         samples = Samples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
-        zero = zero_of(entry, samples.with_facts(facts), labels, case.where)
+        whole = samples.with_facts(facts).at(recorded)
+        made = {c.name: partial(self._values, c, entry, whole) for c in self.study.channels}
+        zero = zero_of(entry, whole, labels, case.where, made)
         samples = samples.with_facts(facts).at(recorded - zero if zero else recorded)
         keep = kept_rows(entry, samples, labels, f"{case.where}")
         if len(keep) < len(rows) and entry.every == 1:

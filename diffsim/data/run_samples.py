@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -69,17 +70,26 @@ class Samples:
                 )
         return self.table.numbers(name)[self.rows]
 
-    def formula(self, text: str) -> Array:
-        """Samples of a formula, (num_samples,)."""
+    def formula(
+        self, text: str, channels: Mapping[str, Callable[[], Array]] = MappingProxyType({})
+    ) -> Array:
+        """Samples of a formula, (num_samples,).
+
+        Args:
+            text: Formula of columns, facts and the clock.
+            channels: What makes further names' samples; a column of that name goes first.
+        """
         numbers = [k for k, v in self.facts.items() if isinstance(v, (int, float))]
         columns = [name for table in self.tables for name in table.header]
         clock = self.time_s if len(self.time_s) else self.recorded_s
 
         def value_of(name: str) -> Array | float:
-            return float(self.facts[name]) if name in numbers else self.column(name)
+            if name in numbers:
+                return float(self.facts[name])
+            return self.column(name) if name in columns else channels[name]()
 
         try:
-            return evaluate(text, clock, value_of, dict.fromkeys([*columns, *numbers]))
+            return evaluate(text, clock, value_of, dict.fromkeys([*columns, *numbers, *channels]))
         except ValueError as error:
             raise ValueError(f"{self.table.path}: {error}") from None
 
@@ -114,10 +124,24 @@ def _of_run(stated: float | Mapping[str, float] | None, labels: Sequence[str]) -
     return stated
 
 
-def zero_of(entry: RunEntry, samples: Samples, labels: Sequence[str], where: str) -> float:
-    """Time of the file that becomes 0 s."""
+def zero_of(
+    entry: RunEntry,
+    samples: Samples,
+    labels: Sequence[str],
+    where: str,
+    channels: Mapping[str, Callable[[], Array]],
+) -> float:
+    """Time of the file that becomes 0 s.
+
+    Args:
+        entry: Entry of ``runs:``, with defaults.
+        samples: All samples of the run, on the clock of the file.
+        labels: What the run is called where a number is stated by run.
+        where: What messages call the entry.
+        channels: What makes a channel's samples, in SI units, by its name.
+    """
     if entry.zero_when is not None:
-        true = samples.formula(entry.zero_when) > 0.0
+        true = samples.formula(entry.zero_when, channels) > 0.0
         if not true.any():
             raise ValueError(f"{where}.zero_when: {entry.zero_when!r} is never true")
         return float(samples.recorded_s[int(np.argmax(true))])

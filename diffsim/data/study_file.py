@@ -149,17 +149,24 @@ def _told(path: Path, problems: list[str]) -> str:
 
 def _channel(entry: ChannelEntry) -> Channel:
     si = to_si(entry.unit)
-    shown = entry.shown_unit or (entry.unit if entry.unit != si.unit else None)
+    shown = _shown(entry)
     kind = entry.kind or _KINDS.get(si.unit, "quantity")
     sd = None if entry.sd is None else si.factor * entry.sd
     return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor)
+
+
+def _shown(entry: ChannelEntry | CommandEntry) -> str | None:
+    """Unit in which a user reads it; kelvins for degrees Celsius, whose zero no factor moves."""
+    assert entry.unit is not None
+    shown = entry.shown_unit or entry.unit
+    return shown if shown != to_si(entry.unit).unit and not to_si(shown).offset else None
 
 
 def _command(entry: CommandEntry) -> Command:
     if entry.unit is None:
         return Command(entry.name, None, entry.lower, entry.upper, entry.rate, entry.is_measured)
     si = to_si(entry.unit)
-    shown = entry.shown_unit or (entry.unit if entry.unit != si.unit else None)
+    shown = _shown(entry)
     lower, upper = (
         None if v is None else si.factor * v + si.offset for v in (entry.lower, entry.upper)
     )

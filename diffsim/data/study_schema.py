@@ -149,7 +149,8 @@ class ChannelEntry(Source):
         "subtracted, so that the channel is a change from a state at rest",
     )
     shown_unit: Unit | None = Field(
-        None, description="Unit in which reports show errors; default: `unit`"
+        None,
+        description="Unit in which reports show errors; default: `unit`, for degC kelvins",
     )
 
 
@@ -264,7 +265,9 @@ class RunKeys(Part):
         None, description="Time of the file that becomes 0 s; `start`: the first sample used"
     )
     zero_when: Formula | None = Field(
-        None, description="0 s is where this formula is true at first, such as pressure > 100"
+        None,
+        description="0 s is where this formula is true at first, such as pressure > 100; of "
+        "columns, facts, or channels in SI units, counted from their `zero_s`",
     )
     before_zero_s: Number | None = Field(None, description="Time that is used before 0 s [s]")
     after_zero_s: Number | None = Field(None, description="Time that is used after 0 s [s]")

@@ -123,7 +123,10 @@ class Averaged:
         names = [wide.names[c] for c in columns]
         parts = [self._part(h, i, names if widened else None) for h in holding]
         out = {}
+        fitted = {f"@{run.name}" for run in wide.runs}
         for k, component in enumerate(effect.components):
+            if component.startswith("@") and component not in fitted:
+                continue  # of a run that nothing was fitted to
             unit = float(wide.size_units[columns[k] - wide.num_base])
             mean = np.array([p[0][k] for p in parts])
             sd = np.hypot([p[1][k] for p in parts], MODEL_FORM * mean)

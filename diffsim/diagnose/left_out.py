@@ -301,10 +301,11 @@ def own_point(
     def columns_at(part: Array) -> Array:
         return -np.asarray(problem.linearize(full(part), only=own)[1][:, own])
 
-    # what is stated per run acts almost linearly: slopes of its start serve for all steps
-    is_linear = not names & set(unmet)
+    # what is stated per run acts almost linearly: slopes of its start serve for all steps; a size
+    # is no straight function of its coordinate
+    is_linear = not names & set(unmet) and max(own) < problem.num_base
     start = np.zeros(len(own))
-    columns = columns_at(start) if slopes is None else -slopes[:, own]
+    columns = columns_at(start) if slopes is None or not is_linear else -slopes[:, own]
     low, high = (b[own] for b in problem.bounds)
     solution = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),

@@ -38,6 +38,8 @@ class Unseen:
         outside: Where the runs lie outside of what was fitted.
         num_spikes: Samples that were left out as spikes, for both models.
         failed: Runs that a model cannot simulate, with why; nothing is known of a gain then.
+        predicted: By run, what plain and extended model say of it, with the run's own values
+            fitted, each (num_samples, num_channels) [unit of the channel].
     """
 
     runs: tuple[str, ...]
@@ -47,6 +49,7 @@ class Unseen:
     outside: tuple[OutsideRow, ...]
     num_spikes: int = 0
     failed: Mapping[str, str] = field(default_factory=dict)
+    predicted: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``judge.json``."""
@@ -95,18 +98,21 @@ def on_unseen(
     """
     errors: list[ErrorRow] = []
     failed: dict[str, str] = {}
+    predicted: dict[str, tuple[Array, Array]] = {}
     cleaned, before, after, num_spikes = [], [], [], 0
     for given in runs:
         try:
             run, count = _without_spikes((plain, extended), given)
             points = [_alone(frozen, run, unmet) for frozen in (plain, extended)]
-            left = [_left(frozen, run) for frozen in points]
+            said = (_predicted(points[0], run), _predicted(points[1], run))
             whitened = [point.problem.residual(point.x) for point in points]
         except DiffsimError as error:  # of one run: the answer to all others stands
             failed[given.name] = str(error)
             continue
         num_spikes += count
+        left = [run.measured - prediction for prediction in said]
         errors += _error_rows(run, left, channels, sd, _num_own(extended, run, unmet), use)
+        predicted[run.name] = said
         before.append(whitened[0])
         after.append(whitened[1])
         cleaned.append(run)
@@ -123,6 +129,7 @@ def on_unseen(
         outside=outside_rows(cleaned, channels, spans, commands),
         num_spikes=num_spikes,
         failed=failed,
+        predicted=predicted,
     )
 
 
@@ -146,17 +153,17 @@ def _alone(frozen: Frozen, run: Run, unmet: Collection[str]) -> At:
     return At(problem, own_point(problem, frozen.x, run, unmet=unmet))
 
 
-def _left(frozen: Frozen, run: Run) -> Array:
-    """Measured minus predicted, (num_samples, num_channels) [unit of the channel]."""
+def _predicted(frozen: Frozen, run: Run) -> Array:
+    """What a model says of a run, (num_samples, num_channels) [unit of the channel]."""
     with torch.no_grad():
-        predicted = frozen.problem.predict(run, torch.from_numpy(frozen.x)).numpy()
-    return np.asarray(run.measured - predicted)
+        return np.asarray(frozen.problem.predict(run, torch.from_numpy(frozen.x)).numpy())
 
 
 def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     """The run without isolated spikes; a spike is one in the record itself and to every model."""
     is_spike = np.isfinite(run.measured)
-    for record in (run.measured, *(_left(frozen, run) for frozen in models)):
+    left = (run.measured - _predicted(frozen, run) for frozen in models)
+    for record in (run.measured, *left):
         cleaned, _ = without_spikes(run, record)
         is_spike &= ~np.isfinite(cleaned.measured)
     count = int(is_spike.sum())

@@ -70,13 +70,21 @@ class Answer:
         ]
 
 
-def headline(answer: Answer, errors: Sequence[ErrorRow], failed: Collection[str] = ()) -> str:
+def headline(
+    answer: Answer,
+    errors: Sequence[ErrorRow],
+    failed: Collection[str] = (),
+    gained: Gain | None = None,
+) -> str:
     """The answer in at most 25 plain words, error on test runs before and after.
+
+    A smaller error is called a gain only where that is confirmed.
 
     Args:
         answer: What is put into words.
         errors: Errors on runs that were not fitted; none without such runs.
         failed: Runs that could not be simulated; errors are not quoted then.
+        gained: Gain over all these errors; None: not known.
     """
     said = _said(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in _effects(answer))
@@ -85,7 +93,7 @@ def headline(answer: Answer, errors: Sequence[ErrorRow], failed: Collection[str]
     if failed:
         endings = [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
     else:
-        endings = _on_unseen(errors, changed, subject)
+        endings = _on_unseen(errors, changed, subject, gained)
     # the error comes before details of the cause: a shorter beginning with it, if one fits
     for first, second in (*product(said, endings), *product(said, ("",))):
         text = f"{first}{second}."
@@ -163,11 +171,14 @@ def _is_bare(row: CauseRow) -> bool:
     return row.words == words_of(row.name)
 
 
-def _on_unseen(errors: Sequence[ErrorRow], changed: bool, subject: str) -> list[str]:
+def _on_unseen(
+    errors: Sequence[ErrorRow], changed: bool, subject: str, gained: Gain | None = None
+) -> list[str]:
     """What becomes of the error, the longest first."""
     if not errors:
         return [". No gain is known: no run is kept for a test", "; no run tests it"]
-    row = _telling_kind(errors, changed)
+    sure = gained is None or gained.status == "confirmed"
+    row = _telling_kind(errors, changed, worst=gained is not None and gained.status == "withdrawn")
     where = "unseen runs" if row.use == "test" else "the runs that chose"
     before, after, noise = (f"{v:.3g}" for v in (row.before, row.after, row.noise))
     unit = "" if row.unit == "-" else f" {row.unit}"
@@ -176,6 +187,13 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool, subject: str) -> list[
     if row.after > 0.99 * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
         return [f"; but the error on {where} {verb} {after}{unit}, noise {noise}{unit}"]
+    if not sure:
+        change = f"{before} to {after}{unit}"
+        return [
+            f"; but no gain is confirmed on {where}: error {change}, noise {noise}{unit}",
+            f"; no gain is confirmed: error {change}, noise {noise}",
+            "; no gain is confirmed",
+        ]
     return [
         f". {subject} the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
         f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
@@ -183,9 +201,9 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool, subject: str) -> list[
     ]
 
 
-def _telling_kind(errors: Sequence[ErrorRow], changed: bool) -> ErrorRow:
+def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> ErrorRow:
     """All runs together, of the kind of channel whose error falls most, or is largest, over its
-    noise."""
+    noise; the one that rises most where the whole gets worse."""
     kinds: dict[tuple[str, str], list[ErrorRow]] = {}
     for row in errors:
         kinds.setdefault((row.kind, row.unit), []).append(row)
@@ -212,7 +230,9 @@ def _telling_kind(errors: Sequence[ErrorRow], changed: bool) -> ErrorRow:
 
     return max(
         (pooled(rows) for rows in kinds.values()),
-        key=lambda r: (r.before - (r.after if changed else 0.0)) / r.noise,
+        key=lambda r: (
+            (-1.0 if worst else 1.0) * (r.before - (r.after if changed else 0.0)) / r.noise
+        ),
     )
 
 
@@ -357,12 +377,22 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
     """Causes with their 90 % intervals."""
     parts = []
     for row in (row.as_read() for row in rows):
+        if len(row.size) > 1 and all(c.startswith("@") for c in row.size):
+            parts.append(_by_run(row))
+            continue
         sizes = ", ".join(
             f"{'' if len(row.size) == 1 else c + ' '}{_ends(size)}" for c, size in row.size.items()
         )
         unit = "" if row.unit == "-" else f" {row.unit}"
         parts.append(f"{row.name} ({sizes}{unit}; 90 % interval)")
     return " and ".join(parts)
+
+
+def _by_run(row: CauseRow) -> str:
+    """A size of each run: between which values they lie."""
+    values = [size.value for size in row.size.values()]
+    unit = "" if row.unit == "-" else f" {row.unit}"
+    return f"{row.name} ({min(values):.3g} to {max(values):.3g}{unit} in {len(values)} runs)"
 
 
 def _range(row: CauseRow) -> str:

@@ -43,6 +43,7 @@ _TASKS = {
     "CowWalk": Named(_SOFT, 60),
     "TorusRoll": Named(_SOFT, 100),
     "TendonReach": Named(_SOFT, 100),
+    "SoftJumper": Named(_SOFT, 300),
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 
@@ -318,6 +319,31 @@ randomization (muscles), sensor_noise |
     """
 
     task_name = "TendonReach"
+
+
+class SoftJumperEnv(NamedEnv):
+    """A light soft table that must jump along +x, after the soft jumper of SAPO's authors
+    (Xing, Luk, Oh, ICLR 2025, arXiv:2412.12089; our mesh, solver and contact differ).
+
+    | | |
+    |---|---|
+    | actions | 0-215: shrink (1) or swell (-1) two tetrahedra each, by an isotropic stress of up \
+to 300 Pa |
+    | observations | 0-2 center [0.1 m], 3-5 its velocity [0.1 m/s], 6-221 last actions, 222-752 \
+x, y, z of 177 nodes from the center [0.1 m]; all unbounded but for actions |
+    | reward | per step: 1.0 forward speed of the center [m/s] + 3.0 its height above the start's \
+[m] - 0.001 sum of squared actions |
+    | start | at rest, soles 0 to 0.4 m above the floor, x and y +-0.8 m, size of the positions \
+times 0.9 to 1.1 |
+    | termination | none |
+    | truncation | 300 steps of 16.7 ms, each 2 time steps of the body |
+    | options | robot (arguments of ``diffsim.systems.robots.soft_jumper``: coarse, dt, \
+active_stress, friction, ...), num_steps, substeps, forward_weight, rise_weight, effort_weight, \
+drop, aside, size_spread, start_speed, clock, action_delay, randomization (muscles), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "SoftJumper"
 
 
 def __getattr__(name: str) -> Any:

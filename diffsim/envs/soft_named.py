@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from diffsim.core.check_options import require_options
+from diffsim.envs.soft_jump import Jump
 from diffsim.envs.soft_tasks import Advance, Reach
 from diffsim.systems import robots
 from diffsim.systems.robots import SoftRobot
@@ -122,3 +123,19 @@ class TendonReach(Reach):
             goal_high=goal_high,
             **options,
         )
+
+
+class SoftJumper(Jump):
+    """See ``diffsim.envs.registry.SoftJumperEnv``."""
+
+    name = "SoftJumper"
+
+    def __init__(
+        self,
+        *,
+        num_steps: int = 300,
+        substeps: int = 2,
+        robot: dict[str, Any] | None = None,
+        **options: Any,
+    ):
+        super().__init__(_made(robots.soft_jumper, robot), num_steps, substeps=substeps, **options)

@@ -161,9 +161,14 @@ class SoftTask(Task):
         if self.robot.obstacles:
             out.append(Entry("height of the center", -inf, inf, "m"))
             out += [Entry(f"deformation {r}{c}", -inf, inf) for r in "xyz" for c in "xyz"]
-        for frequency in self.clock.tolist():
-            out += [Entry(f"{f} of a clock of {frequency:g} Hz", -1.0, 1.0) for f in _CLOCK]
-        return out
+        return out + self._clock_entries()
+
+    def _clock_entries(self) -> list[Entry]:
+        return [
+            Entry(f"{f} of a clock of {frequency:g} Hz", -1.0, 1.0)
+            for frequency in self.clock.tolist()
+            for f in _CLOCK
+        ]
 
 
 class Advance(SoftTask):

@@ -40,6 +40,7 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.sizes import PRIOR_WIDTH
 
 MODEL_FILE = "extended_model.yaml"
 _ENTRY_KEYS = ("value", "sd", "unit")
@@ -265,6 +266,10 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
             require_choice(f"{saved.path}: parameter", name, known)
     values = {name: p.value for name, p in known.items()} | dict(saved.values)
     sd = {name: p.sd * (p.value if p.log else 1.0) for name, p in known.items()} | dict(saved.sd)
+    for effect in effects:
+        for name in filter(_is_of_run, effect_coordinates([effect])):
+            values.setdefault(name, 0.0)
+            sd.setdefault(name, PRIOR_WIDTH * effect.typical)
     _require_units(saved, {**{n: p.unit for n, p in known.items()}, **_units(effects)})
     return extended_at(_prepared(setup.model, saved), effects, values, sd, saved.numerics)
 
@@ -285,12 +290,23 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
         require_choice(f"{saved.path}: effect", name, by_name)
         wanted = effect_coordinates([by_name[name]])
         given = [c for c in saved.components if c == name or c.partition(".")[0] == name]
-        if sorted(wanted) != sorted(given):
+        # a run that the model has not met tells its own
+        if not _same(wanted, given):
             raise ValueError(
                 f"{saved.path}: effect {name} must have {', '.join(wanted)}, got {', '.join(given)}"
             )
         chosen.append(by_name[name])
     return tuple(chosen)
+
+
+def _same(wanted: Sequence[str], given: Sequence[str]) -> bool:
+    """Whether names of components are the same but for those of single runs ("zero.@run_9")."""
+    shared = [sorted(c for c in names if not _is_of_run(c)) for names in (wanted, given)]
+    return shared[0] == shared[1] and any(map(_is_of_run, wanted)) == any(map(_is_of_run, given))
+
+
+def _is_of_run(component: str) -> bool:
+    return component.partition(".")[2].startswith("@")
 
 
 def _require_frame(saved: SavedModel, model: SimModel) -> None:

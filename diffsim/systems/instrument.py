@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
+from diffsim.data.study import Channel, Run
+from diffsim.identify.effect import Apply, Effect
 from diffsim.systems import grid as signals
 from diffsim.systems.actuator import scaled, shifted
 from diffsim.systems.description import Quantity
@@ -41,6 +42,26 @@ def _risen(y: Tensor, grid: Grid, size: Tensor, *, longest_s: float) -> Tensor:
 def refuse(*_: Any) -> None:
     """The ``apply`` of a pattern, which has no scene of its own."""
     raise TypeError("a pattern of an effect; bind its map to a scene")
+
+
+def paced(effects: Iterable[Effect], sample_s: float) -> tuple[Effect, ...]:
+    """Delays and lags that may be as long as half a sample without surprise.
+
+    What is read every two seconds is seldom late by milliseconds.
+
+    Args:
+        effects: Candidate causes.
+        sample_s: Usual time between two samples [s].
+    """
+    least = 0.5 * sample_s
+    return tuple(
+        replace(e, typical=least) if e.unit == "s" and e.typical < least else e for e in effects
+    )
+
+
+def sample_of(runs: Iterable[Run]) -> float:
+    """Usual time between two samples of runs [s]; 0 where none has two."""
+    return max((float(np.median(np.diff(r.time_s))) for r in runs if len(r.time_s) > 1), default=0)
 
 
 SENSOR_SCALE = Effect(
@@ -92,6 +113,21 @@ SENSOR_LAG = replace(
     signed=False,
     also_looks_like=("filter of the recorder", "lag of the drive"),
 )
+
+
+def named_of(model: Effect, dial: str, channels: Sequence[Channel], apply: Apply) -> Effect:
+    """A cause in some channels, called after what they share, in the unit in which a user reads it.
+
+    Args:
+        model: The cause without what it is of.
+        dial: Name of what the channels share.
+        channels: These channels.
+        apply: How it acts on a scene.
+    """
+    units = {c.shown_unit for c in channels} if model.unit == channels[0].unit else {None}
+    shown = units.pop() if len(units) == 1 else None
+    name = f"{model.name}_of_{plain(dial)}"
+    return replace(model, name=name, apply=apply, shown_unit=shown)
 
 
 def sensor_causes(

@@ -73,7 +73,7 @@ def test_a_study_is_shown_with_what_its_uses_imply(folder, capsys):
     assert "repeats: 2 runs of slow" in out
     assert "not used: columns: counter (4 files)" in out
     assert "not used: run d: 10 of 40 samples, by its window" in out
-    assert "model: 1 base parameters (gain)" in out
+    assert "model: 1 base parameters (gain; play_start, 4 more, one per run: only" in out
     assert "ready for a diagnosis" in out
 
 

@@ -70,6 +70,17 @@ def test_a_new_study_is_judged_and_nothing_is_fitted(model_folder, new_folder, t
     assert rows["position"]["num_fitted"] == 2  # its offset and its gain, as declared
     assert found["gain"]["low"] > 0.5 and found["gains"]["fresh"] == found["gain"]
     assert (model_folder / "extended_model.yaml").read_bytes() == before
+    lines = (tmp_path / "judged" / "fresh.csv").read_text().splitlines()
+    names, table = lines[0].split(","), np.genfromtxt(lines[1:], delimiter=",")
+    assert names[:4] == [
+        "time_s",
+        *(f"position_m {w} (m)" for w in ("measured", "before", "after")),
+    ]
+    run = load_study(new_folder).runs[0]
+    np.testing.assert_allclose(table[:, :2], np.column_stack([run.time_s, run.measured[:, 0]]))
+    left = table[:, [2, 3]] - table[:, [1]]
+    said = [rows["position"]["before"], rows["position"]["after"]]
+    np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), said, rtol=1e-6)
 
 
 def test_a_saved_model_judges_as_the_fits_do(model_folder, study):

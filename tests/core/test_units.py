@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from diffsim.core.units import factor, in_unit, to_si
+from diffsim.core.units import factor, in_si, in_unit, to_si
 
 
 @pytest.mark.parametrize(
@@ -48,3 +48,9 @@ def test_a_coherent_unit_means_the_same_in_any_spelling():
 def test_an_unknown_unit_is_told():
     with pytest.raises(ValueError, match="unit 'furlongs/fn' is unknown"):
         to_si("furlongs/fn")
+
+
+def test_differences_of_temperatures_have_no_offset():
+    assert factor("K", "degC") == 1.0 and factor("degC", "K") == 1.0
+    assert in_si("22 degC") == (295.15, "K")
+    assert in_si(2, "degC", difference=True) == (2.0, "K")

@@ -177,6 +177,17 @@ def test_windows_and_clock(folder):
     np.testing.assert_allclose(run.time_s, [-0.02, -0.01, 0.0, 0.01, 0.02, 0.03, 0.04], atol=1e-12)
 
 
+def test_a_run_begins_where_a_channel_says_so(folder):
+    """Channels count from their zero_s, wherever the rig stood: a place of the room need not."""
+    channel = {"name": "moved", "column": "pos (mm)", "unit": "mm", "zero_s": [0.0, 0.05]}
+    entry = {"name": "a", "file": "a.csv", "zero_when": "moved > 0.0021", "before_zero_s": 0.02}
+    run = load(folder, channels=[channel], runs=[entry]).runs[0]
+    assert run.time_s[0] == pytest.approx(-0.02)
+    assert run.measured[2, 0] > 0.0021 >= run.measured[1, 0]
+    with pytest.raises(ValueError, match=r"no column or fact 'mooved'; did you mean 'moved'"):
+        load(folder, channels=[channel], runs=[{**entry, "zero_when": "mooved > 1"}])
+
+
 def test_windows_by_run(folder):
     study = load(
         folder,

@@ -186,6 +186,36 @@ def test_a_headline_does_not_praise_what_helps_nothing():
     assert "stays at 2 mm" in said[2.0] and "rises from 2 to 3 mm" in said[3.0]
 
 
+def test_a_headline_claims_no_gain_that_is_not_confirmed():
+    """A device's error of 0.133 to 0.132 was said as a gain, with an interval across zero."""
+    rows = [
+        ErrorRow("t", "position", "mm", 0.133, 0.130, 0.01, 100, 0),
+        ErrorRow("t", "force", "N", 2.0, 3.0, 1.0, 100, 0),
+    ]
+
+    def said(rows, low, value, high):
+        return _on_unseen(rows, True, "It takes", Gain(value, low, high, 2.0, 9))[0]
+
+    assert said(rows[:1], 0.1, 0.2, 0.3).startswith(". It takes the error on unseen runs from")
+    unsure = said(rows[:1], -0.1, 0.2, 0.3)
+    assert "takes" not in unsure and "no gain is confirmed" in unsure
+    assert "0.133 to 0.13 mm" in unsure
+    assert "rises from 2 to 3 N" in said(rows, -0.9, -0.5, -0.2)
+
+
+def test_the_page_of_a_small_gain_does_not_praise_it():
+    """On the unseen run the push is half as large: with it, the error is hardly smaller."""
+    runs = [recorded(f"r{k}", k, {PUSH: 1.0}) for k in range(4)]
+    runs.append(recorded("last", 9, {PUSH: 0.35}, use="test"))
+    study = Study("once", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (PUSH,), seed=0, settings=QUICK)
+    assert report.gain is not None and report.gain.status == "not confirmed"
+    row = report.errors[0]
+    assert row.after < 0.99 * row.before
+    assert "no gain is confirmed" in report.headline
+    assert "takes" not in report.headline and len(report.headline.split()) <= 25
+
+
 def test_with_an_unknown_cause_the_extended_model_holds_what_helps():
     curve = np.sin(2.0 * np.pi * np.linspace(0.0, 1.0, linear.NUM_SAMPLES))
 

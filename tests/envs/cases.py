@@ -20,6 +20,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "CowWalk": {**COARSE, "num_steps": 6, "substeps": 2},
     "TorusRoll": {**COARSE, "num_steps": 6, "substeps": 2},
     "TendonReach": {**COARSE, "num_steps": 6},
+    "SoftJumper": {**COARSE, "num_steps": 6},
 }
 STEPS = 6
 FLOOR = ("QuadrupedWalk", "CowWalk", "TorusRoll")

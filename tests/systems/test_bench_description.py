@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ import torch
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
+from diffsim.diagnose.frozen import judge_saved
+from diffsim.diagnose.inputs import Inputs
 from diffsim.identify import fit
+from diffsim.identify.model_file import read_extended
 from diffsim.systems.registry import setup_of
 
 SPEED = np.r_[np.linspace(100.0, 900.0, 18), np.linspace(890.0, 110.0, 18)]
@@ -133,3 +137,47 @@ def test_a_mistake_is_told_with_its_place(message):
     with pytest.raises(ValueError) as refused:
         setup_of(bench(model={**copy.deepcopy(MODEL), **MISTAKES[message]}))
     assert message in str(refused.value)
+
+
+ZEROS = (0.3, -0.2, 0.15, -0.35, 0.25)  # of a scale that is tared by hand before each sweep [N]
+SWEEPS = (*(("A", "fit"),) * 4, ("A", "test"))
+
+
+def tared(runs=SWEEPS, zeros=ZEROS, seed=0):
+    study = bench(runs=runs, scales={}, seed=seed)
+    made = [replace(r, measured=r.measured + z) for r, z in zip(study.runs, zeros, strict=True)]
+    return replace(study, runs=tuple(made))
+
+
+def test_a_zero_of_each_run_is_named_and_an_unseen_run_tells_its_own():
+    report = found(tared())
+    assert (report.verdict, report.named) == ("named", ("zero_per_run_of_thrust_n",))
+    (cause,) = [c for c in report.causes if c.name in report.named]
+    # of the test run, to which nothing was fitted, nothing is said
+    assert list(cause.size) == [f"@A_{k}" for k in range(4)]
+    for k, size in enumerate(cause.size.values()):
+        assert size.low <= ZEROS[k] <= size.high and size.high - size.low < 0.1
+    (row,) = report.errors
+    assert row.before > 5.0 * NOISE and row.after == pytest.approx(NOISE, rel=0.3)
+    assert row.num_fitted == 1
+    assert "in 4 runs)" in report.sentences[0]
+
+
+def test_a_saved_zero_of_each_run_is_judged_on_runs_of_another_study(tmp_path):
+    study = tared()
+    s = setup_of(study)
+    report = diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    report.save(tmp_path)
+    fresh = tared((("A", "test"), ("A", "test")), (0.4, -0.3), seed=9)
+    fresh = replace(fresh, runs=tuple(replace(r, name=f"new_{r.name}") for r in fresh.runs))
+    saved = read_extended(tmp_path / "extended_model.yaml")
+    made = setup_of(saved.framed(fresh))
+    judged = judge_saved(Inputs(fresh, made, 0, {}), saved)
+    for row in judged.errors:
+        assert row.before > 5.0 * NOISE and row.after == pytest.approx(NOISE, rel=0.3)
+
+
+def test_two_runs_do_not_ask_for_a_zero_each():
+    s = setup_of(bench(runs=RUNS[1:]))
+    zero = next(e for e in s.effects if e.name == "zero_per_run_of_thrust_n")
+    assert zero.needs(bench(runs=RUNS[1:])) == "3 runs to fit"

@@ -142,6 +142,14 @@ def test_a_stated_clock_is_fitted_for_each_run_and_no_cause():
     np.testing.assert_allclose(late[2:, 1], plain[:-2, 1], atol=1e-12)
 
 
+def test_what_is_read_slowly_may_be_late_by_half_a_sample():
+    slow = tuple(replace(r, time_s=100.0 * r.time_s) for r in runs())
+    for made, usual in ((runs(), (0.03, 0.02)), (slow, (50.0 * STEP, 50.0 * STEP))):
+        study = Study("gantry", "ode", CHANNELS, made, model=MODEL)
+        typical = {e.name: e.typical for e in setup_of(study).effects}
+        assert (typical["lag"], typical["sensor_delay_of_motor"]) == pytest.approx(usual)
+
+
 def test_a_late_record_is_a_cause_where_runs_begin_with_a_jump():
     def causes(study):
         return {e.name for e in setup_of(study).effects}

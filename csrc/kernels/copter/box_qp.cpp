@@ -1,7 +1,8 @@
 #include "kernels/copter/box_qp.h"
 
-#include <Eigen/Cholesky>
 #include <cmath>
+
+#include "kernels/linalg/dense.h"
 
 namespace diffsim {
 namespace {
@@ -18,8 +19,15 @@ Eigen::VectorXd free_minimizer(const Eigen::MatrixXd& G, const Eigen::VectorXd& 
                                const Eigen::VectorXd& u, const std::vector<int>& free) {
   Eigen::VectorXd fixed = u;
   for (const int i : free) fixed[i] = 0.0;
-  const Eigen::VectorXd rhs = q - G * fixed;
-  return G(free, free).llt().solve(rhs(free));
+  const Eigen::VectorXd rhs = q - dense::apply(G, fixed);
+  const int m = static_cast<int>(free.size());
+  Eigen::MatrixXd own(m, m);
+  Eigen::VectorXd right(m);
+  for (int j = 0; j < m; ++j) {
+    right[j] = rhs[free[j]];
+    for (int i = 0; i < m; ++i) own(i, j) = G(free[i], free[j]);
+  }
+  return dense::solve_positive(own, right);
 }
 
 /// The free unknown whose bound ends the step first, or -1; `length` becomes the step allowed.
@@ -76,7 +84,7 @@ bool solve_box_qp(const Eigen::MatrixXd& G, const Eigen::VectorXd& q, const Eige
         continue;
       }
     }
-    const int release = most_wrong(G * u - q, upper, state);
+    const int release = most_wrong(dense::apply(G, u) - q, upper, state);
     if (release < 0) return true;
     state[release] = BoundState::kFree;
   }

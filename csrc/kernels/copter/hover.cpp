@@ -1,13 +1,12 @@
 #include "kernels/copter/hover.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include "kernels/copter/box_qp.h"
 #include "kernels/copter/hover_system.h"
+#include "kernels/linalg/dense.h"
 
 namespace diffsim {
 namespace {
@@ -18,24 +17,18 @@ constexpr double kLeastDelta = 1e-9;  // of the search for a hover
 constexpr int kMaxStalls = 6;         // of that search
 constexpr double kRankDrop = 1e-9;    // relative pivot of dc/du that counts as zero
 
-int rank_of(const MatrixXd& C) {
-  if (C.cols() == 0) return 0;
-  Eigen::ColPivHouseholderQR<MatrixXd> qr(C);
-  qr.setThreshold(kRankDrop);
-  return static_cast<int>(qr.rank());
-}
-
 /// min 1/2 u'Gu - q'u + barrier by Newton's method with a line search inside the box.
 bool solve_barrier_qp(const View& p, const MatrixXd& G, const VectorXd& q, VectorXd& u) {
   const auto value = [&](const VectorXd& at) {
-    return 0.5 * at.dot(G * at) - q.dot(at) -
-           p.barrier * (at.array().log().sum() + (p.upper - at).array().log().sum());
+    double logs = 0.0;
+    for (int i = 0; i < p.n; ++i) logs += std::log(at[i]) + std::log(p.upper[i] - at[i]);
+    return 0.5 * at.dot(dense::apply(G, at)) - q.dot(at) - p.barrier * logs;
   };
   for (int iter = 0; iter < 200; ++iter) {
-    const VectorXd gradient = G * u - q + barrier_gradient(p, u);
+    const VectorXd gradient = dense::apply(G, u) - q + barrier_gradient(p, u);
     MatrixXd hessian = G;
     hessian.diagonal() += barrier_curvature(p, u);
-    const VectorXd step = -hessian.llt().solve(gradient);
+    const VectorXd step = -dense::solve_positive(hessian, gradient);
     if (!step.allFinite()) return false;
     const double decrement = -gradient.dot(step);
     double length = 1.0;
@@ -66,13 +59,13 @@ bool solve_direction(const View& p, const Vector3d& a, Iterate& at) {
   Vector4d y = Vector4d::Zero();
   double delta = kDelta, last = 0.0;
   for (int iter = 0, stalled = 0; stalled < kMaxStalls && iter < 100; ++iter) {
-    MatrixXd G = C.transpose() * C / delta;
+    MatrixXd G = dense::transposed_product(C, C) / delta;
     G.diagonal() += p.h;
-    const VectorXd q = C.transpose() * (d / delta - y);
+    const VectorXd q = dense::apply_transposed(C, d / delta - y);
     const bool solved = p.barrier > 0.0 ? solve_barrier_qp(p, G, q, at.u)
                                         : solve_box_qp(G, q, p.upper, at.u, at.state);
     if (!solved) return false;
-    const Vector4d r = C * at.u - d;
+    const Vector4d r = dense::apply(C, at.u) - d;
     y += r / delta;
     const double residual = r.norm();
     if (iter == 0) {
@@ -114,21 +107,22 @@ bool polish(const View& p, Iterate& at) {
   const std::vector<int> free = free_rotors(at.state);
   const int m = static_cast<int>(free.size());
   for (int iter = 0; iter < 12; ++iter) {
-    const Vector3d f = p.F * next.u;
+    const Vector3d f = p.net_force(next.u);
     const double lift = f.norm();
     if (!(lift > 1e-12)) return false;
     const VectorXd z = stationarity(p, next, f / lift);
     VectorXd r(m + 4);
-    r.head(m) = z(free);
+    r.head(m) = entries(z, free);
     r[m] = lift - 1.0;
-    r.tail<3>() = p.T * next.u;
+    r.tail<3>() = p.net_torque(next.u);
     if (!next.feasible) r.tail<4>() -= kDelta * next.y;
     if (!r.allFinite()) return false;
     // What rounding of u leaves of a barrier's gradient next to a bound.
     VectorXd tolerance = VectorXd::Constant(p.n, 1e-12 * (1.0 + next.y.norm()));
     if (p.barrier > 0.0)
       tolerance += 1e-15 * barrier_curvature(p, next.u).cwiseProduct(next.u + p.upper);
-    if ((r.head(m).array().abs() <= tolerance(free).array()).all() &&
+    // At least one step: a residual within tolerance leaves up to 1e-10 in the thrusts.
+    if (iter > 0 && (r.head(m).array().abs() <= entries(tolerance, free).array()).all() &&
         r.tail<4>().lpNorm<Eigen::Infinity>() <= 1e-13) {
       if (!bounds_hold(p, next, z)) return false;
       next.u = next.u.cwiseMax(0.0).cwiseMin(p.upper);
@@ -162,7 +156,7 @@ void solve_hover(const HoverProblem& problem, double* u, double* multipliers, st
   // for the next direction: the effort never rises.
   for (constexpr int kMaxTurns = 300; iter < kMaxTurns; ++iter) {
     if (!solve_direction(p, a, at)) break;
-    const Vector3d f = p.F * at.u;
+    const Vector3d f = p.net_force(at.u);
     const Vector3d next = f.norm() > 1e-12 ? Vector3d(f.normalized()) : a;
     const double change = (next - a).norm();
     a = next;
@@ -174,15 +168,16 @@ void solve_hover(const HoverProblem& problem, double* u, double* multipliers, st
     }
   }
   const std::vector<int> free = free_rotors(at.state);
-  if (p.n > 0 && (p.F * at.u).norm() > 1e-12) a = (p.F * at.u).normalized();
+  const Vector3d net = p.net_force(at.u);
+  if (net.norm() > 1e-12) a = net.normalized();
   const MatrixXd C = jacobian(p, a);
-  const int free_rank = rank_of(C(Eigen::all, free));
+  const int free_rank = dense::rank(columns(C, free), kRankDrop);
   if (status == HoverStatus::kOptimal && free_rank < 4) status = HoverStatus::kRankDeficient;
   std::copy_n(at.u.data(), p.n, u);
   std::copy_n(at.y.data(), 4, multipliers);
   for (int i = 0; i < p.n; ++i) state[i] = static_cast<std::int64_t>(at.state[i]);
   info[0] = static_cast<std::int64_t>(status);
-  info[1] = rank_of(C);
+  info[1] = dense::rank(C, kRankDrop);
   info[2] = free_rank;
   info[3] = iter + 1;
 }

@@ -1,5 +1,6 @@
 #include "kernels/copter/hover.h"
 #include "kernels/copter/hover_system.h"
+#include "kernels/linalg/dense.h"
 
 namespace diffsim {
 
@@ -15,7 +16,7 @@ struct Solved {
     at.y = Eigen::Map<const Vector4d>(multipliers);
     for (int i = 0; i < p.n; ++i) at.state.push_back(static_cast<BoundState>(state[i]));
     at.feasible = info[0] != static_cast<std::int64_t>(HoverStatus::kInfeasible);
-    const Vector3d f = p.F * at.u;
+    const Vector3d f = p.net_force(at.u);
     lift = f.norm();
     if (lift > 0.0) a = f / lift;
     free = free_rotors(at.state);
@@ -51,18 +52,21 @@ void solve_hover_vjp(const HoverProblem& problem, const double* u, const double*
   const std::vector<int>& free = solved.free;
   const int m = static_cast<int>(free.size());
   VectorXd rhs = VectorXd::Zero(m + 4);
-  rhs.head(m) = g(free);
+  rhs.head(m) = entries(g, free);
   const VectorXd adjoint = pseudo_solve(kkt_matrix(p, at, free), rhs);
   VectorXd v = VectorXd::Zero(p.n);
   for (int k = 0; k < m; ++k) v[free[k]] = adjoint[k];
   const Vector4d w = adjoint.tail<4>();
   const MatrixXd turn = turning(p, a);
-  gF = -(at.y[0] * (a * v.transpose() + turn * v / lift * at.u.transpose()) +
-         w[0] * a * at.u.transpose());
-  gT = -(at.y.tail<3>() * v.transpose() + w.tail<3>() * at.u.transpose());
+  const VectorXd turned = dense::apply(turn, v);
+  for (int i = 0; i < p.n; ++i)
+    for (int k = 0; k < 3; ++k) {
+      gF(k, i) = -(at.y[0] * (a[k] * v[i] + turned[k] / lift * at.u[i]) + w[0] * a[k] * at.u[i]);
+      gT(k, i) = -(at.y[k + 1] * v[i] + w[k + 1] * at.u[i]);
+    }
   gh = -v.cwiseProduct(at.u);
-  const VectorXd coupling =
-      at.y[0] / lift * turn.transpose() * (turn * v) + jacobian(p, a).transpose() * w;
+  const VectorXd coupling = at.y[0] / lift * dense::apply_transposed(turn, turned) +
+                            dense::apply_transposed(jacobian(p, a), w);
   for (int i = 0; i < p.n; ++i) {
     if (at.state[i] == BoundState::kUpper) gup[i] = g[i] - coupling[i];
     if (p.barrier > 0.0) {
@@ -83,26 +87,29 @@ void solve_hover_tangent(const HoverProblem& problem, const double* u, const dou
   du.setZero();
   if (!(solved.lift > 0.0)) return;
   const Vector3d& a = solved.a;
-  const Eigen::Map<const Rows3> dF(direction.force, 3, p.n), dT(direction.torque, 3, p.n);
-  const Eigen::Map<const VectorXd> dh(direction.weights, p.n), dup(direction.upper, p.n);
+  const HoverProblem moving{
+      p.n, direction.force, direction.torque, direction.weights, direction.upper, 0.0};
+  const View d(moving);
   const MatrixXd turn = turning(p, a);
   if (!(p.barrier > 0.0))
     for (int i = 0; i < p.n; ++i)
-      if (at.state[i] == BoundState::kUpper) du[i] = dup[i];
-  const Vector3d moved = dF * at.u, twisted = dT * at.u;
-  VectorXd z = at.y[0] * (dF.transpose() * a + turn.transpose() * moved / solved.lift) +
-               dT.transpose() * at.y.tail<3>() + dh.cwiseProduct(at.u) +
-               at.y[0] / solved.lift * turn.transpose() * (turn * du);
-  Vector4d c = jacobian(p, a) * du;
+      if (at.state[i] == BoundState::kUpper) du[i] = d.upper[i];
+  const Vector3d moved = d.net_force(at.u), twisted = d.net_torque(at.u);
+  const VectorXd pulled = (moved + dense::apply(turn, du)) * (at.y[0] / solved.lift);
+  VectorXd z = dense::apply_transposed(turn, pulled) + d.h.cwiseProduct(at.u);
+  for (int i = 0; i < p.n; ++i)
+    z[i] +=
+        at.y[0] * a.dot(Vector3d(d.F.col(i))) + Vector3d(at.y.tail<3>()).dot(Vector3d(d.T.col(i)));
+  Vector4d c = dense::apply(jacobian(p, a), VectorXd(du));
   c[0] += a.dot(moved);
   c.tail<3>() += twisted;
   if (p.barrier > 0.0) {
     const VectorXd room = p.upper - at.u;
-    z -= p.barrier * dup.cwiseQuotient(room.cwiseProduct(room));
+    z -= p.barrier * d.upper.cwiseQuotient(room.cwiseProduct(room));
   }
   const int m = static_cast<int>(solved.free.size());
   VectorXd rhs(m + 4);
-  rhs.head(m) = -z(solved.free);
+  rhs.head(m) = -entries(z, solved.free);
   rhs.tail<4>() = -c;
   const VectorXd step = pseudo_solve(kkt_matrix(p, at, solved.free), rhs);
   for (int k = 0; k < m; ++k) du[solved.free[k]] = step[k];

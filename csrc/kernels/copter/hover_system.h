@@ -26,10 +26,22 @@ struct View {
         h(p.weights, n),
         upper(p.upper, n),
         barrier(p.barrier) {}
+  /// F u and T u.
+  Vector3d net_force(const VectorXd& u) const { return along(F.data(), u); }
+  Vector3d net_torque(const VectorXd& u) const { return along(T.data(), u); }
+
   int n;
   Eigen::Map<const Rows3> F, T;
   Eigen::Map<const VectorXd> h, upper;
   double barrier;
+
+ private:
+  Vector3d along(const double* rows, const VectorXd& u) const {
+    Vector3d sum = Vector3d::Zero();
+    for (int k = 0; k < 3; ++k)
+      for (int i = 0; i < n; ++i) sum[k] += rows[k * n + i] * u[i];
+    return sum;
+  }
 };
 
 /// Thrusts, multipliers of c and what stands at a bound.
@@ -45,6 +57,10 @@ MatrixXd jacobian(const View& p, const Vector3d& a);
 
 /// The part of F that turns the net thrust: d2|F u|/du2 = turning' turning / |F u|.
 MatrixXd turning(const View& p, const Vector3d& a);
+
+/// Those columns of X, and entries of x.
+MatrixXd columns(const MatrixXd& X, const std::vector<int>& kept);
+VectorXd entries(const VectorXd& x, const std::vector<int>& kept);
 
 std::vector<int> free_rotors(const std::vector<BoundState>& state);
 

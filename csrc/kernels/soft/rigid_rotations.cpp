@@ -1,6 +1,14 @@
 #include "kernels/soft/rigid_rotations.h"
 
+#include <Eigen/Cholesky>
+#include <algorithm>
+
 namespace diffsim {
+
+struct RigidRotations::Energy {
+  Eigen::LLT<Eigen::Matrix3d> factor;
+};
+
 namespace {
 
 /// Displacements e_axis x (x - mean x).
@@ -35,15 +43,17 @@ void RigidRotations::prepare(StepProblem& problem, const ConstantSystem& system,
     problem.multiply(turn_[a], image);
     for (int b = 0; b <= a; ++b) energy(a, b) = problem.ops().dot(turn_[b], image);
   }
-  energy_.compute(energy);  // reads the lower triangle
-  if (energy_.info() == Eigen::Success) count_ = kAxes;
+  const auto made = std::make_shared<Energy>();
+  made->factor.compute(energy);  // reads the lower triangle
+  energy_ = made;
+  if (made->factor.info() == Eigen::Success) count_ = kAxes;
 }
 
 void RigidRotations::add(const Vector& r, Vector& z, VectorOps& ops) const {
   if (count_ == 0) return;
   Eigen::Vector3d amount;
   for (int a = 0; a < kAxes; ++a) amount[a] = ops.dot(turn_[a], r);
-  energy_.solveInPlace(amount);
+  energy_->factor.solveInPlace(amount);
   for (int a = 0; a < kAxes; ++a) ops.add(amount[a], turn_[a], z);
 }
 

@@ -7,8 +7,8 @@
 // outliers (an additive coarse correction: Nicolaides 1987; Dryja and Widlund 1987).
 #pragma once
 
-#include <Eigen/Dense>
 #include <functional>
+#include <memory>
 
 #include "kernels/soft/step_problem.h"
 
@@ -27,8 +27,9 @@ class RigidRotations {
 
  private:
   static constexpr int kAxes = 3;
+  struct Energy;        // the factor of W^T H W; Eigen stays out of what includes this
   Vector turn_[kAxes];  // W
-  Eigen::LLT<Eigen::Matrix3d> energy_;
+  std::shared_ptr<const Energy> energy_;
   int count_ = 0;  // kAxes or none
 };
 

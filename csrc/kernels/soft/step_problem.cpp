@@ -1,6 +1,6 @@
 #include "kernels/soft/step_problem.h"
 
-#include <Eigen/Dense>
+#include <Eigen/Cholesky>
 
 #include "kernels/soft/elastic_second.h"
 #include "kernels/soft/pressure.h"

@@ -11,6 +11,7 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.bench.run_zeros import ZERO_SCALES, run_zeros, zero_scales
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import Described, Motion
@@ -61,8 +62,10 @@ class BenchDescription(FormulaKeys):
         model.frame = {
             LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
             LAW_SCALES: {name: asdict(scale) for name, scale in scales.items()},
+            ZERO_SCALES: zero_scales(study),
         }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
+        zeros = run_zeros(study, zero_scales(study))
         advised = DiagnosisSettings(
             search=SearchSettings(
                 max_effects=MAX_EFFECTS,
@@ -72,7 +75,7 @@ class BenchDescription(FormulaKeys):
                 unknown_steps=1,  # drifts of each run are many columns
             )
         )
-        effects = chosen_effects((*laws, *read.own), self.effects)
+        effects = chosen_effects((*laws, *zeros, *read.own), self.effects)
         return DiagnosisSetup(
             model,
             effects,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from diffsim.identify.effect import Effect
+from diffsim.systems.instrument import paced, sample_of
 from diffsim.systems.ode.input_effects import input_effects
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.place_effects import place_effects
@@ -12,9 +13,9 @@ from diffsim.systems.ode.store_effects import store_effects
 
 def ode_effects(library: Library) -> tuple[Effect, ...]:
     """Causes at places and stores, of inputs and of sensors."""
+    timed = (*input_effects(library), *sensor_effects(library))
     return (
         *place_effects(library),
         *store_effects(library),
-        *input_effects(library),
-        *sensor_effects(library),
+        *paced(timed, sample_of(library.study.runs)),
     )

@@ -41,9 +41,10 @@ def _quantity(given: Any) -> Any:
     for other in (*units, own):
         if NO_UNIT not in (unit, other):
             factor(other, unit)  # refuses a unit of another quantity
-    return {**given, **{k: in_si(v, own)[0] for k, v in given.items() if k in _IN_UNIT}} | {
-        "unit": unit
-    }
+    return {
+        **given,
+        **{k: in_si(v, own, difference=k == "sd")[0] for k, v in given.items() if k in _IN_UNIT},
+    } | {"unit": unit}
 
 
 #: A quantity in any unit.

@@ -14,7 +14,13 @@ from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.dials import channels_of, clock_of
-from diffsim.systems.instrument import PLAY_START, START_IN_PLAY, with_play_start
+from diffsim.systems.instrument import (
+    PLAY_START,
+    START_IN_PLAY,
+    paced,
+    sample_of,
+    with_play_start,
+)
 from diffsim.systems.outside.effects import outside_library, unknown_forces
 from diffsim.systems.outside.hooks import (
     Hooks,
@@ -89,7 +95,10 @@ def outside_setup(
     model.frame = frame_of(hooks)
     return DiagnosisSetup(
         model=model,
-        effects=(*outside_library(hooks, names, held=held), *more_effects),
+        effects=(
+            *paced(outside_library(hooks, names, held=held), sample_of(study.runs)),
+            *more_effects,
+        ),
         unknowns=unknown_forces(hooks, study.runs),
         settings=settings or DiagnosisSettings(),
     )

@@ -71,12 +71,15 @@ class Tossed:
         """Each toss until its window ends; too short ones are left out."""
         names = [c.name for c in study.channels]
         turn = Rotation.from_rotvec(UP[self.up])
-        runs, rests = [], []
+        runs, rests, left_out = [], [], []
         for run in study.runs:
             run = self._with_continuous(run, names)
             poses = self._poses(run, names, turn)
             short = self._window_of(run, poses)
             if short is None:
+                left_out.append(
+                    f"run {run.name}: its window has fewer than {MIN_FRAMES} frames of flight"
+                )
                 continue
             rest = np.full((len(short.time_s), 1), np.nan)
             if self._rest_frames:
@@ -96,7 +99,8 @@ class Tossed:
             sd = self.window.rest_sd or self._rest_sd(rests)
             shown = next((c.shown_unit for c in channels if c.unit == "m"), None)
             channels.append(Channel(REST, "m", "position", sd, shown_unit=shown))
-        return replace(study, channels=tuple(channels), runs=tuple(runs))
+        told = (*study.left_out, *left_out)
+        return replace(study, channels=tuple(channels), runs=tuple(runs), left_out=told)
 
     def _rest_sd(self, rests: Sequence[float]) -> float:
         """Scatter of the height at rest; of few tosses, a hundredth of the shortest edge [m]."""

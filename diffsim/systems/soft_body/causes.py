@@ -116,8 +116,7 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
     if not timed:
         found = [e for e in found if e.name not in ("lag", "rate_limit", "backlash")]
     # of a command that only pulls, slack and dead band are one
-    least = study.frame.get(REACH) or commanded_reach(study, given.commands)
-    pulls_only = bool(given.tendons) and least[0] >= 0.0
+    pulls_only = bool(given.tendons) and fitted_reach(study, given.commands)[0] >= 0.0
     doubled = "dead_band" if pulls_only else "slack"
     found = [e for e in found if e.name != doubled]
     units = {c.name: c.unit for c in study.commands}
@@ -167,6 +166,12 @@ def commanded_reach(study: Study, names: Sequence[str]) -> tuple[float, float]:
     return min(0.0, low, float(known.min())), max(0.0, high, float(known.max()))
 
 
+def fitted_reach(study: Study, names: Sequence[str]) -> tuple[float, float]:
+    """Least and greatest command of what was fitted: of the ``frame``, else of the study."""
+    low, high = study.frame.get(REACH) or commanded_reach(study, names)
+    return low, high
+
+
 def unknowns(given: SoftBodyKeys, study: Study) -> tuple[Unknown, ...]:
     """A smooth force along the axes that are seen, and a smooth change of a single command."""
     until_s = max(float(r.time_s[-1] - r.time_s[0]) for r in study.runs)
@@ -193,4 +198,4 @@ def seen_axes(given: SoftBodyKeys, study: Study) -> set[int]:
     return {main_axis(r) for r in readings if r.axis is not None} or {0, 1, 2}
 
 
-__all__ = ["commanded", "commanded_reach", "is_timed", "library", "unknowns"]
+__all__ = ["commanded", "commanded_reach", "fitted_reach", "is_timed", "library", "unknowns"]

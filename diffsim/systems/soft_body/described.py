@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 
 Values = Mapping[str, Tensor]
-POSE_MARGIN = 0.1  # of the commanded range, for causes that enlarge the command
 LEAD_RAMP = 0.5  # of the lead-in, in which the command comes up
 
 
@@ -40,7 +39,9 @@ class DescribedModel:
         folder: Folder that files are relative to.
         channels: Names of the channels, in the order of the study.
         parameters: Quantities of the description: base parameters, and values of a run.
-        reach: Least and greatest value of the only command; None: there are none or several.
+        pose_commands: Values of the only command at which slow motions are computed, (num_poses,);
+            None: there is none, or several.
+        clocks: Indices of the channels that are late together, by the quantity that says how much.
     """
 
     def __init__(
@@ -49,19 +50,15 @@ class DescribedModel:
         folder: Path | None,
         channels: Sequence[str],
         parameters: BaseParameters,
-        reach: tuple[float, float] | None = None,
+        pose_commands: Tensor | None = None,
+        clocks: Mapping[str, tuple[int, ...]] | None = None,
     ):
         self.given, self.channels, self.parameters = given, tuple(channels), parameters
+        self._clocks = clocks or {}
         numerics = given.numerics
         self._dt, self._rtol = numerics.time_step, numerics.tolerance
         self.commands = given.commands
-        self._pose_commands = None
-        if reach is not None and reach[1] > reach[0]:
-            margin = POSE_MARGIN * (reach[1] - reach[0])
-            low = reach[0] - margin if reach[0] < 0.0 else 0.0
-            self._pose_commands = torch.linspace(
-                low, reach[1] + margin, numerics.poses, dtype=torch.float64
-            )
+        self._pose_commands = pose_commands
         self._rig = lru_cache(maxsize=8)(
             lambda coarser, dt, rtol: Rig(given, folder, self.channels, coarser, dt, rtol)
         )
@@ -110,6 +107,7 @@ class DescribedModel:
             "friction_shares": rig.sliding,
             "time_scale": own["clock_rate"],
             "clock_offset": own["clock_offset"],
+            "late": tuple((channels, own[key]) for key, channels in self._clocks.items()),
             "output_maps": (seen(rig.look, given.camera, own, self.channels),),
             "obstacles": tuple(
                 contact.plane(w.normal, w.offset, friction=w.friction) for w in given.walls

@@ -39,10 +39,19 @@ class MaterialRegion(Part):
     """A part of the body of another material; a stiff dense one is a rigid load."""
 
     name: str = Field(description="Short name; base parameters are called by it")
-    where: Region = Field(description="Which part: cells whose center lies inside")
+    where: Region | None = Field(None, description="Which part: cells whose center lies inside")
+    group: str | None = Field(
+        None, description="Instead of `where`: name of a region of the body's mesh file"
+    )
     youngs_modulus: quantity("Pa") | None = Field(None, description="Young's modulus [Pa]")  # type: ignore[valid-type]
     poissons_ratio: quantity("-") | None = Field(None, description="Poisson's ratio")  # type: ignore[valid-type]
     density: quantity("kg/m^3") | None = Field(None, description="Density [kg/m^3]")  # type: ignore[valid-type]
+
+    @model_validator(mode="after")
+    def _one_place(self) -> MaterialRegion:
+        if (self.where is None) == (self.group is None):
+            raise ValueError("give either where, or group, the name of a region of the mesh file")
+        return self
 
 
 class Clamp(Region):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -13,6 +15,9 @@ from diffsim.systems.soft_body.scene import SoftScene
 
 Key = tuple[float, ...]
 MOST_KEPT = 256
+POSE_MARGIN = 0.1  # of the commanded range, for causes that enlarge the command
+MOST_ADDED = 10  # times as many poses as were stated, on each side; straight lines beyond
+ROUNDING = 1e-9  # of a spacing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,17 +38,20 @@ class PosedScene(SoftScene):
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        times = self._times()
+        return self.by_clock(self._observed_at)
+
+    def _observed_at(self, times: Tensor) -> Tensor:
+        """What is observed in equilibrium at times (num_samples,) [s], (num_samples, width)."""
         if self.command is None:
             still = self._poses(torch.zeros(1, 0, dtype=torch.float64))
-            return self.shown(still.expand(len(times), -1))
+            return still.expand(len(times), -1)
         wanted = straight(self.changed_command(), self.command_dt, times)
         if self.pose_commands is None:
-            return self.shown(self._poses(wanted))
+            return self._poses(wanted)
         knots = self.pose_commands
         places = self._poses(knots[:, None])
         spacing = float(knots[1] - knots[0])
-        return self.shown(curved(places, spacing, wanted[:, 0] - float(knots[0])))
+        return curved(places, spacing, wanted[:, 0] - float(knots[0]))
 
     def _poses(self, commands: Tensor) -> Tensor:
         """What is observed in equilibrium under each row of commands, (num_rows, width)."""
@@ -79,6 +87,40 @@ class PosedScene(SoftScene):
         return tuple(v for one in given for v in one.detach().flatten().tolist())
 
 
+def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int) -> Tensor | None:
+    """Values of a command at which poses are computed, evenly spaced.
+
+    A model that was fitted keeps its poses on runs that go further, and gets more of them beyond,
+    at the same spacing: a frozen model must neither lose resolution nor refuse a larger stroke.
+
+    Args:
+        fitted: Least and greatest value among the runs that were fitted.
+        now: Least and greatest value that is wanted.
+        num_poses: Poses within what was fitted.
+
+    Returns:
+        (num_poses + added,) values; None where the command is always the same.
+    """
+    if not fitted[1] > fitted[0]:
+        return None
+    first, last = _with_margin(fitted)
+    knots = torch.linspace(first, last, num_poses, dtype=torch.float64)
+    spacing = float(knots[1] - knots[0])
+    low, high = _with_margin((min(now[0], fitted[0]), max(now[1], fitted[1])))
+    counts = [math.ceil(far / spacing - ROUNDING) for far in (first - low, high - last)]
+    below, above = (
+        torch.arange(1, min(max(n, 0), MOST_ADDED * num_poses) + 1, dtype=torch.float64)
+        for n in counts
+    )
+    return torch.cat([knots[0] - spacing * below.flip(0), knots, knots[-1] + spacing * above])
+
+
+def _with_margin(reach: Sequence[float]) -> tuple[float, float]:
+    """Ends a little beyond, as effects push commands there; what only pulls ends at zero."""
+    margin = POSE_MARGIN * (reach[1] - reach[0])
+    return (reach[0] - margin if reach[0] < 0.0 else 0.0), reach[1] + margin
+
+
 def posed(scene: SoftScene, commands: Tensor | None, kept: dict[Key, Tensor]) -> PosedScene:
     """The scene as a sequence of equilibria.
 
@@ -91,4 +133,4 @@ def posed(scene: SoftScene, commands: Tensor | None, kept: dict[Key, Tensor]) ->
     return PosedScene(**own, pose_commands=commands, kept=kept)
 
 
-__all__ = ["PosedScene", "posed"]
+__all__ = ["PosedScene", "pose_commands", "posed"]

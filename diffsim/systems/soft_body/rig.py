@@ -65,7 +65,7 @@ class Rig:
             self.mesh = given.body.mesh(coarser, folder)
         self.volume = meshes.nodal_volume(self.mesh)
         self.fixed = self._fixed()
-        self.region_cells = [self._cells(i) for i in range(len(given.regions))]
+        self.region_cells = self._regions(folder)
         self.tendons = [self._tendon(i) for i in range(len(given.tendons))]
         self._chambers = self._cavities()
         self._muscles = [*(t.muscle for t in self.tendons), *self._fibers()]
@@ -102,9 +102,23 @@ class Rig:
                 held[nodes, "xyz".index(axis)] = True
         return held
 
-    def _cells(self, i: int) -> Tensor:
-        with within(f"regions[{i}].where"):
-            return self.given.regions[i].where.elements(self.mesh)
+    def _regions(self, folder: Path | None) -> list[Tensor]:
+        """Cells of each region of material; the mesh file is read again for its groups, once."""
+        found = []
+        groups = None
+        for i, region in enumerate(self.given.regions):
+            if region.where is not None:
+                with within(f"regions[{i}].where"):
+                    found.append(region.where.elements(self.mesh))
+                continue
+            assert region.group is not None
+            with within(f"regions[{i}].group"):
+                groups = groups or self.given.body.groups(folder)
+                cells = groups.elements(region.group)
+                if not len(cells):
+                    raise ValueError(f"none of the cells that are kept is in {region.group!r}")
+                found.append(cells)
+        return found
 
     def _tendon(self, i: int) -> soft.Tendon:
         cable = self.given.tendons[i]

@@ -14,7 +14,7 @@ from diffsim import mesh as meshes
 from diffsim.core.inside import inside
 from diffsim.core.schema import Part, number
 from diffsim.core.units import factor
-from diffsim.mesh import HexMesh, TetMesh
+from diffsim.mesh import HexMesh, RegionMesh, TetMesh
 from diffsim.systems.soft_body.places import Array, Point, Region
 
 VOLUMES = (".msh", ".vtk", ".vtu", ".inp", ".mesh", ".usd", ".usda", ".usdc")
@@ -126,18 +126,50 @@ class MeshFile(Part):
     )
     cells: Literal["cubes", "tetrahedra"] = Field("cubes", description="What fills a surface")
     keep: Region | None = Field(None, description="Keep only the cells there, half of a body, say")
+    groups: str | None = Field(
+        None,
+        description="Cell data of the file that tell its regions of material, or `sets`, its named "
+        "groups; default: physical groups, element sets, GeomSubsets, or the only whole numbers",
+    )
 
     def mesh(self, coarser: float, folder: Path | None) -> HexMesh | TetMesh:
         """The body, a filled surface with cells ``coarser`` times as long."""
-        path = inside(folder or Path(), self.path, "model: path")
-        scale = factor(self.unit, "m")
-        if path.suffix.lower() in VOLUMES:
+        path, scale = self._at(folder)
+        if self.is_volume:
             return self._kept(meshes.load(path, scale))
         if self.spacing is None:
             raise ValueError(f"{self.path} is a surface; give the length of the cells, spacing")
         surface, spacing = meshes.load_surface(path, scale), self.spacing * coarser
         fill = meshes.voxelize if self.cells == "cubes" else meshes.tetrahedralize
         return self._kept(fill(surface, spacing))
+
+    def regions(self, folder: Path | None) -> RegionMesh:
+        """The file's regions of material, of the cells that are kept.
+
+        Raises:
+            ValueError: a surface has none; the file has none, or several kinds.
+        """
+        if not self.is_volume:
+            raise ValueError(
+                f"{self.path} is a surface, which has no regions of material; give where, or a "
+                f"mesh of cells ({', '.join(VOLUMES)})"
+            )
+        path, scale = self._at(folder)
+        found = meshes.load_regions(path, scale, key=self.groups)
+        if self.keep is None:
+            return found
+        cells = self.keep.elements(found.mesh)
+        data = {name: values[cells] for name, values in found.element_data.items()}
+        return RegionMesh(self._kept(found.mesh), found.names, found.region[cells], data)
+
+    @property
+    def is_volume(self) -> bool:
+        """Whether the file holds cells, not a surface."""
+        return Path(self.path).suffix.lower() in VOLUMES
+
+    def _at(self, folder: Path | None) -> tuple[Path, float]:
+        """The file, and meters per unit of its coordinates."""
+        return inside(folder or Path(), self.path, "model: path"), factor(self.unit, "m")
 
     def _kept(self, made: HexMesh | TetMesh) -> HexMesh | TetMesh:
         if self.keep is None:
@@ -167,8 +199,17 @@ class BodyShape(Part):
     @property
     def can_refine(self) -> bool:
         """Whether meshes of any cell size can be made."""
-        is_volume = self.file is not None and Path(self.file.path).suffix.lower() in VOLUMES
-        return not is_volume
+        return self.file is None or not self.file.is_volume
+
+    def groups(self, folder: Path | None) -> RegionMesh:
+        """Regions of material that the body's mesh file names.
+
+        Raises:
+            ValueError: the body is not from a mesh file of cells, or the file has no regions.
+        """
+        if self.file is None:
+            raise ValueError("only a body from a mesh file has groups; give where instead")
+        return self.file.regions(folder)
 
     def mesh(self, coarser: float, folder: Path | None) -> HexMesh | TetMesh:
         """The body where it is at rest, cells ``coarser`` times as long as stated."""

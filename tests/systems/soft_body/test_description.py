@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import torch
 from diffsim import mesh
 from diffsim.data.study import Channel
 from diffsim.identify import Problem, WhiteNoise
+from diffsim.identify.model_file import SavedModel, rebuilt
 from diffsim.systems.registry import setup_of
+from diffsim.systems.soft_body.quasi_static import pose_commands
 
 from .described import BAR, TENDON, described, predicted, run_of, study_of
 
@@ -46,6 +49,24 @@ def test_a_hung_weight_pulls_and_its_inertia_slows():
     first_dip = {k: int(y[:, 0].argmin()) for k, y in (("plain", plain), ("heavy", heavy))}
     assert float(plain.min()) < 1.5 * float(light.min()) < 0.0
     assert first_dip["heavy"] > first_dip["plain"]
+
+
+@pytest.mark.parametrize("motion", ["dynamic", "quasi_static"])
+def test_the_surface_that_pages_show_moves_as_the_markers_do(motion):
+    kind, run = (BAR, HEAVY) if motion == "dynamic" else (TENDON, PULLED)
+    corner = {"corner": [0.08, 0.0, 0.0]}
+    channels = {"tip_z_m": {"markers": "corner", "axis": "z", "scale": 2.0}}
+    study = study_of(kind, (run,), markers=corner, channels=channels)
+    problem = Problem(setup_of(study).model, study.runs, WhiteNoise(study.channels), ())
+    x = torch.zeros(len(problem.names), dtype=torch.float64)
+    shape = problem.shape_at(study.runs[0], x)
+    assert shape is not None and shape.nodes_m.shape[0] == len(run.time_s)
+    body = setup_of(study).model.scene(study.runs[0], x, {}).body.mesh
+    used = torch.unique(mesh.surface_triangles(body).faces)
+    here = int((body.nodes[used] - torch.tensor(corner["corner"])).norm(dim=-1).argmin())
+    read = problem.predict(study.runs[0], x)[:, 0].detach().numpy()
+    np.testing.assert_allclose(2.0 * shape.nodes_m[:, here, 2], read, atol=1e-12)
+    assert shape.triangles.max() < len(used) == shape.nodes_m.shape[1]
 
 
 def test_a_fact_may_have_a_unit_and_who_states_none_is_told():
@@ -99,6 +120,61 @@ def test_a_density_per_part_goes_with_hooks():
     assert not torch.allclose(at_rest, predicted(study, {"creep": 0.05})[0])
 
 
+def meshed(tmp_path, regions, *, file=None, **changes):
+    """The bar as a mesher's file in mm whose far quarter is called 1, and a study of it."""
+    bar = mesh.hex_box((8, 1, 1), (80.0, 16.0, 16.0))
+    far = (bar.nodes[bar.elements].mean(1)[:, 0] > 60.0).long()
+    mesh.save(bar, tmp_path / "bar.vtu", element_data={"part": far, "oven": 1 - far})
+    body = {"file": {"path": "bar.vtu", "unit": "mm", "groups": "part", **(file or {})}}
+    return replace(study_of(BAR, (LIGHT,), body=body, regions=regions, **changes), folder=tmp_path)
+
+
+def test_regions_of_the_mesh_file_have_their_own_material(tmp_path):
+    head = {"name": "head", "youngs_modulus": {"value": "2 MPa", "percent": 30}, "density": 9e3}
+    by_name = meshed(tmp_path, [head | {"group": "1"}])
+    by_place = meshed(tmp_path, [head | {"where": {"x": [0.06, None]}}])
+    assert torch.equal(predicted(by_name)[0], predicted(by_place)[0])
+    assert not torch.equal(predicted(by_name)[0], predicted(meshed(tmp_path, []))[0])
+    setup = setup_of(by_name)
+    assert "youngs_modulus_head" in [p.name for p in setup.model.base]  # is fitted
+    problem = Problem(setup.model, by_name.runs, WhiteNoise(by_name.channels), ())
+    column = problem.linearize(np.zeros(len(problem.names)))[1]
+    assert np.abs(column[:, problem.names.index("youngs_modulus_head")]).max() > 0.0
+
+
+def test_regions_follow_the_cells_that_are_kept(tmp_path):
+    head = {"name": "head", "density": 9e3}
+    kept = {"keep": {"x": [None, 0.07]}}
+    markers = {"markers": {"tip": [0.069, 0.008, 0.0]}}
+    same = [
+        predicted(meshed(tmp_path, [head | place], file=kept, masses=[], start={}, **markers))[0]
+        for place in ({"group": "1"}, {"where": {"x": [0.06, None]}})
+    ]
+    assert torch.equal(*same)
+
+
+@pytest.mark.parametrize(
+    ("place", "file", "message"),
+    [
+        ({"group": "2"}, {}, r"regions\[0\].group: name of a region must be one of"),
+        ({"group": "1"}, {"groups": None}, r"regions\[0\].group: .*several cell data"),
+        ({"group": "1"}, {"keep": {"x": [None, 0.05]}}, "none of the cells that are kept"),
+        ({"group": "1", "where": {"x": 0.0}}, {}, "give either where, or group"),
+        ({}, {}, "give either where, or group"),
+    ],
+)
+def test_groups_that_are_not_there(tmp_path, place, file, message):
+    study = meshed(tmp_path, [{"name": "head", "density": 9e3} | place], file=file, masses=[])
+    with pytest.raises(ValueError, match=message):
+        setup_of(study)
+
+
+def test_a_bar_has_no_groups():
+    region = {"name": "head", "group": "1", "density": 9e3}
+    with pytest.raises(ValueError, match=r"regions\[0\].group: only a body from a mesh file"):
+        setup_of(study_of(BAR, (LIGHT,), regions=[region]))
+
+
 def test_poses_follow_the_command_and_are_computed_once():
     study = study_of(TENDON, (PULLED,))
     (there,) = predicted(study)
@@ -106,6 +182,43 @@ def test_poses_follow_the_command_and_are_computed_once():
     assert torch.allclose(there[1:12], there[1:12].flip(0), atol=1e-9)
     late = predicted(study, {"delay": 0.1})[0]
     assert torch.allclose(late[4:], there[2:-2], atol=1e-5)
+
+
+def test_a_frozen_model_follows_a_larger_stroke_than_it_was_fitted_to():
+    """It was refused: poses were spread over the new stroke, so sizes "meant something else"."""
+    study = study_of(TENDON, (PULLED,))
+    further = study_of(TENDON, (replace(PULLED, command={"pull_m": pulled(9e-3)}),))
+    model = setup_of(study).model
+    base = {p.name: p for p in model.base}
+    saved = SavedModel(
+        path=Path("extended_model.yaml"),
+        values={name: p.value for name, p in base.items()},
+        sd={name: p.sd for name, p in base.items()},
+        units={name: p.unit for name, p in base.items()},
+        parameters=tuple(base),
+        components=(),
+        frame=dict(model.frame),
+    )
+    again = rebuilt(saved, setup_of(saved.framed(further)))
+    assert again.frame == model.frame
+    run = further.runs[0]
+    there = again.predict(run, again.at_prior()).detach()
+    fresh = setup_of(further).model  # poses of its own, over all of the larger stroke
+    own = fresh.predict(run, torch.zeros(len(base), dtype=torch.float64)).detach()
+    assert float(own.abs().max()) > 2e-3
+    np.testing.assert_allclose(there, own, atol=1e-3 * float(own.abs().max()))
+
+
+def test_poses_go_on_at_their_spacing():
+    fitted = pose_commands((0.0, 1.0), (0.0, 1.0), 12)
+    assert fitted is not None and float(fitted[-1]) == pytest.approx(1.1)
+    more = pose_commands((0.0, 1.0), (-0.05, 1.4), 12)
+    assert more is not None
+    np.testing.assert_allclose(more.diff(), 0.1, rtol=1e-12)
+    assert float(more[-1]) >= 1.4 * 1.1 and float(more[0]) <= -0.05
+    assert set(fitted.tolist()) <= set(more.tolist())
+    assert len(pose_commands((0.0, 1.0), (0.0, 1e6), 12)) < 200  # a wrong unit costs no hours
+    assert pose_commands((0.0, 0.0), (0.0, 0.0), 12) is None
 
 
 def test_a_commanded_force_bends_as_its_moment_does():

@@ -1,8 +1,15 @@
 #include "kernels/soft/contact/contact_preconditioner.h"
 
+#include <Eigen/Cholesky>
+#include <cmath>
 #include <limits>
 
 namespace diffsim {
+
+struct ContactPreconditioner::Factor {
+  Eigen::LLT<Eigen::MatrixXd> llt;
+};
+
 namespace {
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
@@ -90,7 +97,7 @@ void ContactPreconditioner::factorize_group(Group& group) {
       S(i, j) = total + (i == j ? a.compliance : 0.0);
     }
   });
-  group.factor.compute(S);
+  group.factor = std::make_shared<const Factor>(Factor{Eigen::LLT<Eigen::MatrixXd>(S)});
 }
 
 void ContactPreconditioner::prepare_constant() {
@@ -204,7 +211,7 @@ void ContactPreconditioner::hold(const Vector* r, Vector& z) {
         l(j, 0) = row.direction[0] * at_node[0] + row.direction[1] * at_node[1] +
                   row.direction[2] * at_node[2];
     }
-    group.factor.solveInPlace(l);
+    group.factor->llt.solveInPlace(l);
     for (Eigen::Index j = 0; j < size; ++j) {
       const Row& row = group.rows[at(j)];
       for (std::size_t a = 0; a < 3; ++a)

@@ -8,7 +8,6 @@
 // whatever its size.
 #pragma once
 
-#include <Eigen/Dense>
 #include <memory>
 
 #include "kernels/soft/contact/contact_space.h"
@@ -49,10 +48,11 @@ class ContactPreconditioner {
     double direction[3];
     double compliance;  // [m/N], zero: rigid
   };
+  struct Factor;  // Cholesky's; Eigen stays out of what includes this
   /// Rows whose multipliers are coupled.
   struct Group {
     std::vector<Row> rows;
-    Eigen::LLT<Eigen::MatrixXd> factor;
+    std::shared_ptr<const Factor> factor;
     int axes = 1;  // 3: the same rows on all axes, of which `rows` lists those of axis 0
   };
   void make_rows();

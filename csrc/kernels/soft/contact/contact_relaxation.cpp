@@ -1,6 +1,6 @@
 #include "kernels/soft/contact/contact_relaxation.h"
 
-#include <Eigen/Dense>
+#include <Eigen/Cholesky>
 
 #include "kernels/soft/contact/contact_merit.h"
 

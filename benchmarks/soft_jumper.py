@@ -1,0 +1,159 @@
+"""The soft jumper beside the figures its authors published: time step, speed, learning curves.
+
+python -m benchmarks.soft_jumper                     # the same jump at smaller time steps; speed
+python -m benchmarks.soft_jumper --curves rl/results/soft_jumper
+python -m benchmarks.soft_jumper --picture docs/images/soft_jumper
+
+Published returns: Xing, Luk, Oh, "Stabilizing reinforcement learning in differentiable multiphysics
+simulation" (ICLR 2025, arXiv:2412.12089), soft jumper, final policies after 6 million steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+
+from benchmarks.envs import Case, gradient_price
+from benchmarks.plot_style import legend_below, new_figure, save, style
+from diffsim.core import interruptible
+from diffsim.envs import TaskState
+from diffsim.envs.soft_named import SoftJumper
+from diffsim.learn.run import read_rows
+from diffsim.learn.setup import evaluate
+from diffsim.viz.figures import CYCLE
+
+PUBLISHED = {"sapo": 1820.5, "apg": 956.6, "shac": 853.3, "ppo": 261.5}
+LABELS = {"sapo": "SAPO", "shac": "SHAC", "gradient": "Adam (APG)", "apg": "APG", "ppo": "PPO"}
+SUBSTEPS = (1, 2, 4, 8, 16)
+SQUARE_WAVES = (2.0, 2.5, 3.0, 3.5, 4.0)  # [Hz]
+BY_HAND = 139.0  # return of the best of them, 3 Hz
+CONTROL_PERIOD = 1.0 / 60.0  # [s]
+EPISODE, EPISODES = 300, 4  # control steps, and how many episodes rate a controller
+
+
+def command(seconds: float) -> float:
+    """Of all muscles: they shrink slowly, hold, and swell at once."""
+    return min(seconds / 0.5, 1.0) if seconds < 0.7 else -1.0
+
+
+def jump(task: SoftJumper, control_steps: int = 84) -> Iterator[TaskState]:
+    """States of the jump by ``command``, the first one included."""
+    state = task.start(1, np.random.default_rng(0))
+    yield state
+    with torch.no_grad():
+        for k in range(control_steps):
+            level = command((k + 0.5) * CONTROL_PERIOD)
+            state, _ = task.step(state, torch.full((1, task.num_actions), level).double())
+            yield state
+
+
+def still_jumper(substeps: int) -> SoftJumper:
+    """The task from rest on the floor.
+
+    The solver's tolerance falls with the time step's square, as its scale grows.
+    """
+    robot = {"dt": CONTROL_PERIOD / substeps, "rtol": 4e-4 / substeps**2}
+    return SoftJumper(robot=robot, substeps=substeps, drop=0.0, aside=0.0, size_spread=0.0)
+
+
+def rise(substeps: int) -> tuple[float, float]:
+    """How high the center of the jump rises [m], and CPU seconds per control step."""
+    task, began = still_jumper(substeps), time.process_time()
+    heights = [float(task.robot.center(state["x"])[0, 2]) for state in jump(task)]
+    return max(heights) - heights[0], (time.process_time() - began) / (len(heights) - 1)
+
+
+def report_square_waves() -> None:
+    """Returns of all muscles shrinking and swelling together, from the starts that rate runs."""
+    task = SoftJumper()
+    print("| square wave | return |\n|---|---|")
+    for hertz in SQUARE_WAVES:
+        per_step = evaluate(task, lambda seen, k, f=hertz: square_wave(task, seen, k, f), EPISODES)
+        print(f"| {hertz:g} Hz | {task.max_steps * per_step:.0f} |", flush=True)
+
+
+def square_wave(task: SoftJumper, seen: torch.Tensor, step: int, hertz: float) -> torch.Tensor:
+    """Commands (batch, num_actions): 1 in the first half of a period, -1 in the second."""
+    level = 1.0 if (step * task.dt * hertz) % 1.0 < 0.5 else -1.0
+    return torch.full((len(seen), task.num_actions), level, dtype=torch.float64)
+
+
+def report_steps() -> None:
+    """The table of time steps, and the price of a step with its gradient."""
+    print("| substeps | time step | center rises | CPU ms per control step |\n|---|---|---|---|")
+    for substeps in SUBSTEPS:
+        height, cost = rise(substeps)
+        step = 1e3 * CONTROL_PERIOD / substeps
+        print(f"| {substeps} | {step:.2f} ms | {height:.3f} m | {1e3 * cost:.1f} |", flush=True)
+    price = gradient_price(Case("SoftJumper", {}, 8), batch=32)
+    print(
+        f"batch of 32: {1.0 / price['forward_s']:.0f} steps per CPU s, "
+        f"{1.0 / price['with_gradient_s']:.0f} with gradient"
+    )
+
+
+def draw_curves(records: Path, out: Path) -> None:
+    """Returns against steps and CPU seconds, runs as thin lines, published ends as dashes."""
+    figure = new_figure(8.6, 3.6)
+    panels = figure.subplots(1, 2, sharey=True)
+    for method, color in zip(("sapo", "shac", "gradient", "ppo"), CYCLE, strict=False):
+        for path in sorted((records / method).glob("seed_*")):
+            rows = read_rows(path)
+            returns = [EPISODE * row["reward"] for row in rows]
+            for ax, axis in zip(panels, ("steps", "seconds"), strict=True):
+                values = [row[axis] for row in rows]
+                ax.plot(values, returns, color=color, lw=1.4, label=LABELS[method])
+        published = "apg" if method == "gradient" else method
+        for ax in panels:
+            _published_line(ax, PUBLISHED[published], color, LABELS[published])
+    style(panels[0], "Return of an episode", "simulation steps", "return")
+    style(panels[1], "The same runs", "CPU seconds of training")
+    legend_below(figure, panels, 4)
+    save(figure, out)
+
+
+def draw_jump(out: Path) -> None:
+    """Four pictures of the jump: at rest, shrunk, leaving the floor, at its height."""
+    task = still_jumper(2)
+    states = list(jump(task))
+    heights = [float(task.robot.center(state["x"])[0, 2]) for state in states]
+    figure = new_figure(9.6, 2.1)
+    moments = (0, 41, 48, int(np.argmax(heights)))
+    for ax, k in zip(figure.subplots(1, len(moments)), moments, strict=True):
+        ax.imshow(task.picture(states[k], 0))
+        ax.set_axis_off()
+        ax.set_title(f"{k * CONTROL_PERIOD:.2f} s, center at {heights[k]:.2f} m", fontsize=8)
+    save(figure, out)
+
+
+def _published_line(ax: Axes, value: float, color: str, name: str) -> None:
+    ax.axhline(value, color=color, lw=0.9, ls="--", label=f"{name}, published, 6 million steps")
+
+
+def main() -> None:
+    """Run; see the module."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--curves", type=Path, default=None, help="folder METHOD/seed_N of runs")
+    parser.add_argument("--picture", type=Path, default=None, help="where to put one of a jump")
+    parser.add_argument("--out", type=Path, default=Path("docs/images/learning_SoftJumper"))
+    args = parser.parse_args()
+    if args.picture is not None:
+        draw_jump(args.picture)
+    if args.curves is not None:
+        draw_curves(args.curves, args.out)
+    if args.curves is None and args.picture is None:
+        report_steps()
+        report_square_waves()
+
+
+if __name__ == "__main__":
+    with interruptible():
+        main()
