@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -12,18 +12,22 @@ from diffsim import soft
 from diffsim.applications.application import Application, Array, Parameters
 from diffsim.systems.robots import SoftRobot
 
+Commands = Callable[[Tensor], Tensor]
+"""Parameters (num_parameters,) -> command of every step, (num_steps, num_commands)."""
+
 
 def gait(
     robot: SoftRobot,
     solver: soft.SolverOptions,
     parameters: Parameters,
-    commands: Callable[[Tensor], Tensor],
+    commands: Commands,
     *,
     title: str,
     source: str,
     rise_weight: float = 0.0,
     scale: float,
     num_starts: int = 1,
+    also: Sequence[tuple[SoftRobot, Commands]] = (),
 ) -> Application:
     """The application of a robot that should come far along +x from rest.
 
@@ -38,25 +42,24 @@ def gait(
             (num_steps, num_commands).
         title, source, scale, num_starts: The same as in :class:`~diffsim.applications.Application`.
         rise_weight: Weight of the rise in the loss [-].
+        also: The same robot at other time steps or on other meshes, each with its commands. The
+            loss is the mean over all of them, so that what only one time step can do is not worth
+            much.
     """
-    body = robot.body
-    body.solver = solver
-    start = robot.center(body.x_rest)
-    length = float(body.x_rest[:, 0].max() - body.x_rest[:, 0].min())
+    versions = [(robot, commands), *also]
+    for one, _ in versions:
+        one.body.solver = solver
+    start = robot.center(robot.body.x_rest)
+    length = float(robot.body.x_rest[:, 0].max() - robot.body.x_rest[:, 0].min())
 
     def simulate(values: Tensor) -> Tensor:
-        activation = robot.activation(commands(values))
-        return soft.rollout(
-            body,
-            body.rest_state(),
-            len(activation),
-            activation=lambda k, _state: activation[k],
-            obstacles=robot.obstacles,
-        ).x
+        return _walk(robot, commands(values))
 
-    def loss(_values: Tensor, x: Tensor) -> Tensor:
-        moved = robot.center(x[-1]) - start
-        return -moved[0] - rise_weight * moved[2]
+    def loss(values: Tensor, x: Tensor) -> Tensor:
+        ends = [(robot, x[-1])]
+        ends += [(one, _walk(one, made(values))[-1]) for one, made in also]
+        moved = torch.stack([one.center(end) - one.center(one.body.x_rest) for one, end in ends])
+        return (-moved[:, 0] - rise_weight * moved[:, 2]).mean()
 
     def numbers(_values: Array, x: Tensor) -> Mapping[str, float]:
         moved = robot.center(x[-1]) - start
@@ -75,7 +78,7 @@ def gait(
         name=robot.name,
         title=title,
         source=source,
-        body=body,
+        body=robot.body,
         parameters=parameters,
         simulate=simulate,
         loss=loss,
@@ -87,7 +90,19 @@ def gait(
     )
 
 
-def sinusoid(dt: float, num_steps: int) -> Callable[[Tensor], Tensor]:
+def _walk(robot: SoftRobot, command: Tensor) -> Tensor:
+    """Positions of all steps from rest, (num_steps + 1, num_vertices, 3) [m]."""
+    activation = robot.activation(command)
+    return soft.rollout(
+        robot.body,
+        robot.body.rest_state(),
+        len(activation),
+        activation=lambda k, _state: activation[k],
+        obstacles=robot.obstacles,
+    ).x
+
+
+def sinusoid(dt: float, num_steps: int) -> Commands:
     """Commands of (front strength, back strength, frequency [Hz]) of a legged robot.
 
     One sinusoid bends all legs: the fronts of the legs follow it, the backs its negative, each by
@@ -103,7 +118,7 @@ def sinusoid(dt: float, num_steps: int) -> Callable[[Tensor], Tensor]:
     return commands
 
 
-def lines_between_knots(num_knots: int, num_steps: int) -> Callable[[Tensor], Tensor]:
+def lines_between_knots(num_knots: int, num_steps: int) -> Commands:
     """Commands that run straight between evenly spaced knots, the last at the end.
 
     Of (num_knots x num_commands,) values, knot by knot.

@@ -33,6 +33,7 @@ from diffsim.core.yaml_text import read_yaml_file
 
 DOCS = FOLDER.parent / "docs"
 RECORD = "gallery.json"  # beside the page: what it shows of scripts
+REFINED = "refinement.json"  # the same: what ``python -m benchmarks.refinement`` has made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +233,31 @@ def markdown(
         if entry.thesis:
             lines += ["", f"Thesis: {entry.thesis}"]
         lines += ["", f"`{_command(entry)}`"]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_under_refinement(DOCS / REFINED)]) + "\n"
+
+
+def _under_refinement(path: Path) -> list[str]:
+    """The table of results whose time step and mesh were refined; nothing without a record."""
+    if not path.is_file():
+        return []
+    record = json.loads(path.read_text(encoding="utf-8"))
+    changes = list(dict.fromkeys(c for row in record.values() for c in row["values"]))
+    lines = [
+        "",
+        "## Under refinement",
+        "",
+        "Same commands, solved again with smaller time steps and on finer meshes (half the edge, a "
+        "third for the swimmer), by `python -m benchmarks.refinement`. What they mean: "
+        "[applications](applications.md#how-far-to-trust-them).",
+        "",
+        f"| result | number | {' | '.join(changes)} |",
+        f"|---|---|{'---|' * len(changes)}",
+    ]
+    for name, row in record.items():
+        made = row["values"]
+        cells = [f"{made[c]:.3g}" if c in made else "not run" for c in changes]
+        lines.append(f"| {name} | {row['quantity']} | {' | '.join(cells)} |")
+    return lines
 
 
 def _place(entry: Entry) -> str:

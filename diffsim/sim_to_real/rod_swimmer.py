@@ -30,6 +30,7 @@ ROOT, TIP, WIDTH, CORE_SIDE, CORE_THICK = 0.018, 0.070, 0.015, 0.036, 0.0175  # 
 THICK_AT, THICK = (0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07), (17.5, 17, 15.6, 13.3, 11, 9.1, 6.3)
 CABLE_DEPTH = 1.5e-3  # under the flat side [m]
 WATER = 1000.0  # [kg/m^3]
+CABLE_SPEED = 5e-3  # of the cable, beyond which its friction has all of its direction [m/s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +79,29 @@ class Truth:
     leg_stiffness: tuple[float, float, float, float] = (1.03, 0.96, 1.01, 0.99)
 
 
+@dataclass
+class RodState:
+    """The robot in motion; places, momenta and velocities along x and outwards.
+
+    Attributes:
+        at: (4, NUM_EDGES + 1, 2) places of the rods [m].
+        momentum: (4, NUM_EDGES, 2) of the nodes beyond the core [kg m/s].
+        velocity: (4, NUM_EDGES + 1, 2) [m/s].
+        relaxed: (4, NUM_EDGES) turn at which the Maxwell branch rests [rad].
+        wake: (4, NUM_EDGES) velocity of the water that is carried along [m/s].
+        core_momentum: Along x [kg m/s].
+        pull: Of the servo arm, last [m].
+    """
+
+    at: Array
+    momentum: Array
+    velocity: Array
+    relaxed: Array
+    wake: Array
+    core_momentum: float = 0.0
+    pull: float = 0.0
+
+
 class RodSwimmer:
     """The robot on its rail; ``run`` makes a motion from the pull of the servo.
 
@@ -120,47 +144,68 @@ class RodSwimmer:
         Returns:
             (num_samples, 4, NUM_EDGES + 1, 2) places of the rods, 60 a second [m].
         """
-        t = self.truth
-        at = np.tile(self.rest, (4, 1, 1))
-        momentum = np.zeros((4, NUM_EDGES, 2))
-        velocity = np.zeros((4, NUM_EDGES + 1, 2))
-        relaxed = np.zeros((4, NUM_EDGES))  # turn at which the Maxwell branch rests
-        wake = np.zeros((4, NUM_EDGES))
-        core_momentum = 0.0
-        direction = np.tanh(np.gradient(pull, DT) / 5e-3)
-        path = np.maximum(pull - t.slack_m, 0.0)
-        kept = []
+        direction = np.tanh(np.gradient(pull, DT) / CABLE_SPEED)
+        path = np.maximum(pull - self.truth.slack_m, 0.0)
+        now, kept = self.rest_state(), []
         for k in range(len(pull)):
             if k % STEPS_PER_SAMPLE == 0:
-                kept.append(at.copy())
-            edge = at[:, 1:] - at[:, :-1]
-            length = np.sqrt((edge * edge).sum(-1))
-            along = edge / length[..., None]
-            across = np.stack([along[..., 1], -along[..., 0]], -1)
-            middle = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
-            middle[..., 0] -= t.current
-            fast = velocity[:, 1:] - velocity[:, :-1]
-            angle = np.arctan2(along[..., 0], along[..., 1])
-            turn = angle.copy()
-            turn[:, 0] -= self.root_angle
-            turn[:, 1:] -= angle[:, :-1]
-            turn -= self.rest_turn
-            inner = self._tendon_and_foam(
-                length, turn, relaxed, fast, along, across, path[k], direction[k]
-            )
-            force = inner + self._water(middle, along, across, wake)
-            # pushes at both ends of a piece: inner forces are opposite, those of the water equal
-            on_core = float((0.5 * (force - inner) - inner)[:, 0, 0].sum())
-            nodal = inner + 0.5 * (force - inner)
-            nodal[:, :-1] += (0.5 * (force - inner) - inner)[:, 1:]
-            speed = float(velocity[0, 0, 0])
-            on_core -= t.rail_friction * np.tanh(speed / 5e-4)
-            past = speed - t.current
-            on_core -= 0.5 * WATER * t.core_drag * CORE_SIDE**2 * abs(past) * past
-            momentum += DT * nodal
-            core_momentum += DT * on_core
-            self._move(at, velocity, momentum, across, core_momentum)
+                kept.append(now.at.copy())
+            self._step(now, path[k], direction[k])
         return np.array(kept)
+
+    def rest_state(self) -> RodState:
+        """The robot at rest, as :meth:`follow` moves it on."""
+        return RodState(
+            at=np.tile(self.rest, (4, 1, 1)),
+            momentum=np.zeros((4, NUM_EDGES, 2)),
+            velocity=np.zeros((4, NUM_EDGES + 1, 2)),
+            relaxed=np.zeros((4, NUM_EDGES)),
+            wake=np.zeros((4, NUM_EDGES)),
+        )
+
+    def follow(self, now: RodState, pull: Array) -> None:
+        """Move a state on, so that nothing of the pull after this need be known.
+
+        Args:
+            now: Changed in place.
+            pull: (num_steps,) of the servo arm at the next steps of ``DT`` [m].
+        """
+        direction = np.tanh(np.diff(pull, prepend=now.pull) / (DT * CABLE_SPEED))
+        path = np.maximum(pull - self.truth.slack_m, 0.0)
+        for k in range(len(pull)):
+            self._step(now, path[k], direction[k])
+        now.pull = float(pull[-1])
+
+    def _step(self, now: RodState, path: float, direction: float) -> None:
+        """One step of ``DT`` under a pull without its slack; ``direction`` -1 to 1 of the cable."""
+        t = self.truth
+        edge = now.at[:, 1:] - now.at[:, :-1]
+        length = np.sqrt((edge * edge).sum(-1))
+        along = edge / length[..., None]
+        across = np.stack([along[..., 1], -along[..., 0]], -1)
+        middle = 0.5 * (now.velocity[:, 1:] + now.velocity[:, :-1])
+        middle[..., 0] -= t.current
+        fast = now.velocity[:, 1:] - now.velocity[:, :-1]
+        angle = np.arctan2(along[..., 0], along[..., 1])
+        turn = angle.copy()
+        turn[:, 0] -= self.root_angle
+        turn[:, 1:] -= angle[:, :-1]
+        turn -= self.rest_turn
+        inner = self._tendon_and_foam(
+            length, turn, now.relaxed, fast, along, across, path, direction
+        )
+        force = inner + self._water(middle, along, across, now.wake)
+        # pushes at both ends of a piece: inner forces are opposite, those of the water equal
+        on_core = float((0.5 * (force - inner) - inner)[:, 0, 0].sum())
+        nodal = inner + 0.5 * (force - inner)
+        nodal[:, :-1] += (0.5 * (force - inner) - inner)[:, 1:]
+        speed = float(now.velocity[0, 0, 0])
+        on_core -= t.rail_friction * np.tanh(speed / 5e-4)
+        past = speed - t.current
+        on_core -= 0.5 * WATER * t.core_drag * CORE_SIDE**2 * abs(past) * past
+        now.momentum += DT * nodal
+        now.core_momentum += DT * on_core
+        self._move(now.at, now.velocity, now.momentum, across, now.core_momentum)
 
     def _tendon_and_foam(
         self,

@@ -34,11 +34,15 @@ UPPER = (math.pi / 3,) * 3 + (0.01, 0.01, 0.21, 1.5, 1.5, -3.0)
 FIRST = (0.3, -0.3, 0.5, 0.0, 0.0, 0.2, -0.8, -0.6, -4.0)
 
 
-def build(solver: soft.SolverOptions, quick: bool) -> Application:
-    """The bunny in cells of 5.2 mm (quick: 10 mm, 50 steps of 2 ms)."""
+def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int = 1) -> Application:
+    """The bunny in cells of 5.2 mm (quick: 10 mm, 50 steps of 2 ms).
+
+    ``refine`` time steps are made of one, and cells are so many times smaller, to see what they do.
+    """
     steps, dt = (STEPS // 2, 2 * DT) if quick else (STEPS, DT)
+    steps, dt = steps * refine, dt / refine
     body = soft.SoftBody(
-        bunny(0.010 if quick else 0.0052),
+        bunny((0.010 if quick else 0.0052) / cells),
         dt=dt,
         youngs_modulus=1e6,
         poissons_ratio=0.45,

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.applications import Evaluation, minimize, random_losses
-from diffsim.applications.gait import _turned, lines_between_knots, sinusoid
+from diffsim.applications import Evaluation, Parameters, minimize, random_losses, solver_options
+from diffsim.applications.gait import _turned, gait, lines_between_knots, sinusoid
+from diffsim.systems import robots
 from tests.applications.test_applications import made
 
 
@@ -59,3 +60,30 @@ def test_starts_that_were_tried_are_the_random_sample():
     ]  # fmt: skip
     assert random_losses(made(), count=3, tried=tried) == [1.0, 2.0]
     assert len(random_losses(made(), count=4, tried=tried)) == 4
+
+
+def test_loss_is_the_mean_over_versions_of_the_robot():
+    def version(dt):
+        robot = robots.quadruped(coarse=True, dt=dt, per_muscle=False, youngs_modulus=3e5)
+        return robot, sinusoid(dt, round(0.04 / dt))
+
+    def made(first, also=()):
+        return gait(
+            first[0],
+            solver_options("projective_dynamics", rtol=1e-6),
+            Parameters(names=("front", "back", "Hz"), lower=[0] * 3, upper=[9] * 3, first=[1] * 3),
+            first[1],
+            title="",
+            source="",
+            scale=1.0,
+            also=also,
+        )
+
+    values = torch.tensor([0.9, 0.1, 7.0], dtype=torch.float64)
+    coarse, fine = version(0.02), version(0.01)
+    apart = [made(one) for one in (coarse, fine)]
+    losses = [float(one.loss(values, one.simulate(values))) for one in apart]
+    both = made(coarse, [fine])
+    assert losses[0] != losses[1]
+    mean = float(both.loss(values, both.simulate(values)))
+    assert mean == pytest.approx(sum(losses) / 2.0, rel=1e-9)

@@ -1,5 +1,6 @@
 """The gallery: runs scripts, reads their numbers, keeps what is done."""
 
+import json
 import shutil
 
 import pytest
@@ -114,3 +115,18 @@ def test_what_the_gallery_quotes_of_a_page_stands_there(entry):
     found = gallery._from_page(entry)
     assert not found["failure"]
     assert (gallery.DOCS / "images" / entry.image).is_file()
+
+
+def test_table_of_refined_results_follows_the_pictures(scripts, tmp_path, monkeypatch):
+    docs = tmp_path / "docs"
+    (docs / "images").mkdir(parents=True)
+    values = {"as made": 449.0, "step / 2": 461.3}
+    row = {"quantity": "travel [mm]", "values": values}
+    other = {"quantity": "speed [mm/s]", "values": {"as made": 5.9}}
+    (docs / gallery.REFINED).write_text(json.dumps({"walk": row, "swim": other}))
+    monkeypatch.setattr(gallery, "DOCS", docs)
+    gallery.make(tmp_path / "out", docs=docs)
+    page = (docs / "gallery.md").read_text()
+    assert "| walk | travel [mm] | 449 | 461 |" in page
+    assert "| swim | speed [mm/s] | 5.9 | not run |" in page
+    assert page.index("A walk") < page.index("## Under refinement")

@@ -53,6 +53,38 @@ def test_commands_beyond_the_limits_are_refused():
         LAB.execute(Command(np.linspace(0.0, 0.05, 30)), order=0)
 
 
+def test_a_controller_that_knows_the_command_moves_the_robot_alike():
+    lab = replace(LAB, scatter=0.0)
+    still = Command(np.append(np.zeros(6), PULSE.contraction_m))  # the servo waits at its start
+    executed = lab.execute(still, order=0)
+    steered = lab.steer(lambda t, _seen: still.contraction_m[round(60.0 * t)], order=0)
+    np.testing.assert_array_equal(steered.command[COMMAND], executed.command[COMMAND])
+    a, b = (run.measured - run.measured[0] for run in (executed, steered))
+    assert np.nanmax(np.abs(a)) > 5e-3
+    assert np.nanmax(np.abs(a - b)) < 6e-4  # noise, pixels, and a half sample of clock
+
+
+def test_a_controller_sees_what_is_recorded_and_lost_markers_stay():
+    lab, seen = replace(LAB, rig=replace(LAB.rig, lost=0.3)), []
+
+    def policy(_time, places):
+        seen.append(places)
+        return 0.005
+
+    run = lab.steer(policy, order=3)
+    seen = np.array(seen)
+    lost = np.isnan(run.measured)
+    assert lost.any() and not np.isnan(seen).any()
+    np.testing.assert_array_equal(seen[~lost], run.measured[~lost])
+    after = lost[1:]
+    np.testing.assert_array_equal(seen[1:][after], seen[:-1][after])
+
+
+def test_a_controller_beyond_the_limits_is_refused():
+    with pytest.raises(ValueError, match="clamp what it asks for"):
+        LAB.steer(lambda _t, _seen: 0.05, order=0)
+
+
 def test_the_laboratory_shares_no_code_with_the_model():
     tree = ast.parse(inspect.getsource(rod_swimmer))
     imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}

@@ -191,3 +191,50 @@ def test_spread_nodes_are_far_apart() -> None:
     assert sorted(spread_nodes(line, 3).tolist()) == [0, 5, 10]
     with pytest.raises(ValueError, match="count must be at most 11"):
         spread_nodes(line, 12)
+
+
+@pytest.mark.parametrize("name", ["quadruped", "cow"])
+@pytest.mark.parametrize("coarse", [False, True])
+def test_muscles_of_legs_keep_their_place_on_finer_meshes(name: str, coarse: bool) -> None:
+    def volumes_and_centers(refine: int) -> tuple[torch.Tensor, torch.Tensor]:
+        body = getattr(robots, name)(coarse=coarse, refine=refine).body
+        corners = body.x_rest[body.mesh.hexes][body.muscles.elements]
+        volume = (corners.amax(1) - corners.amin(1)).prod(1)
+        of = [body.muscles.owner == k for k in range(8)]
+        center = [(volume[k, None] * corners[k].mean(1)).sum(0) / volume[k].sum() for k in of]
+        return torch.stack([volume[k].sum() for k in of]), torch.stack(center)
+
+    volume, center = volumes_and_centers(1)
+    for refine in (2, 3):
+        finer_volume, finer_center = volumes_and_centers(refine)
+        torch.testing.assert_close(finer_volume, volume, rtol=1e-9, atol=0.0)
+        torch.testing.assert_close(finer_center, center, rtol=0.0, atol=1e-9)
+
+
+def test_half_a_quadruped_moves_as_the_left_half_of_a_whole_one() -> None:
+    whole, half = (
+        robots.quadruped(per_muscle=False, youngs_modulus=3e5, damping=0.02, rtol=1e-9, half=h)
+        for h in (False, True)
+    )
+    assert half.body.muscles.num_muscles == 4
+    assert half.command_names == whole.command_names
+    # nodes of the half among those of the whole, by their places
+    apart = torch.cdist(half.body.x_rest, whole.body.x_rest)
+    nearest, same = apart.min(1)
+    assert float(nearest.max()) < 1e-6  # cells are of 1 cm
+    command = torch.tensor([0.9, -0.1], dtype=torch.float64)
+    a, b = half.body.rest_state(), whole.body.rest_state()
+    for _ in range(4):
+        a, b = half.step(a, command), whole.step(b, command)
+    moved = float((b.x - whole.body.x_rest).abs().max())
+    assert moved > 5e-3
+    assert float((a.x - b.x[same]).abs().max()) < 1e-8 * moved
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({}, "give per_muscle=False"), ({"per_muscle": False, "coarse": True}, "even refine")],
+)
+def test_halves_that_cannot_be_made_are_refused(options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        robots.quadruped(half=True, **options)

@@ -1,0 +1,168 @@
+"""How far does a result depend on its time step and its mesh? One table for six of them.
+
+Same commands, solved again with half and a quarter of the time step, and on a finer mesh:
+quadruped (its half, which is exact for its symmetric gait), cow (its half on the finer mesh), the
+coarse ring, the coarse bunny, the swimmer, and the coarse creature. Every run is kept;
+docs/refinement.json holds the table that ``diffsim examples gallery`` writes into docs/gallery.md.
+
+    python -m benchmarks.refinement --out docs/refinement.json
+    python -m benchmarks.refinement --names cow swimmer
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.machine import machine
+from diffsim import soft
+from diffsim.applications import Application, minimize, solver_options
+from diffsim.applications.catalog import FOLDER
+from diffsim.applications.gallery import REFINED
+from diffsim.applications.table import OURS, load
+from diffsim.core import interruptible
+from diffsim.core.files import write_json_atomic
+
+LEGGED = "newton_cholesky"  # takes a third of the time of ours on these, to the same tolerance
+RTOL, FINER_RTOL = 1e-4, 1e-3  # of steps; the latter on the finer mesh
+
+
+def _legged(name: str, steps: int, cells: int, half: bool) -> float:
+    """Travel of a legged robot under the command that its script begins with [mm]."""
+    solver = solver_options(LEGGED, rtol=RTOL if cells == 1 else FINER_RTOL)
+    made = load(name).build(solver, False, steps, cells, half)
+    return _travel(made, made.parameters.first)
+
+
+def quadruped(out: Path, steps: int, cells: int) -> float:
+    """Travel in one second [mm]."""
+    return _legged("quadruped", steps, cells, half=True)
+
+
+def cow(out: Path, steps: int, cells: int) -> float:
+    """Travel in 0.6 s [mm]."""
+    return _legged("cow", steps, cells, half=cells % 2 == 0)
+
+
+def torus(out: Path, steps: int, cells: int) -> float:
+    """Travel of the coarse ring in 0.8 s [mm]."""
+    module = load("torus")
+    solver = solver_options(OURS, rtol=module.RTOL)
+    record = out / "torus.jsonl"
+    found = minimize(module.build(solver, True), max_evaluations=8, record=record)
+    made = module.build(solver, True, steps, cells)
+    return _travel(made, np.array(found.best.values))
+
+
+def bunny(out: Path, steps: int, cells: int) -> float:
+    """Distance of the coarse bunny from its target [mm]."""
+    module = load("bunny")
+    solver = solver_options(OURS, rtol=module.RTOL)
+    record = out / "bunny.jsonl"
+    found = minimize(module.build(solver, True), max_evaluations=8, record=record)
+    made = module.build(solver, True, steps, cells)
+    values = np.array(found.best.values)
+    return float(made.numbers(values, made.motion(values))["distance mm"])
+
+
+def swimmer(out: Path, steps: int, cells: int) -> float:
+    """Speed of the optimized gait [mm/s]."""
+    module, kept = _story("softbody/swimmer.py"), out / "swimmer.json"
+    if not kept.is_file():
+        write_json_atomic(kept, module.optimized()[0]["optimized"]["knots"].tolist())
+    raw = torch.tensor(json.loads(kept.read_text()), dtype=torch.float64)
+    with torch.no_grad():
+        return 1e3 * float(module.swim_speed(raw, steps=steps, cells=cells))
+
+
+def creature(out: Path, steps: int, cells: int) -> float:
+    """Where the right hand of the coarse creature is after a turn by 36 degrees in 0.2 s [mm]."""
+    module = _story("softbody/twisting_armadillo.py")
+    shape = module.make_mesh(module.SMALL["spacing"] / cells, None)
+    turn = module.Turn(shape.x_rest)
+    dt = module.DT / steps
+    body = soft.SoftBody(
+        shape,
+        dt=dt,
+        youngs_modulus=2e5,
+        poissons_ratio=0.45,
+        material="neo_hookean",
+        fixed=turn.fixed,
+        solver=soft.SolverOptions(rtol=1e-6),
+    )
+    hand = shape.x_rest[:, 0] < shape.x_rest[:, 0].min() + 0.03  # several nodes on any mesh
+    weight = body.nodal_volume * hand
+    state = body.rest_state()
+    with torch.no_grad():
+        for k in range(6 * steps):
+            angle = torch.tensor(np.pi * (k + 1) * dt)  # half a turn in a second
+            state = body(state, dirichlet_target=turn.target(angle))
+    moved = (state.x - body.x_rest)[:, 1]
+    return 1e3 * float(weight @ moved / weight.sum())
+
+
+RESULTS: dict[str, tuple[Callable[[Path, int, int], float], str]] = {
+    "quadruped": (quadruped, "travel in 1 s [mm]"),
+    "cow": (cow, "travel in 0.6 s [mm]"),
+    "torus": (torus, "travel in 0.8 s, coarse ring [mm]"),
+    "bunny": (bunny, "distance from the target, coarse [mm]"),
+    "swimmer": (swimmer, "speed [mm/s]"),
+    "creature": (creature, "sideways way of a hand, coarse [mm]"),
+}
+CHANGES = {"as made": (1, 1), "step / 2": (2, 1), "step / 4": (4, 1), "finer mesh": (1, 2)}
+# a tendon lies in the middle of its cells, which halving would move
+THIRDS = ("swimmer",)
+
+
+def _travel(made: Application, values: np.ndarray) -> float:
+    return float(made.numbers(values, made.motion(values))["travel mm"])
+
+
+def _story(path: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(Path(path).stem, FOLDER / path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def main() -> None:
+    """Run what is missing, and keep it."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--names", nargs="+", choices=tuple(RESULTS), default=tuple(RESULTS))
+    parser.add_argument("--fresh", action="store_true", help="run again what is on record")
+    parser.add_argument("--runs", type=Path, default=Path("runs/refinement"))
+    parser.add_argument("--out", type=Path, default=FOLDER.parent / "docs" / REFINED)
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    args.runs.mkdir(parents=True, exist_ok=True)
+    record: dict[str, Any] = json.loads(args.out.read_text()) if args.out.is_file() else {}
+    for name in args.names:
+        run, quantity = RESULTS[name]
+        row = {} if args.fresh else record.get(name, {}).get("values", {})
+        for change, (steps, cells) in CHANGES.items():
+            if change in row:
+                continue
+            if cells > 1 and name in THIRDS:
+                cells = 3
+            begin = time.process_time()
+            row[change] = run(args.runs, steps, cells)
+            print(f"{name}, {change}: {row[change]:.4g}, {time.process_time() - begin:.0f} CPU s")
+            record[name] = {"quantity": quantity, "values": row, "machine": machine()}
+            write_json_atomic(args.out, {n: record[n] for n in RESULTS if n in record})
+
+
+if __name__ == "__main__":
+    with interruptible():
+        main()
