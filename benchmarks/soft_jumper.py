@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -74,11 +75,11 @@ def report_square_waves() -> None:
     task = SoftJumper()
     print("| square wave | return |\n|---|---|")
     for hertz in SQUARE_WAVES:
-        per_step = evaluate(task, lambda seen, k, f=hertz: square_wave(task, seen, k, f), EPISODES)
+        per_step = evaluate(task, partial(square_wave, task, hertz), EPISODES)
         print(f"| {hertz:g} Hz | {task.max_steps * per_step:.0f} |", flush=True)
 
 
-def square_wave(task: SoftJumper, seen: torch.Tensor, step: int, hertz: float) -> torch.Tensor:
+def square_wave(task: SoftJumper, hertz: float, seen: torch.Tensor, step: int) -> torch.Tensor:
     """Commands (batch, num_actions): 1 in the first half of a period, -1 in the second."""
     level = 1.0 if (step * task.dt * hertz) % 1.0 < 0.5 else -1.0
     return torch.full((len(seen), task.num_actions), level, dtype=torch.float64)
