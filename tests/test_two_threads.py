@@ -35,10 +35,13 @@ def landing(friction: float | None) -> Callable[[], Answer]:
     return run
 
 
-def channel() -> Callable[[], Answer]:
+def channel(
+    wall: str = "no_slip", solver: stokes.SolverOptions | None = None
+) -> Callable[[], Answer]:
     """A flow through a channel and its gradient to the height."""
     grid = stokes.Grid((12, 12), size=1.0)
-    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall="no_slip")
+    ends = (stokes.Inlet("x-"), stokes.Open("x+"))
+    flow = stokes.StokesFlow(grid, ends, wall=wall, solver=solver)
     inflow = torch.tensor([1.0, 0.0], dtype=torch.float64)
 
     def run() -> Answer:

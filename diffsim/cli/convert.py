@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         type=Path,
         metavar="OUT",
-        help=".csv, .parquet, .h5, .hdf5 or .mat; without it, parts and columns are shown",
+        help=".csv, .parquet, .h5, .hdf5, .mat or .mcap; without it, parts and columns are shown",
     )
 
 

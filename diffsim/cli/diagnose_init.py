@@ -180,7 +180,8 @@ def _command(q: Quantity) -> dict[str, Any]:
     ends = {
         k: float(f"{v:.4g}") for k, v in (("lower", q.lower), ("upper", q.upper)) if v is not None
     }
-    return _quantity(q) | ({"is_measured": True} if q.is_measured else ends)
+    filled = {"fill": "hold"} if q.column.is_asked else {}  # its topic has a clock of its own
+    return _quantity(q) | filled | ({"is_measured": True} if q.is_measured else ends)
 
 
 def _quantity(q: Quantity) -> dict[str, Any]:

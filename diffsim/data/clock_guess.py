@@ -17,8 +17,8 @@ from diffsim.data.table_guess import Column, Layout
 TIME = re.compile(r"^(t|time|timestamp|stamp|zeit|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I)
 COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
 _TRIAL = re.compile(
-    r"^(run|trial|test|rep|repeat|repetition|experiment|exp|throw|toss|shot|episode|lauf|versuch|"
-    r"messung)(_?(no|nr|id|number|index|\d))?$",
+    r"^(run|trial|test|sweep|pass|series|cycle|rep|repeat|repetition|experiment|exp|throw|toss|"
+    r"shot|episode|lauf|versuch|messung)(_?(no|nr|id|number|index|\d))?$",
     re.I,
 )
 _LEAST_ROWS = 5  # of a run, on average

@@ -18,6 +18,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.data.clock_guess import TIME
 from diffsim.data.columns import Table
 from diffsim.data.formats import SUFFIXES, parts_of
+from diffsim.data.log_columns import BESIDE, COMMAND, DRIVES, log_column
 from diffsim.data.runs_guess import say
 from diffsim.data.table_guess import Layout, column_of, layout_of, tables_in
 
@@ -26,9 +27,6 @@ BAG = "metadata.yaml"
 OTHERS = 12  # topics that a sentence names
 _STATE = re.compile(
     r"odom|pose|position|joint_?states|(^|[/_])states?($|[/_.])|attitude|mocap", re.I
-)
-_COMMAND = re.compile(
-    r"cmd|command|setpoint|actuator|control|motor|thrust|target|reference|desired|input", re.I
 )
 
 
@@ -143,9 +141,23 @@ def recordings_in(
     further = _further(found, best, parts, said)
     runs = [_recording(one, further, found) for one in best]
     layout = best[0].layout
-    if further:
-        layout = Layout(1, 2, tuple(column_of(name) for name in runs[0].table.header))
+    if best[0].is_topic:
+        layout = _of_topics(runs[0].table, (best[0].part, *further), best[0], found, said)
     return layout, runs
+
+
+def _of_topics(
+    joined: Table, parts: Sequence[str], main: Found, found: Sequence[Found], said: list[str]
+) -> Layout:
+    """Columns of a log as conventions have them, each of the first topic that has it."""
+    own = {f.part: {c.name for c in f.layout.columns} for f in found if f.path == main.path}
+    columns, unused = [], []
+    for name in joined.header:
+        part = next(p for p in parts if name in own[p])
+        column = log_column(name, part)
+        (unused.append(name) if column is None else columns.append(column))
+    say(said, "fields of topics, not used", unused)
+    return Layout(1, 2, tuple(columns))
 
 
 def _found(folder: Path, said: list[str]) -> Iterator[Found]:
@@ -176,16 +188,20 @@ def _worth(family: Sequence[Found]) -> tuple[int, bool, int]:
 def _further(
     found: Sequence[Found], best: Sequence[Found], parts: Sequence[str], said: list[str]
 ) -> tuple[str, ...]:
-    """Topics that are read at the clock of the record: those that are asked for, else one that
-    sounds commanded."""
+    """Topics that are read at the clock of the record: those that are asked for, else those
+    that belong to it, and one that sounds commanded."""
     main = best[0]
     beside = [f for f in found if f.path == main.path and f.part != main.part]
     if not main.is_topic or not beside:
         return ()
     asked = tuple(parts[1:])
     if not parts:
-        commanded = [f for f in beside if _COMMAND.search(f.part)]
-        asked = (max(commanded, key=Found.size).part,) if commanded else ()
+        known = {f.part for f in beside}
+        asked = tuple(part for part in BESIDE.get(main.part, ()) if part in known)
+        commanded = [f for f in beside if COMMAND.search(f.part)]
+        if commanded:
+            best_of = max(commanded, key=lambda f: (bool(DRIVES.search(f.part)), f.size()))
+            asked = (*asked, best_of.part)
     used = " and ".join((main.part, *asked))
     said.append(f"topics: {used}" + ("" if parts else "; --part TOPIC, repeated, uses others"))
     say(said, "other topics", [f.part for f in beside if f.part not in asked], OTHERS)

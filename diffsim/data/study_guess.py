@@ -236,6 +236,8 @@ def _keeps_name(column: Column) -> bool:
 
 def _commanded(column: Column, values: Sequence[Array]) -> str:
     """Why a column looks commanded; empty: it does not."""
+    if column.is_asked:
+        return "by its topic"
     if _COMMAND.search(column.base):
         return "by its name"
     repeats = [np.diff(v) == 0.0 for v in values if len(v) > 1]

@@ -31,7 +31,7 @@ _ENDINGS = {
     "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml", "degC": "degC", "percent": "%",
 }  # fmt: skip
 _ENDINGS_AFTER = {
-    "A": ("A", r"cur|amp|(^|_)i$"),
+    "A": ("A", r"cur|amp|(^|_)i_?\d*$"),
     "C": ("degC", r"temp"),
     "K": ("K", r"temp"),
     "g": ("g", r"mass|load|weight"),
@@ -48,12 +48,14 @@ class Column:
         unit: Unit that the header states; None: none.
         is_said: Whether the unit stands apart, in brackets or a row of units; else it is the
             ending of the name.
+        is_asked: Whether it is of a table that holds what was commanded.
     """
 
     name: str
     base: str
     unit: str | None
     is_said: bool
+    is_asked: bool = False
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from diffsim.diagnose.records import BaseRow, CauseRow
 from diffsim.diagnose.referee import Referee
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen
-from diffsim.diagnose.search import Search
+from diffsim.diagnose.search import Search, refit
 from diffsim.diagnose.simulations import NONE, Center
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
 from diffsim.diagnose.unseen import on_unseen
@@ -89,8 +89,8 @@ def report_of(
     case, gates = null.case, checks.gates
     search, effects = judgment.search, case.effects
     if search is not None and judgment.decision.best:
-        decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best))
-        judgment = replace(judgment, decision=decision)
+        judgment = _with_forms(judgment, search)
+        search = judgment.search
     decision = judgment.decision
     members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
     best = null.fit if search is None or not members else search.fit_of(members)
@@ -236,11 +236,20 @@ def _verdict(
     return decision.verdict, decision.best if decision.verdict == "named" else NONE
 
 
+def _with_forms(judgment: Judgment, search: Search) -> Judgment:
+    """The judgment, what may be another cause's form left open; the set without it is fitted."""
+    decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best))
+    if decision.forms:  # of several forms, the search need not have come by
+        search = refit(search, decision.best - set(decision.forms))
+    return replace(judgment, decision=decision, search=search)
+
+
 def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
     """The run of a bank that separates rivals best; None where there are none."""
     search, fits = judgment.search, [best]
     if search is not None:
-        fits += [search.fit_of(h.effects) for h in judgment.decision.rivals if h.unknown is None]
+        rivals = [h for h in judgment.decision.rivals if h.unknown is None]
+        fits += [search.fit_of(h.effects) for h in rivals if h in search.weighed]
     return next_run(fits, bank) if bank and len(fits) > 1 else None
 
 

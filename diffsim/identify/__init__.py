@@ -11,6 +11,7 @@ from diffsim.identify.multi_start import descend, random_starts
 from diffsim.identify.numerics import NumericalEffect, Numerics, coarse
 from diffsim.identify.problem import Problem
 from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.shape import MovingShape
 from diffsim.identify.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
 from diffsim.identify.whitening import Whitener, WhiteNoise
 
@@ -21,6 +22,7 @@ __all__ = [
     "ExtendedModel",
     "Fit",
     "Jacobian",
+    "MovingShape",
     "NumericalEffect",
     "Numerics",
     "Parameter",

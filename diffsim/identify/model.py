@@ -18,6 +18,7 @@ from diffsim.identify.numerics import NumericalEffect, Numerics
 if TYPE_CHECKING:
     from diffsim.data.study import Run
     from diffsim.identify.line import Line, Point
+    from diffsim.identify.shape import MovingShape
 
 
 @dataclass(frozen=True)
@@ -266,6 +267,31 @@ class SimModel:
         Returns:
             (num_samples, num_channels) and (K, num_samples, num_channels); None: difference
             simulations instead.
+        """
+        return None
+
+    def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
+        """The body or vehicle as channels show it, where they tell its pose.
+
+        Args:
+            run: Run that they belong to.
+            channels: Measured or predicted, (num_samples, num_channels).
+
+        Returns:
+            None where they do not, or where nothing is to be seen.
+        """
+        return None
+
+    def shape_at(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> MovingShape | None:
+        """The body or vehicle as it is simulated, for models that know more of it than channels.
+
+        Arguments as for ``predict``; None where nothing is to be seen.
         """
         return None
 

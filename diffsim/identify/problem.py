@@ -26,6 +26,7 @@ from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.shape import MovingShape
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of, scaled_at, stretch_at
 from diffsim.identify.whitening import Whitener
 
@@ -160,6 +161,11 @@ class Problem:
         self._require_finite(run, x[: self.num_base], sizes)
         out = self.model.predict(run, x[: self.num_base], sizes, self.numerics)
         return self._of_shape(run, out, run.measured.shape)
+
+    def shape_at(self, run: Run, x: Tensor) -> MovingShape | None:
+        """What moves in the run as it is simulated; None where models show nothing."""
+        q, sizes = x[: self.num_base], self.sizes_at(x)
+        return self.model.shape_at(run, q, sizes, self.numerics)
 
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""

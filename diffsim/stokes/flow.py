@@ -29,7 +29,8 @@ class StokesFlow(nn.Module):
     ("no_slip"), or only its normal component with no shear ("no_separation").
 
     Multilinear velocities, one pressure per cell; each cell is cut by the plane that fits the level
-    set at its corners. Walls by symmetric Nitsche terms, slivers held by a ghost penalty: second
+    set at its corners, or, for slip walls in 2D, by the chord between the places where the wall
+    crosses its edges. Walls by symmetric Nitsche terms, slivers held by a ghost penalty: second
     order in the cell size, symmetric positive definite, no locking. Velocity and pressure depend
     continuously on phi while cells become cut, full or empty, up to terms of the size of the
     discretization error where a wall parallel to the grid passes a layer of nodes. Unless

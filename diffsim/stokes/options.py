@@ -19,7 +19,7 @@ class SolverOptions:
             GMRES on velocities and pressures of the same equations, geometric multigrid inside:
             memory and time grow in proportion to the grid) or ``auto``: iterative in three
             dimensions beyond ``MAX_DIRECT_NODES`` nodes with fluid, about where both take the same
-            time; where that does not converge, and where incompressible, direct.
+            time, and where incompressible; where that does not converge, direct.
             ``StokesFlow.report`` says which was taken.
         rtol: Tolerance of the iterative solver: norm of the residual over that of the right-hand
             side, both with momentum and continuity scaled by powers of the cell size; the adjoint

@@ -7,11 +7,15 @@ of one kind and, where a kind has few, for each channel alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+
+import torch
+from torch import Tensor
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Channel
+from diffsim.data.study_check import Problem
 
 FEW = 4  # channels of a kind, up to which each is tried alone
 CLOCK = ("sensor_delay", "sensor_lag")
@@ -82,6 +86,37 @@ def channels_of(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
         f"no sensor, kind or channel {name!r}{did_you_mean(name, list(known))}; "
         f"known: {', '.join(known)}"
     )
+
+
+def delays_of(late: Sequence[tuple[tuple[int, ...], Tensor]]) -> dict[tuple[int, ...], Tensor]:
+    """How late channels are, those together that share all instruments [s].
+
+    Args:
+        late: Channels of an instrument by their indices, and how late it is; added up.
+    """
+    alike: dict[tuple[int, ...], list[int]] = {}
+    for k in sorted({k for channels, _ in late for k in channels}):
+        of = tuple(i for i, (channels, _) in enumerate(late) if k in channels)
+        alike.setdefault(of, []).append(k)
+    every = [delay for _, delay in late]
+    return {
+        tuple(own): torch.stack(torch.broadcast_tensors(*(every[i] for i in of))).sum(0)
+        for of, own in alike.items()
+    }
+
+
+def clock_problems(channels: Sequence[Channel], clocks: Iterable[str]) -> Iterator[Problem]:
+    """Clocks of what there is not.
+
+    Args:
+        channels: Channels of the study.
+        clocks: Names that a description gives clocks.
+    """
+    for name in clocks:
+        try:
+            channels_of(channels, name)
+        except ValueError as error:
+            yield Problem("error", f"model.clocks.{name}", str(error))
 
 
 def _by_sensor(channels: Sequence[Channel]) -> list[Dial]:

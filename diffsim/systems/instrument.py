@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
+from diffsim.data.study import Channel, Run
+from diffsim.identify.effect import Apply, Effect
 from diffsim.systems import grid as signals
 from diffsim.systems.actuator import scaled, shifted
 from diffsim.systems.description import Quantity
@@ -113,6 +113,21 @@ SENSOR_LAG = replace(
     signed=False,
     also_looks_like=("filter of the recorder", "lag of the drive"),
 )
+
+
+def named_of(model: Effect, dial: str, channels: Sequence[Channel], apply: Apply) -> Effect:
+    """A cause in some channels, called after what they share, in the unit in which a user reads it.
+
+    Args:
+        model: The cause without what it is of.
+        dial: Name of what the channels share.
+        channels: These channels.
+        apply: How it acts on a scene.
+    """
+    units = {c.shown_unit for c in channels} if model.unit == channels[0].unit else {None}
+    shown = units.pop() if len(units) == 1 else None
+    name = f"{model.name}_of_{plain(dial)}"
+    return replace(model, name=name, apply=apply, shown_unit=shown)
 
 
 def sensor_causes(

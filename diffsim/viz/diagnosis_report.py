@@ -17,6 +17,7 @@ from diffsim.diagnose.whiteness import ljung_box
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
+from diffsim.viz.diagnosis_motion import moving_runs
 from diffsim.viz.diagnosis_series import (
     CONFOUNDED,
     PredictedRun,
@@ -165,8 +166,11 @@ def _test_runs(
     text = []
     if len(channels) > draw.MAX_PANELS:
         text = [f"The first {draw.MAX_PANELS} of {len(channels)} channels."]
-    chart = page.Chart(figure=draw.runs_over_time(runs, channels), caption=caption)
-    return page.Section(title=_TITLES[use], text=text, content=[chart])
+    content: list[page.Item] = []
+    if (view := moving_runs(r, runs)) is not None:
+        content.append(view)
+    content.append(page.Chart(figure=draw.runs_over_time(runs, channels), caption=caption))
+    return page.Section(title=_TITLES[use], text=text, content=content)
 
 
 _TITLES = {

@@ -25,10 +25,14 @@ class PredictedRun(Run):
     Attributes:
         null: Prediction of the fitted model without effects, (num_samples, num_channels).
         extended: Prediction with the named effects, same shape; None where nothing was named.
+        null_at, extended_at: Coordinates of the fits in this run, its own nuisances fitted to it;
+            None: unknown.
     """
 
     null: Array
     extended: Array | None = None
+    null_at: Array | None = None
+    extended_at: Array | None = None
 
 
 def predicted_runs(
@@ -45,23 +49,35 @@ def predicted_runs(
         extended: Fit with effects; None where nothing was named.
         uses: Uses of the runs to predict.
     """
-    return [
-        PredictedRun(
-            **vars(run),
-            null=predicted(null, run),
-            extended=None if extended is None else predicted(extended, run),
-        )
-        for use in uses
-        for run in study.runs_for(use)
-    ]
+    return [_predicted_run(run, null, extended) for use in uses for run in study.runs_for(use)]
 
 
-def predicted(fit: Fit, run: Run) -> Array:
-    """Prediction of a fit at its parameters, (num_samples, num_channels) [unit of the channel].
+def _predicted_run(run: Run, null: Fit, extended: Fit | None) -> PredictedRun:
+    at = point_of(null, run)
+    further = None if extended is None else point_of(extended, run)
+    return PredictedRun(
+        **vars(run),
+        null=_at(null, run, at),
+        extended=None if extended is None or further is None else _at(extended, run, further),
+        null_at=at,
+        extended_at=further,
+    )
+
+
+def point_of(fit: Fit, run: Run) -> Array:
+    """Coordinates of a fit in a run, (num_coordinates,).
 
     Nuisances of a run that was not fitted are fitted to it, as the gain does.
     """
-    x = fit.x if run.use == "fit" else held_out_point(fit, run)
+    return fit.x if run.use == "fit" else held_out_point(fit, run)
+
+
+def predicted(fit: Fit, run: Run) -> Array:
+    """Prediction of a fit at ``point_of``, (num_samples, num_channels) [unit of the channel]."""
+    return _at(fit, run, point_of(fit, run))
+
+
+def _at(fit: Fit, run: Run, x: Array) -> Array:
     with torch.no_grad():
         return fit.problem.predict(run, torch.as_tensor(x)).numpy()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -34,12 +34,16 @@ class Deforming:
         color: As ``#rrggbb``.
         triangles: Node indices, (num_triangles, 3).
         nodes_m: Positions over time, z up, (num_frames, num_nodes, 3) [m].
+        opacity: Less than 1 where another surface shows through.
+        closed: Its triangles are seen counter-clockwise from outside, and only from there.
     """
 
     name: str
     color: str
     triangles: Ints
     nodes_m: Array
+    opacity: float = 1.0
+    closed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +99,8 @@ class Moving:
         if not self.parts or count == 0:
             raise ValueError("a view needs a part and a frame at least")
         for part in self.parts:
-            arrays = [v for k, v in vars(part).items() if k not in ("name", "color", "triangles")]
+            fixed = ("name", "color", "triangles", "opacity", "closed")
+            arrays = [v for k, v in vars(part).items() if k not in fixed]
             if not all(np.isfinite(a).all() for a in arrays):
                 raise ValueError(f"positions of {part.name!r} must be finite")
             frames = {Deforming: "nodes_m", Rigid: "turns"}.get(type(part))
@@ -114,12 +119,12 @@ class Moving:
     @property
     def html(self) -> str:
         """Data of the view for the page's script."""
-        return json.dumps(self.content(), separators=(",", ":")).replace("</", "<\\/")
+        return _json(self.content())
 
-    def content(self) -> dict[str, Any]:
-        """Times, parts and box; frames are left out evenly until the view fits ``MAX_BYTES``."""
+    def content(self, max_bytes: float = MAX_BYTES) -> dict[str, Any]:
+        """Times, parts and box; frames are left out evenly until the view fits ``max_bytes``."""
         step = 1
-        while _num_bytes(self, step) > MAX_BYTES and step < len(self.time_s):
+        while _num_bytes(self, step) > max_bytes and step < len(self.time_s):
             step += 1
         kept = np.arange(0, len(self.time_s), step)
         low, high = _box(self.parts)
@@ -129,6 +134,34 @@ class Moving:
             "high": high.tolist(),
             "parts": [_packed(part, kept) for part in self.parts],
         }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MovingChoice:
+    """Views in one place, with a menu to choose by.
+
+    Attributes:
+        views: Views by name, such as runs; one or more.
+        caption: What to see.
+    """
+
+    views: Mapping[str, Moving]
+    caption: str
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise ValueError("views must hold one or more")
+
+    @property
+    def html(self) -> str:
+        """Data of all views for the page's script; they share ``MAX_BYTES``."""
+        share = MAX_BYTES / len(self.views)
+        return _json([{"name": n, **view.content(share)} for n, view in self.views.items()])
+
+
+def _json(content: Any) -> str:
+    """As it may stand in a script of a page."""
+    return json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
 
 
 def script() -> str:
@@ -171,6 +204,7 @@ def _packed(part: Deforming | Rigid | Line, kept: Ints) -> dict[str, Any]:
     said["triangles"] = _coded(part.triangles.astype("<u2" if size <= _LEVELS else "<u4"))
     said["wide"] = size > _LEVELS
     if isinstance(part, Deforming):
+        said |= {"opacity": part.opacity, "closed": part.closed}
         return said | {"kind": "deforming", "nodes": size, **_quantized(part.nodes_m[kept])}
     poses = np.concatenate([part.turns[kept].reshape(-1, 9), part.places_m[kept]], axis=1)
     return said | {

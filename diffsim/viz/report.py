@@ -18,7 +18,7 @@ from diffsim.core.files import write_text_atomic
 from diffsim.core.optional import optional
 from diffsim.core.version import __version__
 from diffsim.viz import charts
-from diffsim.viz.moving import Moving, script
+from diffsim.viz.moving import Moving, MovingChoice, script
 
 _NUMERIC = re.compile(r"[-+−–±]?(\d|$)")  # a cell that starts with a number, or says there is none
 TONES = ("good", "fair", "bad", "plain")
@@ -91,7 +91,7 @@ class Table:
                 )
 
 
-Item = Picture | Chart | Moving | Table
+Item = Picture | Chart | Moving | MovingChoice | Table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,7 @@ def render(report: Report, *, made: datetime | None = None) -> str:
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
     environment.tests["numeric"] = lambda cell: _NUMERIC.match(cell) is not None
     environment.tests["chart"] = lambda item: isinstance(item, Chart)
-    environment.tests["moving"] = lambda item: isinstance(item, Moving)
+    environment.tests["moving"] = lambda item: isinstance(item, (Moving, MovingChoice))
     kinds = {type(item) for section in report.sections for item in section.content}
     when = (made or datetime.now(timezone.utc)).strftime("%d %B %Y, %H:%M UTC")
     return environment.from_string(source).render(
@@ -157,7 +157,7 @@ def render(report: Report, *, made: datetime | None = None) -> str:
         made=when,
         plotly=charts.packed_script() if Chart in kinds else "",
         charts=folder.joinpath("charts.js").read_text("utf-8") if Chart in kinds else "",
-        views=script() if Moving in kinds else "",
+        views=script() if kinds & {Moving, MovingChoice} else "",
     )
 
 

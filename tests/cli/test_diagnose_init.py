@@ -282,6 +282,20 @@ def test_an_index_in_brackets_is_no_unit():
 SWING = np.sin(0.3 * np.arange(60)) + noisy(0)
 
 
+def test_sweeps_of_a_test_stand_are_runs(tmp_path):
+    rows = [
+        f"{prop},{sweep},{1000 + 100 * k},{0.1 * k * sweep + 0.003 * (k % 3)}"
+        for prop in ("7x4", "8x4")
+        for sweep in (1, 2, 3)
+        for k in range(12)
+    ]
+    (tmp_path / "all.csv").write_text("Propeller,Sweep,rpm,Thrust (g)\n" + "\n".join(rows) + "\n")
+    assert init(tmp_path, "--system", "bench") == 0
+    study = load_study(tmp_path)
+    assert [r.name for r in study.runs][:2] == ["7x4 1", "7x4 2"] and len(study.runs) == 6
+    assert not any("Sweep" in c.name for c in (*study.commands, *study.channels))
+
+
 def test_parquet_files_become_a_study(tmp_path):
     pytest.importorskip("pyarrow")
     for run in ("one", "two"):

@@ -31,6 +31,38 @@ def test_what_is_written_is_read_back_unchanged(tmp_path, suffix):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+def test_a_table_goes_to_mcap_and_back(tmp_path):
+    pytest.importorskip("mcap.writer")
+    time = 7.0 + np.array([0.0, 0.01, 0.025])
+    given = {
+        "time_s": time,
+        "force_N": np.array([1.0 / 3.0, np.nan, -2e-7]),
+        "count": np.array([1, 2, 3]),
+        "mode": np.array(["off", "on", "on"]),
+    }
+    path = write_columns(tmp_path / "log.mcap", given)
+    assert parts_of(path) == ["/recording"]
+    read = read_columns(path)
+    np.testing.assert_allclose(read.pop("time_s"), time - 7.0, atol=1e-9)  # a log counts from 0
+    assert list(read) == ["force_N", "count", "mode"]
+    for name, values in read.items():
+        np.testing.assert_array_equal(values, given[name])
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"force_N": [1.0]}, "needs a clock: a column time_s, t or time"),
+        ({"t": [0.0, -1.0]}, "column t, the clock of the MCAP file, must be finite and ascend"),
+    ],
+)
+def test_mcap_needs_a_clock(tmp_path, columns, message):
+    pytest.importorskip("mcap.writer")
+    with pytest.raises(ValueError, match=message):
+        write_columns(tmp_path / "log.mcap", {k: np.array(v) for k, v in columns.items()})
+    assert not list(tmp_path.iterdir())
+
+
 def test_mat_files_by_scipy(tmp_path):
     from scipy.io import savemat
 

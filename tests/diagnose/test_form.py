@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import torch
 
+from diffsim.data.study import Study
+from diffsim.diagnose import assemble, diagnose
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.form import form_of, without_forms
 from diffsim.diagnose.judge import Decision
+from diffsim.diagnose.search import refit
+from diffsim.identify import DiagnosisSettings, SearchSettings
+from tests.diagnose import linear
 
 NUM = 400
 TIME = np.linspace(0.0, 8.0, NUM)
@@ -53,3 +60,35 @@ def test_another_family_is_no_form():
 
 def test_what_nobody_names_stays():
     assert without_forms(decision("unknown"), fit(180.0, 8.0)) == decision("unknown")
+
+
+def test_a_set_without_several_forms_is_fitted(monkeypatch):
+    """The search need not have come by: a diagnosis of rotors ended in a KeyError."""
+    laws = [linear.line(name) for name in ("first", "second", "third")]
+    sizes = dict(zip(laws, (9.0, 4.0, 2.0), strict=True))
+    study = Study("laws", "copter", linear.CHANNELS, tuple(runs_of(sizes)))
+    seen = []
+
+    def without_two(decision, fit):
+        assert decision.best == {0, 1, 2}
+        rest = Hypothesis(frozenset({2}))
+        return replace(decision, verdict="ambiguous", rivals=(rest,), forms={0: 2, 1: 2})
+
+    def refitted(search, members):
+        seen.append(Hypothesis(members) in search.weighed)
+        return refit(search, members)
+
+    monkeypatch.setattr(assemble, "without_forms", without_two)
+    monkeypatch.setattr(assemble, "refit", refitted)
+    settings = DiagnosisSettings(search=SearchSettings(num_refits=1))
+    report = diagnose(study, linear.model(), tuple(laws), seed=0, settings=settings)
+    assert seen == [False]
+    assert ("third",) in report.rivals
+
+
+def runs_of(sizes):
+    for k in range(4):
+        run, model = linear.run(f"r{k}", k), linear.model()
+        given = {effect: torch.tensor([size]).double() for effect, size in sizes.items()}
+        clean = model.predict(run, torch.zeros(2, dtype=torch.float64), given)
+        yield replace(run, measured=run.measured + clean.numpy())

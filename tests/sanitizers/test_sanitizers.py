@@ -1,4 +1,4 @@
-"""Kernels under sanitizers: the core and its tests under ASan and UBSan, the pool under TSan.
+"""Kernels under sanitizers: tests under ASan and UBSan, pool and threads of Python under TSan.
 
 Slow: the core is built again, into ``build/sanitized``; later runs compile what has changed.
 """
@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -66,39 +67,92 @@ def library(name: str) -> str:
     return str(Path(said.stdout.strip()).resolve())
 
 
-@pytest.fixture(scope="module")
-def sanitized() -> Path:
-    """A copy of the package and its tests, with a core built with ASan and UBSan."""
+def sanitized(sanitizer: str, place: Path) -> dict[str, str]:
+    """The environment of a copy of the package and its tests, whose core has a sanitizer.
+
+    Args:
+        sanitizer: What -fsanitize takes; its first part names the library.
+        place: Where to make the copy.
+    """
     pytest.importorskip("nanobind", reason="pip install -c constraints.txt nanobind cmeel-eigen")
-    place = PLACE / "address"
     for name in ("diffsim", "tests", "examples", "benchmarks"):
         shutil.rmtree(place / name, ignore_errors=True)
         shutil.copytree(
             ROOT / name, place / name, ignore=shutil.ignore_patterns("*.so", "__pycache__")
         )
     shutil.copy(ROOT / "pyproject.toml", place)
-    flags = "-O1 -g1 -UNDEBUG -fsanitize=address,undefined -fno-sanitize-recover=undefined"
+    flags = f"-O1 -g1 -UNDEBUG -fsanitize={sanitizer}"
+    if "undefined" in sanitizer:
+        flags += " -fno-sanitize-recover=undefined"
     env = {**os.environ, "DIFFSIM_BUILD_FLAGS": flags, "DIFFSIM_BUILD_ISA": "baseline"}
     command = [sys.executable, "setup.py", "build_ext", "--build-lib", str(place)]
     built = subprocess.run(
         command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=BUILD_WALL_S
     )
     assert built.returncode == 0, built.stderr[-3000:]
-    return place
-
-
-def test_kernels_are_clean_under_asan_and_ubsan(sanitized):
-    env = {
+    runtime = {"address": "libasan.so", "thread": "libtsan.so"}[sanitizer.split(",")[0]]
+    return {
         **os.environ,
         "DIFFSIM_ISA": "baseline",
-        "LD_PRELOAD": f"{library('libasan.so')}:{library('libstdc++.so')}",
-        "ASAN_OPTIONS": "detect_leaks=0",  # Python's own allocations live until the end
-        "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1",
-        "PYTHONPATH": str(sanitized),
+        "LD_PRELOAD": f"{library(runtime)}:{library('libstdc++.so')}",
+        "PYTHONPATH": str(place),
     }
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *KERNEL_TESTS]
+
+
+def ran(command: list[str], place: Path, env: dict[str, str]) -> str:
+    """What a command says, which must end well and without a sanitizer's report."""
     done = subprocess.run(
-        command, cwd=sanitized, env=env, capture_output=True, text=True, timeout=TEST_WALL_S
+        command, cwd=place, env=env, capture_output=True, text=True, timeout=TEST_WALL_S
     )
     said = done.stdout[-3000:] + done.stderr[-6000:]
     assert done.returncode == 0 and "Sanitizer" not in said, said
+    return done.stdout
+
+
+def test_kernels_are_clean_under_asan_and_ubsan():
+    place = PLACE / "address"
+    env = sanitized("address,undefined", place)
+    env["ASAN_OPTIONS"] = "detect_leaks=0"  # Python's own allocations live until the end
+    env["UBSAN_OPTIONS"] = "print_stacktrace=1:halt_on_error=1"
+    ran(
+        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *KERNEL_TESTS],
+        place,
+        env,
+    )
+
+
+@pytest.fixture(scope="module")
+def under_tsan() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs a module of the tests on a core built with ThreadSanitizer."""
+    place = PLACE / "thread"
+    env = sanitized("thread", place)
+    # Python and PyTorch are not instrumented: what the core does counts, and Python's own lock
+    # orders nothing.
+    env["TSAN_OPTIONS"] = "ignore_noninstrumented_modules=1:exitcode=66"
+    env["OMP_NUM_THREADS"] = "1"
+    # ThreadSanitizer's map of memory has no room for addresses as random as Linux makes them.
+    fixed = [setarch, "-R"] if (setarch := shutil.which("setarch")) else []
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*fixed, sys.executable, "-m", *words],
+            cwd=place,
+            env=env,
+            capture_output=True,
+            text=True,
+            timeout=TEST_WALL_S,
+        )
+
+    return run
+
+
+def test_two_threads_of_python_do_not_race(under_tsan):
+    """Soft steps, contact and Stokes flow on shared bodies, and their gradients."""
+    done = under_tsan("tests.sanitizers.two_threads")
+    assert (done.returncode, done.stdout) == (0, "same\n"), done.stderr[-6000:]
+
+
+def test_a_race_of_two_threads_of_python_is_seen(under_tsan):
+    done = under_tsan("tests.sanitizers.two_threads", "race")
+    assert done.returncode == 66 and "data race" in done.stderr, done.stderr[-3000:]
+    assert "cut_cells" in done.stderr

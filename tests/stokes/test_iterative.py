@@ -98,20 +98,17 @@ def test_same_as_direct(dim, incompressible, wall):
 @pytest.mark.reference
 @pytest.mark.parametrize("wall", ["no_slip", pytest.param("no_separation", marks=pytest.mark.slow)])
 def test_incompressible_in_three_dimensions(wall):
-    """No farther from the answer than the factor's iteration to the same tolerance.
+    """The answer of the factor's iteration, which needs a smaller tolerance.
 
-    Next to nothing holds some pressures that alternate in sign: rough data excite them, and a
-    divergence of 1e-8 leaves 4e-4 of the velocities, whoever solves.
+    Next to nothing holds some pressures: with a tolerance of 1e-13 the factor's gradients by the
+    shape are off by 5 %.
     """
     made = {"incompressible": True, "max_iters": 1000}
-    exact = solve(*tube(wall, 3, "direct", tolerance=1e-13, **made), rough=False)
-    factor, found = (
-        solve(*tube(wall, 3, method, tolerance=1e-8, rtol=1e-9, **made), rough=False)
-        for method in ("direct", "iterative")
-    )
+    exact = solve(*tube(wall, 3, "direct", tolerance=3e-15, **made), rough=False)
+    found = solve(*tube(wall, 3, "iterative", tolerance=1e-8, rtol=1e-9, **made), rough=False)
     for name, value in exact.items():
-        errors = [float((of[name] - value).norm() / value.norm()) for of in (found, factor)]
-        assert errors[0] < 1.5 * errors[1] + 1e-7, (name, *errors)
+        error = float((found[name] - value).norm() / value.norm())
+        assert error < (1e-6 if name in ("pressure", "d phi") else 1e-7), (name, error)
 
 
 @pytest.mark.reference
@@ -154,9 +151,10 @@ def test_auto_falls_back_on_the_factor():
 
 @pytest.mark.grad
 @pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_gradcheck(dim, wall):
-    flow = small_flow(dim, wall=wall, solver=stokes.SolverOptions(method="iterative", rtol=1e-12))
+@pytest.mark.parametrize(("dim", "incompressible"), [(2, False), (3, False), (3, True)])
+def test_gradcheck(dim, incompressible, wall):
+    options = stokes.SolverOptions(method="iterative", rtol=1e-12, tolerance=1e-11)
+    flow = small_flow(dim, wall=wall, incompressible=incompressible, solver=options)
     inputs = small_inputs(flow, cases=1)
     names = ("phi", "inlet", "viscosity")
 
@@ -176,9 +174,11 @@ def test_pipe_exact():
     torch.testing.assert_close(field.velocity, direct.velocity, rtol=0.0, atol=1e-6)
 
 
-def test_threads_agree_bitwise():
-    one, phi = tube("no_separation", 3, "iterative", num_threads=1)
-    two, _ = tube("no_separation", 3, "iterative", num_threads=3)
+@pytest.mark.parametrize("incompressible", [False, True])
+def test_threads_agree_bitwise(incompressible):
+    made = {"incompressible": incompressible, "max_iters": 200}
+    one, phi = tube("no_separation", 3, "iterative", num_threads=1, **made)
+    two, _ = tube("no_separation", 3, "iterative", num_threads=3, **made)
     inlets = {"x-": tensor(1.0, 0.0, 0.0), "y-": tensor(0.0, 1.0, 0.0)}
     assert torch.equal(one(phi, inlets).velocity, two(phi, inlets).velocity)
 
@@ -198,6 +198,25 @@ def test_iterations_hardly_grow():
             )
         )
     assert counts[2] < 1.5 * counts[1] and counts[2] < 60, counts
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("incompressible", [False, True])
+def test_cells_that_a_wall_enters_through_a_corner_cost_no_iterations(incompressible):
+    """Their divergence is tiny, and so is the stiffness of the nodes that none but they have."""
+    grid = stokes.Grid((24, 24, 24), size=1.0)
+    x, y, z = grid.nodes.unbind(-1)
+    phi = 0.3 - torch.hypot(y - 0.5 - 0.1 * torch.sin(torch.pi * x), z - 0.5)
+    flow = stokes.StokesFlow(
+        grid,
+        [stokes.Inlet("x-"), stokes.Open("x+")],
+        incompressible=incompressible,
+        solver=stokes.SolverOptions(method="iterative", rtol=1e-8),
+    )
+    field = flow(phi, tensor(1.0, 0.0, 0.0))
+    fractions = field.volume_fraction
+    assert float(fractions[fractions > 0].min()) < 1e-6
+    assert float(field.stats["num_iters"]) < 60
 
 
 def test_failure_is_reported():
@@ -225,9 +244,13 @@ def test_choice_is_reported():
         tube("no_slip", 2, "iterative", rtol=0.0)
 
 
-def test_auto_is_iterative_for_large_grids():
-    n = round((MAX_DIRECT_NODES * 1.1) ** (1 / 3))
+@pytest.mark.parametrize(
+    ("incompressible", "num_nodes"), [(False, 1.1 * MAX_DIRECT_NODES), (True, 27)]
+)
+def test_auto_is_iterative(incompressible, num_nodes):
+    n = round(num_nodes ** (1 / 3))
     grid = stokes.Grid((n, n, n), size=1.0)
-    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")])
+    conditions = [stokes.Inlet("x-"), stokes.Open("x+")]
+    flow = stokes.StokesFlow(grid, conditions, incompressible=incompressible)
     phi = torch.ones(grid.node_shape, dtype=torch.float64)
     assert flow.report(phi)["solver"] == "iterative"

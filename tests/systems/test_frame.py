@@ -55,6 +55,10 @@ def test_causes_mean_the_same_on_new_runs(made, faster):
     framed = setup_of(replace(later, frame=full.model.frame))
     plain, moved, alone = _at(full, new), [], setup_of(later)
     for effect in full.effects:
+        if effect.components[0].startswith("@"):  # each run has its own: only its scale is kept
+            (same,) = [e for e in framed.effects if e.name == effect.name]
+            assert same.typical == effect.typical and same.components == ("@new",)
+            continue
         there = _at(full, new, effect)
         np.testing.assert_allclose(_at(framed, new, effect), there, rtol=1e-12, atol=1e-15)
         moved.append(np.nanmax(np.abs(there - plain)) > 0.0)

@@ -12,6 +12,7 @@ from diffsim import copter
 from diffsim.copter import GRAVITY
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.sensors import finite_acceleration
+from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter, coarse
 from diffsim.systems import actuator, library
@@ -468,3 +469,15 @@ def test_slopes_beside_a_thrust_held_at_zero_are_those_of_the_profile():
         moved = partial(lagging, delay=step)
         ends.append(float(pulled(thrust=-3.0).settled(moved).profile(moved).sum()))
     assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-6)
+
+
+def test_the_vehicle_that_pages_show_flies_where_its_channels_say(model, flown):
+    run, truth = flown
+    shape = model.shape_of(run, truth)
+    hubs = shape.nodes_m.reshape(len(truth), 4, -1, 3)[:, :, 4:].mean(2)  # middles of the discs
+    up = torch.diag(tensor([1.0, -1.0, -1.0])).numpy()
+    own = hubs @ up - truth[:, None, :3].numpy()
+    back = matrix_from_rpy(truth[:, 3:6]).numpy()
+    expected = np.broadcast_to(quadcopter().positions.numpy(), own.shape)
+    np.testing.assert_allclose(own @ back, expected, atol=1e-12)
+    assert model.shape_of(run, truth).triangles.max() < shape.nodes_m.shape[1]

@@ -13,16 +13,18 @@ pytest.importorskip("matplotlib", reason="reports need pip install -e '.[viz]'")
 pytest.importorskip("plotly", reason="reports need pip install -e '.[viz]'")
 pytest.importorskip("jinja2", reason="reports need pip install -e '.[viz]'")
 
+from diffsim import mesh
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import EffectRow, ForceMap, Gain, GateResult, NextRun, Report
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, Interval, OutsideRow
-from diffsim.identify import Parameter, SimModel, WhiteNoise
+from diffsim.identify import MovingShape, Parameter, SimModel, WhiteNoise
 from diffsim.viz import charts as plotting
 from diffsim.viz import diagnosis_charts as charts
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import diagnosis_series as series
 from diffsim.viz import report as page
+from diffsim.viz.diagnosis_motion import moving_runs
 from diffsim.viz.diagnosis_series import PredictedRun
 from tests.browser import CHROMIUM, Browser
 
@@ -69,6 +71,8 @@ class Predicted:
         known = {run.name: torch.from_numpy(getattr(run, which)) for run in runs}
         self.x = np.array([1.0])
         self.problem = SimpleNamespace(
+            model=SimModel(lambda *_: None, (), "beam"),  # which shows nothing
+            shape_at=lambda run, x: None,
             predict=lambda run, x: known[run.name] * x[0],
             runs=tuple(r for r in runs if r.use == "fit"),
             whitener=WhiteNoise(CHANNELS),
@@ -397,6 +401,74 @@ def test_force_map_has_a_row_per_shape_and_a_column_per_knot():
     assert list(pushed.y) == ["north", "down"]
     assert (calm.zmin, calm.zmax) == (-9.0, 9.0) == (pushed.zmin, pushed.zmax)
     assert (calm.visible, pushed.visible) == (True, False)
+
+
+class Swinging(SimModel):
+    """A ball where the two channels say."""
+
+    def shape_of(self, run, channels):
+        ball = mesh.surface_triangles(mesh.hex_box((2, 2, 2), (0.002,) * 3))
+        nodes = mesh.hex_box((2, 2, 2), (0.002,) * 3).nodes.numpy()
+        place = np.zeros((len(channels), 1, 3))
+        place[:, 0, [2, 0]] = channels.numpy()
+        return MovingShape(triangles=ball.faces.numpy(), nodes_m=nodes + place)
+
+
+def moving_example(runs=RUNS) -> Report:
+    report = example(runs)
+    for fit in (report.null, report.best):
+        fit.problem.model = Swinging(lambda *_: None, (), "ball")
+    return report
+
+
+def test_what_moves_is_shown_measured_before_and_after():
+    measured = RUNS[1].measured.copy()
+    measured[40:43] = np.nan  # nothing is known there
+    runs = (RUNS[0], replace(RUNS[1], measured=measured))
+    view = moving_runs(moving_example(runs), runs[1:])
+    assert view is not None and list(view.views) == ["b"]
+    shown = view.views["b"]
+    assert [p.name for p in shown.parts] == ["measured", "model before", "extended model"]
+    kept = [int(np.abs(runs[1].time_s - t).argmin()) for t in shown.time_s]
+    assert not set(kept) & {40, 41, 42} and np.diff(shown.time_s).min() > 0.5 / 25.0
+    for part, record in zip(shown.parts, (measured, runs[1].null, runs[1].extended), strict=True):
+        heights = part.nodes_m[:, :, 2].min(1)
+        np.testing.assert_allclose(heights, record[kept, 0] + heights[0] - record[kept[0], 0])
+
+
+def test_a_model_that_shows_nothing_has_no_view():
+    assert moving_runs(example(), RUNS) is None
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+def test_a_browser_turns_what_moves_and_chooses_the_run(tmp_path):
+    runs = (*RUNS, comparison("c", "test", 0.05, 3))
+    path = dr.write_diagnosis(moving_example(runs), tmp_path / "report.html")
+    assert path.stat().st_size < 3_000_000
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(path)
+        browser.until("document.querySelectorAll('.moving canvas').length === 1")
+        box = "document.querySelector('.moving')"
+        drawn = int(browser.js(f"{box}.dataset.drawn"))
+        pixels = f"{box}.querySelector('canvas').toDataURL()"
+        first = browser.js(pixels)
+        x, y = browser.middle(".moving canvas")
+        browser.drag((x, y), (x + 90, y + 20))
+        assert browser.js(pixels) != first
+        pressed = f"{box}.querySelector('.moving-part').getAttribute('aria-pressed')"
+        browser.js(f"{box}.querySelector('.moving-part').click()")  # measured
+        assert int(browser.js(f"{box}.dataset.drawn")) == drawn * 2 // 3
+        before = browser.js(pixels)
+        menu = f"{box}.querySelector('select')"
+        assert browser.js(f"[...{menu}.options].map(o => o.text)") == ["b", "c"]
+        browser.js(f"{menu}.selectedIndex = 1; {menu}.dispatchEvent(new Event('change'))")
+        browser.js(f"{box}.querySelector('input').value = 20")
+        browser.js(f"{box}.querySelector('input').dispatchEvent(new Event('input'))")
+        assert browser.js(f"{box}.dataset.frame") == "20" and browser.js(pixels) != before
+        assert browser.js(pressed) == "false"  # what was hidden stays so
+        assert browser.complaints == []
+        browser.middle(".moving canvas")
+        browser.picture(tmp_path / "moving.png")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")

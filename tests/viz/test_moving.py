@@ -108,6 +108,27 @@ def swings() -> report.Chart:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+def test_what_faces_away_is_not_drawn(tmp_path):
+    cube = mesh.hex_box((1, 1, 1), (0.1, 0.1, 0.1))
+    faces = mesh.surface_triangles(cube).faces.numpy()
+    drawn = []
+    with Browser(tmp_path / "profile") as browser:
+        for closed in (False, True):
+            body = Deforming(
+                name="cube", color="#0b6e75", triangles=faces, nodes_m=cube.nodes.numpy()[None],
+                closed=closed,
+            )  # fmt: skip
+            content = [Moving(time_s=np.zeros(1), parts=[body], caption="")]
+            section = report.Section(title="See", content=content)
+            page = report.Report(title="p", subtitle="", verdict=[], sections=[section])
+            browser.open(report.write(page, tmp_path / f"{closed}.html"))
+            browser.until("document.querySelector('.moving').dataset.drawn")
+            drawn.append(int(browser.js("document.querySelector('.moving').dataset.drawn")))
+        assert browser.complaints == []
+    assert drawn == [12, 6]  # of a cube three sides are seen, from above the top one among them
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
 def test_a_browser_turns_plays_toggles_and_zooms(tmp_path):
     page = report.Report(
         title="A page",

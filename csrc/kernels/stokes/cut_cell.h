@@ -1,48 +1,12 @@
-// One grid cell cut by the plane that fits the level set at its corners.
-//
-// phi > 0 in the fluid. The plane is phi(xi) = c + sum_a g_a (xi_a - 1/2), xi in [0, 1]^D, the
-// least squares fit to the 2^D corner values: c is their mean, g_a the mean difference along axis
-// a. On a face the mean of phi is that of its corners, whatever the cell, so that neighboring
-// planes agree at the middle of their common face.
+// One grid cell cut by the plane of cell_plane.h, phi > 0 in the fluid.
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 
-#include "kernels/stokes/half_space.h"
+#include "kernels/stokes/cell_plane.h"
 
 namespace diffsim {
-
-enum class CellKind : std::uint8_t { kEmpty, kCut, kFull };
-
-template <int D>
-struct CellPlane {
-  double c = 0.0, g[D] = {};
-
-  /// @param phi (2^D,) corner values; bit D-1-a of the index is the position along axis a
-  explicit CellPlane(const double* phi) {
-    for (int i = 0; i < 1 << D; ++i) {
-      c += phi[i] / (1 << D);
-      for (int a = 0; a < D; ++a)
-        g[a] += ((i >> (D - 1 - a)) & 1 ? 1.0 : -1.0) * phi[i] / (1 << (D - 1));
-    }
-  }
-  /// dL/dphi of the corners, given dL/dc and dL/dg; added.
-  static void vjp(const double* grad, double* grad_phi) {
-    for (int i = 0; i < 1 << D; ++i) {
-      grad_phi[i] += grad[0] / (1 << D);
-      for (int a = 0; a < D; ++a)
-        grad_phi[i] += ((i >> (D - 1 - a)) & 1 ? 1.0 : -1.0) * grad[1 + a] / (1 << (D - 1));
-    }
-  }
-
-  CellKind kind() const {
-    double reach = 0.0;
-    for (double s : g) reach += 0.5 * std::abs(s);
-    if (c - reach > kOnFace * reach) return CellKind::kFull;
-    return c + reach > kOnFace * reach ? CellKind::kCut : CellKind::kEmpty;
-  }
-};
 
 /// What the flow needs to know of a cut cell: fluid volume and interface as weights of the 3^D
 /// tensor Gauss points, normal, and the fluid share of its faces; with derivatives by (c, g).

@@ -142,7 +142,7 @@ void plane_flux_of(const GridShape& shape, const double* phi, const double* v, s
                                  grad_flux[k] * share * moments[q].value * shape_fn[i];
                          }
                        });
-    if (grad_flux && geometry.cut(cell)) geometry.plane_vjp(cell, by_plane, 1.0, grad_phi);
+    if (grad_flux && geometry.cut(cell)) geometry.plane_vjp(cell, phi, by_plane, 1.0, grad_phi);
   });
 }
 
@@ -159,7 +159,7 @@ void plane_flux_jvp_of(const GridShape& shape, const double* phi, const double* 
     Dual<D + 1> moments[pow3(D - 1)];
     geometry.face_moments(cell, axis, side, phi, moments);
     double d_plane[D + 1];
-    geometry.plane_tangent(cell, d_phi, d_plane);
+    geometry.plane_tangent(cell, phi, d_phi, d_plane);
     for_face_points<D>(grid, geometry.first_node(cell), axis, side,
                        [&](int q, const std::int64_t* nodes, const double* shape_fn) {
                          double d_moment = 0.0;

@@ -47,9 +47,32 @@ FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, bool
 }
 
 template <int D>
+template <typename T, typename Field>
+CellPlane<D, T> FlowGeometry<D>::plane(std::int64_t cell, Field&& phi, CellKind& kind) const {
+  if constexpr (D == 2) {
+    if (curved_) {
+      std::int64_t at[2];
+      grid_.cell_position(cell, at);
+      const ChordPatch patch(grid_, at);
+      T value[ChordPatch::kNodes];
+      patch.for_nodes(grid_,
+                      [&](std::int64_t node, int index) { value[index] = phi(node, index); });
+      return chord_plane(patch, value, kind);
+    }
+  }
+  const std::int64_t node = first_node(cell);
+  T corner[1 << D];
+  for (int i = 0; i < 1 << D; ++i) corner[i] = phi(node + grid_.corner_offset[i], i);
+  const CellPlane<D, T> fit(corner);
+  kind = fit.kind();
+  return fit;
+}
+
+template <int D>
 void FlowGeometry<D>::classify_cells(const double* phi) {
   for (std::int64_t cell = 0; cell < grid_.num_cells; ++cell) {
-    const CellKind kind = plane(cell, phi).kind();
+    CellKind kind;
+    plane<double>(cell, [&](std::int64_t node, int) { return phi[node]; }, kind);
     if (kind == CellKind::kFull) fraction_[u(cell)] = 1.0;
     if (kind != CellKind::kCut) continue;
     cut_index_[u(cell)] = static_cast<std::int32_t>(cut_cells_.size());
@@ -112,7 +135,7 @@ void FlowGeometry<D>::cut_vjp(std::int64_t cell, const double* phi, double sign,
   }
   double by_plane[Cut::kParameters];
   c.vjp(by_value, by_plane);
-  plane_vjp(cell, by_plane, sign, grad_phi);
+  plane_vjp(cell, phi, by_plane, sign, grad_phi);
 }
 
 template <int D>
@@ -126,7 +149,7 @@ void FlowGeometry<D>::cut_tangent(std::int64_t cell, const double* phi, const do
     return x;
   };
   double d_plane[Cut::kParameters], d_value[Cut::kSize];
-  plane_tangent(cell, d_phi, d_plane);
+  plane_tangent(cell, phi, d_phi, d_plane);
   c.tangent(d_plane, d_value);
   for (int k = 0; k < Cut::kSize; ++k) value[k] = moving(c.value[k], d_value[k]);
   if (!curved_) return;
@@ -141,12 +164,42 @@ void FlowGeometry<D>::cut_tangent(std::int64_t cell, const double* phi, const do
 }
 
 template <int D>
-void FlowGeometry<D>::plane_vjp(std::int64_t cell, const double* by_plane, double sign,
-                                double* grad_phi) const {
-  double corner[1 << D] = {};
-  CellPlane<D>::vjp(by_plane, corner);
-  const std::int64_t node = first_node(cell);
-  for (int i = 0; i < 1 << D; ++i) grad_phi[node + grid_.corner_offset[i]] += sign * corner[i];
+void FlowGeometry<D>::plane_vjp(std::int64_t cell, const double* phi, const double* by_plane,
+                                double sign, double* grad_phi) const {
+  using T = Dual<kPlaneNodes>;
+  std::int64_t nodes[kPlaneNodes];
+  std::fill_n(nodes, kPlaneNodes, std::int64_t{-1});
+  CellKind kind;
+  const CellPlane<D, T> p = plane<T>(
+      cell,
+      [&](std::int64_t node, int index) {
+        nodes[index] = node;
+        return T::parameter(phi[node], index);
+      },
+      kind);
+  for (int i = 0; i < kPlaneNodes; ++i) {
+    if (nodes[i] < 0) continue;
+    double sum = by_plane[0] * p.c.grad[i];
+    for (int a = 0; a < D; ++a) sum += by_plane[1 + a] * p.g[a].grad[i];
+    grad_phi[nodes[i]] += sign * sum;
+  }
+}
+
+template <int D>
+void FlowGeometry<D>::plane_tangent(std::int64_t cell, const double* phi, const double* d_phi,
+                                    double* d_plane) const {
+  using T = Dual<1>;
+  CellKind kind;
+  const CellPlane<D, T> p = plane<T>(
+      cell,
+      [&](std::int64_t node, int) {
+        T value(phi[node]);
+        value.grad[0] = d_phi[node];
+        return value;
+      },
+      kind);
+  d_plane[0] = p.c.grad[0];
+  for (int a = 0; a < D; ++a) d_plane[1 + a] = p.g[a].grad[0];
 }
 
 template <int D>
@@ -190,14 +243,6 @@ void FlowGeometry<D>::number_nodes() {
     unknown_node_[u(node)] = static_cast<std::int64_t>(active_nodes_.size());
     active_nodes_.push_back(node);
   }
-}
-
-template <int D>
-CellPlane<D> FlowGeometry<D>::plane(std::int64_t cell, const double* phi) const {
-  const std::int64_t node = first_node(cell);
-  double corner[1 << D];
-  for (int i = 0; i < 1 << D; ++i) corner[i] = phi[node + grid_.corner_offset[i]];
-  return CellPlane<D>(corner);
 }
 
 template <int D>

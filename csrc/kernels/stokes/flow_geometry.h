@@ -80,7 +80,9 @@ template <int D>
 class FlowGeometry {
  public:
   /// @param phi    (num_nodes,) level set, > 0 in the fluid [any unit], finite
-  /// @param curved whether walls have the normals of wall_normal.h, or those of the cells' planes
+  /// @param curved whether walls have the normals of wall_normal.h and, in 2D, chords for planes,
+  /// or
+  ///   least squares planes with their own normals
   FlowGeometry(const StokesGrid<D>& grid, const double* phi, bool curved, ThreadPool& pool);
 
   const StokesGrid<D>& grid() const { return grid_; }
@@ -101,17 +103,15 @@ class FlowGeometry {
   void cut_vjp(std::int64_t cell, const double* phi, double sign, double* by_value,
                double* grad_phi) const;
   /// The same, given dL/dc and dL/dg of the cell's plane.
-  void plane_vjp(std::int64_t cell, const double* by_plane, double sign, double* grad_phi) const;
+  void plane_vjp(std::int64_t cell, const double* phi, const double* by_plane, double sign,
+                 double* grad_phi) const;
   /// Weights, wall's normal and apertures of a cut cell, with their rates along d_phi.
   /// @param d_phi (num_nodes,)
   /// @param[out] value (CutCell::kSize,)
   void cut_tangent(std::int64_t cell, const double* phi, const double* d_phi, Dual<1>* value) const;
   /// Rates of c and g of the cell's plane, (D + 1,).
-  void plane_tangent(std::int64_t cell, const double* d_phi, double* d_plane) const {
-    const CellPlane<D> rate = plane(cell, d_phi);  // linear in phi
-    d_plane[0] = rate.c;
-    for (int a = 0; a < D; ++a) d_plane[1 + a] = rate.g[a];
-  }
+  void plane_tangent(std::int64_t cell, const double* phi, const double* d_phi,
+                     double* d_plane) const;
   double aperture(std::int64_t cell, int axis, int side) const {
     const CutCell<D>* c = cut(cell);
     return c ? c->aperture(axis, side) : (active(cell) ? 1.0 : 0.0);
@@ -143,7 +143,13 @@ class FlowGeometry {
   /// Fluid moments of a cell's face, (3^(D-1),) [m^(D-1)], with derivatives by the cell's plane.
   void face_moments(std::int64_t cell, int axis, int side, const double* phi,
                     Dual<D + 1>* moments) const;
-  CellPlane<D> plane(std::int64_t cell, const double* phi) const;
+  /// @param phi phi(node, index): level set, index below kPlaneNodes
+  template <typename T, typename Field>
+  CellPlane<D, T> plane(std::int64_t cell, Field&& phi, CellKind& kind) const;
+  CellPlane<D> plane(std::int64_t cell, const double* phi) const {
+    CellKind kind;
+    return plane<double>(cell, [&](std::int64_t node, int) { return phi[node]; }, kind);
+  }
   std::int64_t first_node(std::int64_t cell) const {
     std::int64_t at[D];
     grid_.cell_position(cell, at);
@@ -151,6 +157,9 @@ class FlowGeometry {
   }
 
  private:
+  /// Nodes that a cell's plane depends on.
+  static constexpr int kPlaneNodes = D == 2 ? ChordPatch::kNodes : 1 << D;
+
   static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
   /// Steps of the constructor, in this order.

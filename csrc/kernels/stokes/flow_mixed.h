@@ -6,12 +6,7 @@
 //   [ E_gamma  -C' ] [ v ]    E_gamma = E + gamma C' M^-1 C,
 //   [ C   M / (bulk - gamma) ] [ p (1 - gamma / bulk) ]
 // Flexible GMRES with the block triangular preconditioner [V^-1 -C'; 0 S]: V a multigrid cycle on
-// E_gamma, and for the Schur complement
-//   S^-1 = (1 + gamma) M^-1 + diag(L)^-1 + Q (Q' L Q)^-1 Q',   L = C diag(E)^-1 C' + M / bulk.
-// One pressure per cell with multilinear velocities is not inf-sup stable: pressures that alternate
-// in sign along two or three axes, times anything smooth, are held by far less than M. They are
-// waves of the shortest length, for which E is about its diagonal. So L stands for S on them; Q
-// spans them, patterns of alternating signs with one amplitude each per 2^D cells.
+// E_gamma, S of flow_schur.h.
 //
 // Where incompressible, B = V V' / (bulk W) in closed regions (closed_regions.h), and nothing
 // elsewhere, takes the place of M / bulk. Then p - gamma M^-1 B p is the unknown, and
@@ -25,6 +20,7 @@
 #include "kernels/stokes/closed_regions.h"
 #include "kernels/stokes/flow_matrix.h"
 #include "kernels/stokes/flow_multigrid.h"
+#include "kernels/stokes/flow_schur.h"
 
 namespace diffsim {
 
@@ -47,20 +43,12 @@ class FlowMixed {
   std::int64_t bytes() const;
 
  private:
-  static constexpr int kCorners = 1 << D, kPatterns = D == 2 ? 1 : 4;
+  static constexpr int kCorners = 1 << D;
 
-  void set_divergence();
+  void set_compliances();
   void set_diagonals(ThreadPool& pool);
-  void set_patterns(ThreadPool& pool);
-  double sign(std::int64_t cell, int pattern) const;
-  const double* divergence(std::int64_t cell) const {
-    const std::int32_t index = cut_index_[static_cast<std::size_t>(cell)];
-    return index < 0 ? full_ : cut_.data() + static_cast<std::int64_t>(index) * kCorners * D;
-  }
   void apply(const Vector& x, Vector& y, ThreadPool& pool) const;
   void precondition(const Vector& r, Vector& z, ThreadPool& pool);
-  void add_gradient(double scale, const double* p, double* y, ThreadPool& pool) const;
-  void take_divergence(const double* v, double* q, ThreadPool& pool) const;
   bool strict() const { return op_.options().incompressible; }
   /// V.p / ((bulk - gamma) W) of closed regions, where incompressible.
   typename ClosedRegions<D>::Sums closed_sums(const double* p) const;
@@ -68,23 +56,15 @@ class FlowMixed {
   // Velocities and pressures are scaled so that all matrices have entries about one.
   const FlowOperator<D>& op_;
   const ClosedRegions<D>& closed_;
-  double gamma_, velocity_scale_, divergence_scale_;
-  NodeMatrix<D> matrix_;             // scaled E_gamma
+  double gamma_, divergence_scale_, velocity_scale_;
   std::vector<std::uint8_t> fixed_;  // (num_nodes, D) of active nodes
+  FlowDivergence<D> divergence_;
+  NodeMatrix<D> matrix_;  // scaled E_gamma
   std::int64_t num_velocities_ = 0;
-  std::vector<std::int64_t> cells_;       // active ones
-  std::vector<std::int32_t> number_;      // of the grid's cells among them
-  std::vector<std::int32_t> cell_nodes_;  // (active cells, 2^D)
-  std::vector<std::int32_t> cut_index_;   // of active cells, -1 where full
-  std::vector<double> cut_;               // (cut cells, 2^D, D) divergence
-  double full_[kCorners * D];
   std::vector<double> mass_, shift_;      // of active cells: M, M / (bulk - gamma) or 0
+  std::vector<double> compliance_;        // and M / bulk as the preconditioner has it
   std::vector<double> inverse_diagonal_;  // (num_nodes, D, D) of E, zero where fixed
-  std::vector<double> weight_;            // (1 + gamma) / M + 1 / diag(L)
-  std::vector<std::int32_t> macro_;       // of active cells
-  std::unique_ptr<CholeskyFactor> patterns_;
-  CholeskyWorkspace workspace_;
-  std::vector<double> amplitude_;
+  std::unique_ptr<FlowSchur<D>> schur_;
   Vector scratch_;
   std::unique_ptr<FlowMultigrid<D>> multigrid_;
 };

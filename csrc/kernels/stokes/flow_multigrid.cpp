@@ -7,6 +7,8 @@
 #include <immintrin.h>
 #endif
 
+#include "kernels/stokes/row_chunks.h"
+
 namespace diffsim {
 namespace {
 
@@ -16,7 +18,6 @@ constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorized rather th
 constexpr int kMaxLevels = 12;
 // Fine nodes for each coarse one, at least: a thin shape gains nothing from fewer.
 constexpr std::size_t kLeastCoarsening = 2;
-constexpr std::int64_t kChunk = 256;  // rows of a task
 // Nodes couple with nodes up to two planes away.
 constexpr std::int64_t kPlaneColors = 3;
 
@@ -33,13 +34,6 @@ Quad four_halves(const std::uint16_t* from) {
 #else
 constexpr bool kHasHalf = false;
 #endif
-
-template <typename F>
-void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
-  pool.run((n + kChunk - 1) / kChunk, [&](std::int64_t task) {
-    for (std::int64_t i = task * kChunk; i < std::min(n, (task + 1) * kChunk); ++i) f(i);
-  });
-}
 
 constexpr int pow5(int d) { return d == 0 ? 1 : 5 * pow5(d - 1); }
 

@@ -225,7 +225,8 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
                                grad.traction[nodes[i] * D + a] += moments[q].value * N[i] * test;
                          }
                        });
-    if (geometry_.cut(face.cell)) geometry_.plane_vjp(face.cell, by_plane, -1.0, grad_phi);
+    if (geometry_.cut(face.cell))
+      geometry_.plane_vjp(face.cell, phi_.data(), by_plane, -1.0, grad_phi);
   }
 }
 
@@ -238,7 +239,7 @@ void FlowOperator<D>::fraction_gradient(const double* grad_fraction, double* gra
     for (int q = 0; q < Cut::kPoints; ++q)
       by_value[Cut::kVolume + q] = grad_fraction[cell] / geometry_.grid().cell_volume;
     geometry_.cut(cell)->vjp(by_value, by_plane);
-    geometry_.plane_vjp(cell, by_plane, 1.0, grad_phi);
+    geometry_.plane_vjp(cell, phi_.data(), by_plane, 1.0, grad_phi);
   }
 }
 

@@ -97,7 +97,7 @@ void FlowTangent<D>::add_traction(const double* traction, double* r) const {
     Dual<D + 1> moments[pow3(D - 1)];
     geometry.face_moments(face.cell, face.axis, face.side, op_.phi(), moments);
     double d_plane[Cut::kParameters];
-    geometry.plane_tangent(face.cell, d_phi_.data(), d_plane);
+    geometry.plane_tangent(face.cell, op_.phi(), d_phi_.data(), d_plane);
     for_face_points<D>(geometry.grid(), geometry.first_node(face.cell), face.axis, face.side,
                        [&](int q, const std::int64_t* nodes, const double* N) {
                          double rate = 0.0;

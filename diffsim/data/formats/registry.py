@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.data.formats import hdf5, logs, mat, parquet
+from diffsim.data.formats import hdf5, logs, mat, mcap_write, parquet
 from diffsim.data.formats.columns import Columns
 
 Parts = Callable[[Path], list[str]]
@@ -32,6 +32,7 @@ WRITTEN: dict[str, Write] = {
     ".h5": hdf5.write,
     ".hdf5": hdf5.write,
     ".mat": mat.write,
+    ".mcap": mcap_write.write,
 }
 """Formats that ``write_columns`` writes, besides CSV."""
 

@@ -15,6 +15,7 @@ from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.dials import channels_of, clock_of
 from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
 from diffsim.systems.multicopter.described import DescribedFlights
@@ -51,7 +52,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     if full_thrust is None:
         asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
         full_thrust = max(asked, 2.0 * hover)
-    sensing = sensing_of(of.sensors, study)
+    sensing, names = sensing_of(of.sensors, study), [c.name for c in study.channels]
     lag_of = of.lag_of or ("thrust" if of.commands.meaning == "thrust" else "speed")
     return DescribedFlights(
         parameters=parameters,
@@ -76,6 +77,10 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         if law.is_squared
         else THRUST_COEFFICIENT,
         lags_speed=lag_of == "speed",
+        clocks={
+            clock_of(name): tuple(names.index(c) for c in channels_of(study.channels, name))
+            for name in of.clocks
+        },
     )
 
 
@@ -103,12 +108,15 @@ def with_shapes(
     return replace(flights, parameters=BaseParameters(quantities, study.runs))
 
 
-def vehicle_of(of: MulticopterKeys, flights: DescribedFlights) -> Vehicle:
+def vehicle_of(
+    of: MulticopterKeys, flights: DescribedFlights, *, states_sensors: bool = False
+) -> Vehicle:
     """What decides which causes there are.
 
     Args:
         of: Description of the multicopter.
         flights: The same, assembled.
+        states_sensors: Whether channels say which sensor shows them.
     """
     q = flights.parameters.quantities
     fleet = flights.nominal_fleet()
@@ -129,6 +137,7 @@ def vehicle_of(of: MulticopterKeys, flights: DescribedFlights) -> Vehicle:
         has_speed=of.commands.meaning == "speed" and flights.law.is_squared,
         lags_speed=flights.lags_speed,
         battery=of.battery,
+        states_sensors=states_sensors,
     )
 
 
@@ -200,6 +209,7 @@ def _nuisances(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
         for axis in "xyz":
             if is_there and sd > 0.0:
                 yield f"{name}_{axis}", Quantity(value=0.0, sd=sd, unit=unit)
+    yield from ((clock_of(name), q) for name, q in of.clocks.items())
     if keys.clock > 0.0:
         yield "clock", Quantity(value=0.0, sd=keys.clock, unit="s", per="run")
 

@@ -46,6 +46,7 @@ class Vehicle:
         has_speed: Whether commands tell the rotors' speed in rad/s.
         lags_speed: Whether it is the speed, not the thrust, that lags.
         battery: Name of the command that is the battery's voltage; None: none.
+        states_sensors: Whether channels say which sensor shows them: each has a clock then.
     """
 
     num_rotors: int
@@ -61,6 +62,7 @@ class Vehicle:
     has_speed: bool
     lags_speed: bool
     battery: str | None
+    states_sensors: bool = False
 
 
 def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
@@ -145,7 +147,8 @@ def _of_sensors(of: Vehicle, arm: float, in_body: Callable[[Effect], Effect]) ->
         yield seen.GYRO_OFFSET
     if "body_rates" in of.sensors or force:
         yield in_body(seen.IMU_TILT)
-    if ("body_rates" in of.sensors or force) and _CAMERAS & set(of.sensors):
+    has_unit = "body_rates" in of.sensors or force
+    if has_unit and _CAMERAS & set(of.sensors) and not of.states_sensors:
         yield seen.CAMERA_DELAY
     if force:
         yield seen.ACCELEROMETER_SCALE

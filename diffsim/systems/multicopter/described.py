@@ -41,6 +41,7 @@ class DescribedFlights:
         full_thrust: To which the curvature of the thrust refers [N].
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
         lags_speed: Whether it is the speed, not the thrust, that lags.
+        clocks: Indices of the channels that are late together, by the quantity that says how much.
         known: Windows of each run that was cut already.
     """
 
@@ -55,6 +56,7 @@ class DescribedFlights:
     full_thrust: float
     thrust_coefficient: float
     lags_speed: bool
+    clocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     known: dict[Run, Windows] = field(default_factory=dict)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
@@ -143,7 +145,7 @@ class DescribedFlights:
         return self._on_the_way(scene, v)
 
     def _on_the_way(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
-        """Clock and lag of the commands."""
+        """Clock and lag of the commands, clocks of sensors."""
         if "clock" in v:
             late = v["clock"].reshape(-1)
             comes_late = partial(held_delayed, signed=False)
@@ -152,6 +154,8 @@ class DescribedFlights:
             tau = v["motor_lag"].reshape(-1)
             lagged = speed_lagged if self.lags_speed else partial(on_columns, held_lagged)
             scene = scene.with_command(lambda u, dt: lagged(u, dt, tau))
+        for name, channels in self.clocks.items():
+            scene = scene.with_late(channels, v[name].reshape(-1))
         return scene
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
@@ -11,10 +13,12 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.dials import channels_of, clock_problems
 from diffsim.systems.multicopter.assembly import FULL_THRUST, assembled, vehicle_of, with_shapes
 from diffsim.systems.multicopter.bank import flights_to_record
 from diffsim.systems.multicopter.candidates import acting_in, candidate_causes
 from diffsim.systems.multicopter.cutting import LONGEST
+from diffsim.systems.multicopter.instruments import instrument_effects, states_sensors
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
 from diffsim.systems.multicopter.sampling import evenly_sampled
@@ -27,7 +31,11 @@ class MulticopterDescription(MulticopterKeys):
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels, commands and facts that the description and the study disagree on."""
-        found = [*sensor_problems(self.sensors, study), *self._command_problems(study)]
+        found = [
+            *sensor_problems(self.sensors, study),
+            *clock_problems(study.channels, self.clocks),
+            *self._command_problems(study),
+        ]
         if not found:
             try:
                 assembled(self, study)
@@ -41,8 +49,10 @@ class MulticopterDescription(MulticopterKeys):
             raise ValueError("\n".join(str(p) for p in found))
         study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
         flights = assembled(self, study)
-        vehicle = vehicle_of(self, flights)
-        effects = chosen_effects(candidate_causes(vehicle), self.effects)
+        vehicle = vehicle_of(self, flights, states_sensors=states_sensors(study))
+        clocks = [channels_of(study.channels, name) for name in self.clocks]
+        own = instrument_effects(study, flights.cutter, clocks)
+        effects = chosen_effects((*candidate_causes(vehicle), *own), self.effects)
         flights = with_shapes(self, flights, study, [e.name for e in effects])
         if self.causes_act_in:
             effects = tuple(acting_in(e, self.causes_act_in) for e in effects)
@@ -73,5 +83,13 @@ class MulticopterDescription(MulticopterKeys):
                         "error",
                         f"model.{key}",
                         f"run {run.name} has no command {name!r}{did_you_mean(name, run.command)}",
+                    )
+                    break
+                if not np.isfinite(run.command[name]).all():
+                    yield Problem(
+                        "error",
+                        f"model.{key}",
+                        f"run {run.name}: command {name} has empty cells; say what they mean by "
+                        "`fill` under commands, such as fill: hold",
                     )
                     break

@@ -80,6 +80,10 @@ class CopterFlight:
             (points, 3) [rad], [rad/s], [m/s^2], in the recording's frames.
         camera_delay: Age of the position, velocity and attitude that are shown, (points,) [s];
             None: none.
+        late: Channels of an instrument by their indices, and how late it is, (points,) [s];
+            added up.
+        readers: Channels by their indices, and what happens to their readings (points, num_windows,
+            length, width).
         sling_length: Of a string that a load may hang on, (points,) [m]; None: 0.5 m.
         gust_frequency: Of a gust that there may be, (points,) [Hz]; None: no gust.
     """
@@ -108,6 +112,8 @@ class CopterFlight:
     body_rates_offset: Tensor = field(default_factory=_origin)
     accelerometer_offset: Tensor = field(default_factory=_origin)
     camera_delay: Tensor | None = None
+    late: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
+    readers: tuple[tuple[tuple[int, ...], Callable[[Tensor], Tensor]], ...] = ()
     sling_length: Tensor | None = None
     gust_frequency: Tensor | None = None
 
@@ -126,6 +132,14 @@ class CopterFlight:
     def with_air(self, force: Air) -> Self:
         """A copy with one more force that depends on the motion."""
         return self.changed(air=(*self.air, force))
+
+    def with_late(self, channels: tuple[int, ...], delay: Tensor) -> Self:
+        """A copy in which some channels show what was ``delay`` ago, (points,) [s]."""
+        return self.changed(late=(*self.late, (channels, delay)))
+
+    def with_reading(self, channels: tuple[int, ...], change: Callable[[Tensor], Tensor]) -> Self:
+        """A copy in which the readings of some channels are changed."""
+        return self.changed(readers=(*self.readers, (channels, change)))
 
     def with_flight_effect(self, name: str, value: Any) -> Self:
         """A copy with one entry of ``flight_effects`` replaced."""

@@ -19,11 +19,13 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Numerics, SimModel
 from diffsim.systems.grid import held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, Cutter, spacing
+from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
+    from diffsim.identify.shape import MovingShape
 
 FLIGHT_BASE = (
     Parameter("thrust_gain", 1.0, 0.05, log=True),
@@ -92,6 +94,12 @@ class CopterModel(SimModel):
         assert isinstance(scene, CopterScene)
         guess = scene.windows.guess
         return len(guess) * RIGID + guess.shape[1] - RIGID
+
+    def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
+        """Arms and propellers at the poses that channels show, where they show them."""
+        scene = self.scene(run, self.at_prior())
+        assert isinstance(scene, CopterScene)
+        return figure_of(scene, channels)
 
     def simulate_many(
         self,

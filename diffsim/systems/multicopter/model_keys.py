@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.systems.description import Description
+from diffsim.systems.dials import CLOCKS
 from diffsim.systems.multicopter.keys import (
     CommandKeys,
     FrameKeys,
@@ -97,6 +98,7 @@ class MulticopterKeys(Description):
         description="Facts of `setup`, such as {propeller: cut}: candidate causes act only in runs "
         "that state them. The other runs show what the vehicle is without",
     )
+    clocks: dict[str, Time] = Field({}, description=CLOCKS)
     windows: WindowKeys = Field(WindowKeys(), description="Windows of the fit")
     nuisances: NuisanceKeys = Field(NuisanceKeys(), description="Offsets and clocks")
 

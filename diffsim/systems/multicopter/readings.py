@@ -16,6 +16,7 @@ from diffsim.core.rotation import (
     quaternion_product,
     rpy_from_matrix,
 )
+from diffsim.systems.dials import delays_of
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
 from diffsim.systems.multicopter.motion import Motion, turned_back
 
@@ -40,6 +41,43 @@ class Record:
         )
         mean = self.velocity.diff(dim=2) / dt
         return Motion(vehicle, place, velocity, rotation, rates, thrusts, asked, mean)
+
+    def before(self, delay: Tensor, dt: float) -> Record:
+        """The record a time ago: cubics between steps, parabolas before the window.
+
+        Args:
+            delay: (points,) [s].
+            dt: Time between two steps [s].
+        """
+        quaternion = _ago(self.quaternion, delay, dt)  # integrated: no sign jumps
+        quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
+        return Record(
+            _ago(self.position, delay, dt),
+            _ago(self.velocity, delay, dt),
+            matrix_from_quaternion(quaternion),
+            quaternion,
+            _ago(self.body_rates, delay, dt),
+        )
+
+
+def _ago(values: Tensor, delay: Tensor, dt: float) -> Tensor:
+    """Values (points, num_windows, length + 1, width) at every step, ``delay`` earlier."""
+    last = values.shape[2] - 1
+    slope = torch.gradient(values, dim=2)[0]  # per step, central inside
+    place = torch.arange(last + 1, dtype=values.dtype) - delay.reshape(-1, 1) / dt
+    left = place.detach().floor().long().clamp(0, last - 1)
+
+    def at(of: Tensor, index: Tensor) -> Tensor:
+        points = max(len(index), len(of))
+        index = index[:, None, :, None].expand(points, of.shape[1], -1, of.shape[3])
+        return of.expand(points, -1, -1, -1).gather(2, index)
+
+    s = (place - left)[:, None, :, None]
+    y0, y1, d0, d1 = at(values, left), at(values, left + 1), at(slope, left), at(slope, left + 1)
+    rise = y1 - y0
+    bent = 2.0 * (rise - d0)  # of the parabola through both values with the slope at the first
+    inside = y0 + s * (d0 + s * (3.0 * rise - 2.0 * d0 - d1 + s * (d0 + d1 - 2.0 * rise)))
+    return torch.where(s < 0.0, y0 + s * (d0 + 0.5 * s * bent), inside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +210,30 @@ _GROUPS: dict[str, Callable[[_Shown], Tensor]] = {
 
 def read(scene: CopterFlight, record: Record) -> Tensor:
     """Readings of the sensors, (points, num_windows, length, num_channels)."""
+    out = _channels(scene, record)
+    for channels, delay in delays_of(scene.late).items():
+        out = _put(out, channels, _channels(scene, record.before(delay, scene.dt)))
+    for channels, change in scene.readers:
+        own = list(channels)
+        changed = change(out[..., own])
+        whole = out.expand(*changed.shape[:-1], -1).clone()
+        whole[..., own] = changed
+        out = whole
+    return out
+
+
+def _channels(scene: CopterFlight, record: Record) -> Tensor:
+    """What all channels would show at once, (points, num_windows, length, num_channels)."""
     shown = _Shown.of(scene, record)
     out = torch.cat([_GROUPS[name](shown) for name in scene.sensors], -1)
     return out if scene.columns is None else out[..., list(scene.columns)]
+
+
+def _put(out: Tensor, channels: tuple[int, ...], late: Tensor) -> Tensor:
+    """Some channels of ``late``, the others of ``out``."""
+    own = torch.zeros(out.shape[-1], dtype=torch.bool)
+    own[list(channels)] = True
+    return torch.where(own, late, out)
 
 
 def _wide(value: Tensor) -> Tensor:

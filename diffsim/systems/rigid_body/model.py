@@ -10,7 +10,9 @@ from torch import Tensor
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters
+from diffsim.systems.rigid_body.figure import figure_of
 from diffsim.systems.rigid_body.layout import Layout
 from diffsim.systems.rigid_body.shooting import Shooting
 from diffsim.systems.rigid_body.toss import Mass, Tosses
@@ -144,6 +146,16 @@ class TossModel(SimModel):
         """Predictions at many points; without parameters one serves for all."""
         out = super().predict_many(run, q, sizes, numerics)
         return out if out.ndim == 3 else out.expand(len(q), *out.shape)
+
+    def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
+        """The box at the poses that channels show, where they show them."""
+        scene = self.scene(run, self.at_prior())
+        assert isinstance(scene, TossScene)
+        if not self.thrown.mass.has_corners:
+            return None
+        values = scene.values
+        edges = [values["edge" if "edge" in values else f"edge_{a}"] for a in "xyz"]
+        return figure_of(self.thrown.layout, torch.stack(edges), channels)
 
     def num_fitted_inside(self, run: Run) -> int:
         """Numbers that are fitted to each run inside: its start state."""

@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema import number
-from diffsim.systems.description import Description, Quantity
+from diffsim.systems.description import Description, Quantity, quantity
+from diffsim.systems.dials import CLOCKS, clock_of
 from diffsim.systems.soft_body.keys import (
     Chamber,
     Clamp,
@@ -69,6 +70,9 @@ class SoftBodyKeys(Description):
     channels: dict[str, Reading] = Field(description="What each channel of the study shows")
     camera: Camera = Field(Camera(), description="What all channels share")
     clock: Clock = Field(Clock(), description="Clock of the recording against that of the commands")
+    clocks: dict[str, quantity("s")] = Field(  # type: ignore[valid-type]
+        {}, description=CLOCKS
+    )
     start: Start = Field(Start(), description="How the body begins")
     numerics: Numerics = Field(Numerics(), description="Time step, mesh and tolerance")
 
@@ -112,6 +116,7 @@ class SoftBodyKeys(Description):
             found |= quantities_of(self.water, "water_")
         found |= quantities_of(self.start, "start_") | quantities_of(self.clock, "clock_")
         found |= quantities_of(self.camera, "camera_")
+        found |= {clock_of(name): q for name, q in self.clocks.items()}
         for name, reading in self.channels.items():
             found |= {f"{key}_{name}": q for key, q in quantities_of(reading).items()}
         return found

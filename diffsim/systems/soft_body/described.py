@@ -41,6 +41,7 @@ class DescribedModel:
         parameters: Quantities of the description: base parameters, and values of a run.
         pose_commands: Values of the only command at which slow motions are computed, (num_poses,);
             None: there is none, or several.
+        clocks: Indices of the channels that are late together, by the quantity that says how much.
     """
 
     def __init__(
@@ -50,8 +51,10 @@ class DescribedModel:
         channels: Sequence[str],
         parameters: BaseParameters,
         pose_commands: Tensor | None = None,
+        clocks: Mapping[str, tuple[int, ...]] | None = None,
     ):
         self.given, self.channels, self.parameters = given, tuple(channels), parameters
+        self._clocks = clocks or {}
         numerics = given.numerics
         self._dt, self._rtol = numerics.time_step, numerics.tolerance
         self.commands = given.commands
@@ -104,6 +107,7 @@ class DescribedModel:
             "friction_shares": rig.sliding,
             "time_scale": own["clock_rate"],
             "clock_offset": own["clock_offset"],
+            "late": tuple((channels, own[key]) for key, channels in self._clocks.items()),
             "output_maps": (seen(rig.look, given.camera, own, self.channels),),
             "obstacles": tuple(
                 contact.plane(w.normal, w.offset, friction=w.friction) for w in given.walls

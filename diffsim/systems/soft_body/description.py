@@ -8,6 +8,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify import Jacobian
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import (
@@ -16,6 +17,7 @@ from diffsim.systems.description import (
     fact_in,
     settings_with,
 )
+from diffsim.systems.dials import channels_of, clock_of, clock_problems
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.causes import (
     REACH,
@@ -27,6 +29,11 @@ from diffsim.systems.soft_body.causes import (
     unknowns,
 )
 from diffsim.systems.soft_body.described import DescribedModel
+from diffsim.systems.soft_body.instruments import (
+    INSTRUMENTS,
+    instrument_effects,
+    instrument_scales,
+)
 from diffsim.systems.soft_body.quasi_static import pose_commands
 
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
@@ -37,7 +44,11 @@ class SoftBodyDescription(SoftBodyKeys):
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands without a meaning, regions without nodes, points outside."""
-        found = [*self._of_channels(study), *self._of_runs(study.runs)]
+        found = [
+            *self._of_channels(study),
+            *clock_problems(study.channels, self.clocks),
+            *self._of_runs(study.runs),
+        ]
         if not any(p.severity == "error" for p in found):
             try:
                 self._described(study).rig()
@@ -92,7 +103,8 @@ class SoftBodyDescription(SoftBodyKeys):
         described = self._described(study)
         model = described.model()
         reach = {REACH: list(fitted_reach(study, self.commands))} if self.commands else {}
-        model.frame = {TIMED: is_timed(self, study), **reach}
+        instruments = instrument_scales(study)
+        model.frame = {TIMED: is_timed(self, study), **reach, INSTRUMENTS: instruments}
         rig = described.rig()
         mass_kg = float(rig.volume.sum()) * self.material.density.value
         advised = DiagnosisSettings(
@@ -102,9 +114,23 @@ class SoftBodyDescription(SoftBodyKeys):
         )
         return DiagnosisSetup(
             model,
-            chosen_effects(library(self, study, mass_kg), self.effects),
+            chosen_effects(
+                (*library(self, study, mass_kg), *self._of_instruments(study)), self.effects
+            ),
             unknowns=unknowns(self, study),
             settings=settings_with(advised, self.effort),
+        )
+
+    def _of_instruments(self, study: Study) -> list[Effect]:
+        """Causes in stated sensors, but what is a base parameter of theirs already."""
+        readings = self.channels.items()
+        zeros = {name for name, r in readings if r.zero.is_fitted}
+        scales = {name for name, r in readings if r.scale.is_fitted}
+        return instrument_effects(
+            study,
+            timed=is_timed(self, study),
+            clocks=tuple(self._late(study).values()),
+            fitted={"sensor_offset": zeros, "sensor_scale": scales},
         )
 
     def _described(self, study: Study) -> DescribedModel:
@@ -114,7 +140,15 @@ class SoftBodyDescription(SoftBodyKeys):
         if len(self.commands) == 1:
             now = commanded_reach(study, self.commands)
             commands = pose_commands(fitted_reach(study, self.commands), now, self.numerics.poses)
-        return DescribedModel(self, study.folder, names, parameters, commands)
+        clocks = {
+            clock_of(name): tuple(names.index(c) for c in own)
+            for name, own in self._late(study).items()
+        }
+        return DescribedModel(self, study.folder, names, parameters, commands, clocks)
+
+    def _late(self, study: Study) -> dict[str, tuple[str, ...]]:
+        """Channels of each stated clock."""
+        return {name: channels_of(study.channels, name) for name in self.clocks}
 
 
 def _masses(where: str, fact: str, runs: Sequence[Run]) -> Iterator[Problem]:

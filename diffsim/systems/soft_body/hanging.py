@@ -89,6 +89,7 @@ class SlackScene(SoftScene):
             sample_times=torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64),
             time_scale=torch.ones((), dtype=torch.float64),
             clock_offset=torch.zeros((), dtype=torch.float64),
+            late=(),
             parameters={**self.parameters, "attached_mass": torch.zeros_like(load)},
             # the hand need not hold the weight
             holding_force=None if held is None else held + load[:, None] * gravity,
@@ -112,15 +113,19 @@ class SlackScene(SoftScene):
 
     def joined(self, fall: Tensor, swing: Tensor, last: int) -> Tensor:
         """Channels of both motions, each at its times."""
-        dt, times = self.body.dt, self._times()
+        dt = self.body.dt
         caught = self.swinging(fall, last)
         x, v = caught.initial_state(None, self.body.physics(**caught.parameters))[:2]
         # channels are linear in the places: their rate is what they show of the speeds
         rate = self.observe(x + v) - self.observe(x)
-        early = sample(torch.stack([self.observe(p.reshape(-1, 3)) for p in fall]), dt, times)
-        late = sample(swing, dt, times - self.slack_s, start_rate=rate)
-        channels = torch.where((times < self.slack_s)[:, None], early, late)
-        return self.shown(channels)
+        falls = torch.stack([self.observe(p.reshape(-1, 3)) for p in fall])
+
+        def observed_at(times: Tensor) -> Tensor:
+            early = sample(falls, dt, times)
+            late = sample(swing, dt, times - self.slack_s, start_rate=rate)
+            return torch.where((times < self.slack_s)[:, None], early, late)
+
+        return self.by_clock(observed_at)
 
     def _plain(self, **changes: Any) -> SoftScene:
         kept = {f.name: getattr(self, f.name) for f in fields(SoftScene)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -14,12 +14,14 @@ from diffsim.identify.numerics import NumericalEffect, Numerics
 from diffsim.systems.soft_body.hanging import SlackScene, slack_tangents
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene
+from diffsim.systems.soft_body.surface import surface_of
 from diffsim.systems.soft_body.tangents import scene_tangents
 from diffsim.systems.soft_body.together import simulate_together
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
     from diffsim.identify.line import Line, Point
+    from diffsim.identify.shape import MovingShape
 
 
 class SoftModel(SimModel):
@@ -33,6 +35,19 @@ class SoftModel(SimModel):
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run, at once where only commands differ."""
         return simulate_together(scenes)
+
+    def shape_at(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> MovingShape | None:
+        """The body's surface at the sample times, without what cameras do to it."""
+        physical = {e: s for e, s in (sizes or {}).items() if not isinstance(e, NumericalEffect)}
+        with torch.no_grad():
+            scene = self.scene(run, q, physical, numerics)
+            return surface_of(scene) if isinstance(scene, SoftScene) else None
 
     def tangents(
         self,

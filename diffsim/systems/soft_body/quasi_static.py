@@ -38,17 +38,20 @@ class PosedScene(SoftScene):
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        times = self._times()
+        return self.by_clock(self._observed_at)
+
+    def _observed_at(self, times: Tensor) -> Tensor:
+        """What is observed in equilibrium at times (num_samples,) [s], (num_samples, width)."""
         if self.command is None:
             still = self._poses(torch.zeros(1, 0, dtype=torch.float64))
-            return self.shown(still.expand(len(times), -1))
+            return still.expand(len(times), -1)
         wanted = straight(self.changed_command(), self.command_dt, times)
         if self.pose_commands is None:
-            return self.shown(self._poses(wanted))
+            return self._poses(wanted)
         knots = self.pose_commands
         places = self._poses(knots[:, None])
         spacing = float(knots[1] - knots[0])
-        return self.shown(curved(places, spacing, wanted[:, 0] - float(knots[0])))
+        return curved(places, spacing, wanted[:, 0] - float(knots[0]))
 
     def _poses(self, commands: Tensor) -> Tensor:
         """What is observed in equilibrium under each row of commands, (num_rows, width)."""

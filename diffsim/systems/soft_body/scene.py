@@ -16,6 +16,7 @@ from diffsim.core.errors import ConvergenceError
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import LumpedVolume
+from diffsim.systems.dials import delays_of
 from diffsim.systems.signals import sample, straight
 from diffsim.systems.soft_body.history import History
 
@@ -106,6 +107,7 @@ class SoftScene:
         friction_shares: (num_vertices,) of dry friction, summing to 1; None: evenly by volume.
         time_scale: True seconds per second of the record.
         clock_offset: The record's clock is late by this [s].
+        late: Channels of an instrument by their indices, and how late it is [s]; added up.
         place_maps: Functions of what is observed (num_samples, width) and sample times that change
             it before the output maps, in order.
         rest_places: (width,) what is observed of the body at rest, where that is places of markers,
@@ -141,6 +143,7 @@ class SoftScene:
     friction_shares: Tensor | None = None
     time_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
     clock_offset: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
+    late: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
     place_maps: tuple[OutputMap, ...] = ()
     rest_places: Tensor | None = None
     output_maps: tuple[OutputMap, ...] = ()
@@ -172,6 +175,10 @@ class SoftScene:
     def with_places(self, change: OutputMap) -> SoftScene:
         """A copy whose observed places are changed: f(places, times) -> places."""
         return self.changed(place_maps=(*self.place_maps, change))
+
+    def with_late(self, channels: tuple[int, ...], delay: Tensor) -> SoftScene:
+        """A copy in which some channels show what was ``delay`` ago [s]."""
+        return self.changed(late=(*self.late, (channels, delay)))
 
     def with_output(self, change: OutputMap) -> SoftScene:
         """A copy whose channels are changed: f(channels, times) -> channels."""
@@ -222,12 +229,28 @@ class SoftScene:
 
     def num_steps(self) -> int:
         """Steps that the record needs."""
+        last = max(
+            float(self._times(d).detach().max()) for d in (None, *delays_of(self.late).values())
+        )
         # two more than asked for: the interpolation looks that far ahead
-        return max(5, math.ceil(float(self._times().detach().max()) / self.body.dt - 1e-9) + 2)
+        return max(5, math.ceil(last / self.body.dt - 1e-9) + 2)
 
     def channels(self, observed: Tensor) -> Tensor:
         """Recorded channels from (num_steps + 1, num_channels), observed at every step."""
-        return self.shown(sample(observed, self.body.dt, self._times()))
+        return self.by_clock(lambda times: sample(observed, self.body.dt, times))
+
+    def by_clock(self, observed_at: Callable[[Tensor], Tensor]) -> Tensor:
+        """Recorded channels, each at the times of its instrument.
+
+        Args:
+            observed_at: What is observed at times (num_samples,) [s], since the start.
+        """
+        out = self.shown(observed_at(self._times()))
+        for channels, delay in delays_of(self.late).items():
+            own = torch.zeros(out.shape[-1], dtype=torch.bool)
+            own[list(channels)] = True
+            out = torch.where(own, self.shown(observed_at(self._times(delay))), out)
+        return out
 
     def shown(self, observed: Tensor) -> Tensor:
         """Recorded channels from what is observed at the sample times."""
@@ -235,8 +258,10 @@ class SoftScene:
             observed = change(observed, self.sample_times)
         return observed
 
-    def _times(self) -> Tensor:
-        return (self.sample_times - self.clock_offset) * self.time_scale
+    def _times(self, delay: Tensor | None = None) -> Tensor:
+        """Times that are shown, since the start [s]."""
+        since = self.sample_times - self.clock_offset
+        return (since if delay is None else since - delay) * self.time_scale
 
     def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
         """State in which the body starts, under the first activation."""

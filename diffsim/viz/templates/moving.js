@@ -20,9 +20,20 @@
     constructor(box) {
       this.box = box;
       const data = JSON.parse(box.querySelector("script").textContent);
+      this.views = Array.isArray(data) ? data : [data];
+      Object.assign(this, { turn: -0.6, lift: 0.35, zoom: 1, shift: [0, 0], frame: 0, playing: false });
+      this.hidden = new Set();
+      this.build();
+      this.show(this.views[0]);
+      new ResizeObserver(() => this.draw()).observe(this.canvas);
+    }
+
+    show(data) {
+      this.stop();
+      this.frame = 0;
       this.time = data.time;
       this.parts = data.parts.map((part) => ({
-        ...part, shown: true, at: points(part),
+        ...part, shown: !this.hidden.has(part.name), at: points(part),
         triangles: part.triangles && (part.wide ? new Uint32Array(bytes(part.triangles).buffer)
           : new Uint16Array(bytes(part.triangles).buffer)),
         poses: part.poses && new Float32Array(bytes(part.poses).buffer),
@@ -31,9 +42,8 @@
       this.middle = data.low.map((v, k) => 0.5 * (v + data.high[k]));
       this.floor = data.low[2];
       this.reach = 0.5 * Math.hypot(...data.low.map((v, k) => data.high[k] - v)) || 1;
-      Object.assign(this, { turn: -0.6, lift: 0.35, zoom: 1, shift: [0, 0], frame: 0, playing: false });
-      this.build();
-      new ResizeObserver(() => this.draw()).observe(this.canvas);
+      this.slider.max = this.time.length - 1;
+      this.partButtons();
       this.draw();
     }
 
@@ -46,23 +56,12 @@
       this.play = document.createElement("button");
       this.play.type = "button";
       this.slider = Object.assign(document.createElement("input"),
-        { type: "range", min: 0, max: this.time.length - 1, value: 0 });
+        { type: "range", min: 0, max: 1, value: 0 });
       this.slider.setAttribute("aria-label", "time");
       this.clock = document.createElement("span");
+      if (this.views.length > 1) bar.append(this.menu());
       bar.append(this.play, this.slider, this.clock);
-      for (const name of new Set(this.parts.map((part) => part.name))) {
-        const own = this.parts.filter((part) => part.name === name);
-        const button = document.createElement("button");
-        Object.assign(button, { type: "button", className: "moving-part", textContent: name });
-        button.style.setProperty("--part", own[0].color);
-        button.setAttribute("aria-pressed", "true");
-        button.onclick = () => {
-          for (const part of own) part.shown = !part.shown;
-          button.setAttribute("aria-pressed", String(own[0].shown));
-          this.draw();
-        };
-        bar.append(button);
-      }
+      this.bar = bar;
       this.box.append(this.canvas, bar);
       this.play.onclick = () => (this.playing ? this.stop() : this.start());
       this.slider.oninput = () => { this.stop(); this.frame = Number(this.slider.value); this.draw(); };
@@ -78,6 +77,32 @@
         this.draw();
       };
       this.label();
+    }
+
+    menu() {
+      const menu = document.createElement("select");
+      menu.setAttribute("aria-label", "run");
+      for (const view of this.views) menu.append(new Option(view.name));
+      menu.onchange = () => this.show(this.views[menu.selectedIndex]);
+      return menu;
+    }
+
+    partButtons() {
+      for (const old of this.bar.querySelectorAll(".moving-part")) old.remove();
+      for (const name of new Set(this.parts.map((part) => part.name))) {
+        const own = this.parts.filter((part) => part.name === name);
+        const button = document.createElement("button");
+        Object.assign(button, { type: "button", className: "moving-part", textContent: name });
+        button.style.setProperty("--part", own[0].color);
+        button.setAttribute("aria-pressed", String(own[0].shown));
+        button.onclick = () => {
+          for (const part of own) part.shown = !part.shown;
+          this.hidden[own[0].shown ? "delete" : "add"](name);
+          button.setAttribute("aria-pressed", String(own[0].shown));
+          this.draw();
+        };
+        this.bar.append(button);
+      }
     }
 
     drag(e) {
@@ -159,6 +184,8 @@
           const u = [c[j] - c[i], c[j + 1] - c[i + 1], c[j + 2] - c[i + 2]];
           const v = [c[k] - c[i], c[k + 1] - c[i + 1], c[k + 2] - c[i + 2]];
           const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+          const towards = n[2] * (eye - c[i + 2]) - n[0] * c[i] - n[1] * c[i + 1];
+          if (part.closed && towards < 0) continue; // hidden by the part itself
           const length = Math.hypot(...n) || 1;
           const light = Math.abs(0.35 * n[0] + 0.6 * n[1] + 0.72 * n[2]) / length;
           faces.push({ depth: c[i + 2] + c[j + 2] + c[k + 2], part, c, i, j, k,
@@ -174,9 +201,11 @@
         pen.lineTo(...spot(face.c, face.j));
         pen.lineTo(...spot(face.c, face.k));
         pen.closePath();
+        pen.globalAlpha = face.part.opacity ?? 1;
         pen.fill();
-        pen.stroke(); // closes the hairline between neighbors
+        if (pen.globalAlpha === 1) pen.stroke(); // closes the hairline between neighbors
       }
+      pen.globalAlpha = 1;
       this.slider.value = this.frame;
       this.clock.textContent = `${this.time[this.frame].toFixed(2)} s`;
       this.box.dataset.drawn = faces.length; // for tests

@@ -51,6 +51,24 @@ def test_a_hung_weight_pulls_and_its_inertia_slows():
     assert first_dip["heavy"] > first_dip["plain"]
 
 
+@pytest.mark.parametrize("motion", ["dynamic", "quasi_static"])
+def test_the_surface_that_pages_show_moves_as_the_markers_do(motion):
+    kind, run = (BAR, HEAVY) if motion == "dynamic" else (TENDON, PULLED)
+    corner = {"corner": [0.08, 0.0, 0.0]}
+    channels = {"tip_z_m": {"markers": "corner", "axis": "z", "scale": 2.0}}
+    study = study_of(kind, (run,), markers=corner, channels=channels)
+    problem = Problem(setup_of(study).model, study.runs, WhiteNoise(study.channels), ())
+    x = torch.zeros(len(problem.names), dtype=torch.float64)
+    shape = problem.shape_at(study.runs[0], x)
+    assert shape is not None and shape.nodes_m.shape[0] == len(run.time_s)
+    body = setup_of(study).model.scene(study.runs[0], x, {}).body.mesh
+    used = torch.unique(mesh.surface_triangles(body).faces)
+    here = int((body.nodes[used] - torch.tensor(corner["corner"])).norm(dim=-1).argmin())
+    read = problem.predict(study.runs[0], x)[:, 0].detach().numpy()
+    np.testing.assert_allclose(2.0 * shape.nodes_m[:, here, 2], read, atol=1e-12)
+    assert shape.triangles.max() < len(used) == shape.nodes_m.shape[1]
+
+
 def test_a_fact_may_have_a_unit_and_who_states_none_is_told():
     study = study_of(BAR, (HEAVY, run_of("same", TIMES, load_kg="30 g"), run_of("silent", TIMES)))
     heavy, same, silent = predicted(study)
