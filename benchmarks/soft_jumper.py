@@ -13,11 +13,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 
 from benchmarks.envs import Case, gradient_price
 from benchmarks.plot_style import legend_below, new_figure, save, style
@@ -26,10 +26,11 @@ from diffsim.envs import TaskState
 from diffsim.envs.soft_named import SoftJumper
 from diffsim.learn.run import read_rows
 from diffsim.learn.setup import evaluate
-from diffsim.viz.figures import CYCLE
+from diffsim.viz.figures import CYCLE, SOFT
 
-PUBLISHED = {"sapo": 1820.5, "apg": 956.6, "shac": 853.3, "ppo": 261.5}
-LABELS = {"sapo": "SAPO", "shac": "SHAC", "gradient": "Adam (APG)", "apg": "APG", "ppo": "PPO"}
+PUBLISHED = {"sapo": 1820.5, "gradient": 956.6, "shac": 853.3, "ppo": 261.5}
+PUBLISHED_STEPS = 6_000_000
+LABELS = {"sapo": "SAPO", "shac": "SHAC", "gradient": "APG", "ppo": "PPO"}
 SUBSTEPS = (1, 2, 4, 8, 16)
 SQUARE_WAVES = (2.0, 2.5, 3.0, 3.5, 4.0)  # [Hz]
 BY_HAND = 139.0  # return of the best of them, 3 Hz
@@ -74,11 +75,11 @@ def report_square_waves() -> None:
     task = SoftJumper()
     print("| square wave | return |\n|---|---|")
     for hertz in SQUARE_WAVES:
-        per_step = evaluate(task, lambda seen, k, f=hertz: square_wave(task, seen, k, f), EPISODES)
+        per_step = evaluate(task, partial(square_wave, task, hertz), EPISODES)
         print(f"| {hertz:g} Hz | {task.max_steps * per_step:.0f} |", flush=True)
 
 
-def square_wave(task: SoftJumper, seen: torch.Tensor, step: int, hertz: float) -> torch.Tensor:
+def square_wave(task: SoftJumper, hertz: float, seen: torch.Tensor, step: int) -> torch.Tensor:
     """Commands (batch, num_actions): 1 in the first half of a period, -1 in the second."""
     level = 1.0 if (step * task.dt * hertz) % 1.0 < 0.5 else -1.0
     return torch.full((len(seen), task.num_actions), level, dtype=torch.float64)
@@ -99,22 +100,40 @@ def report_steps() -> None:
 
 
 def draw_curves(records: Path, out: Path) -> None:
-    """Returns against steps and CPU seconds, runs as thin lines, published ends as dashes."""
-    figure = new_figure(8.6, 3.6)
+    """Returns against steps, to the published number of them, and against CPU seconds."""
+    figure = new_figure(8.6, 3.9)
     panels = figure.subplots(1, 2, sharey=True)
-    for method, color in zip(("sapo", "shac", "gradient", "ppo"), CYCLE, strict=False):
+    for method, color in zip(PUBLISHED, CYCLE, strict=False):
+        panels[0].plot(
+            PUBLISHED_STEPS,
+            PUBLISHED[method],
+            "D",
+            color=color,
+            label=f"{LABELS[method]}, published after 6 million steps",
+        )
         for path in sorted((records / method).glob("seed_*")):
             rows = read_rows(path)
             returns = [EPISODE * row["reward"] for row in rows]
             for ax, axis in zip(panels, ("steps", "seconds"), strict=True):
-                values = [row[axis] for row in rows]
-                ax.plot(values, returns, color=color, lw=1.4, label=LABELS[method])
-        published = "apg" if method == "gradient" else method
+                ax.plot(
+                    [row[axis] for row in rows],
+                    returns,
+                    ".-",
+                    color=color,
+                    lw=1.2,
+                    label=f"{LABELS[method]}, here, one line per seed",
+                )
         for ax in panels:
-            _published_line(ax, PUBLISHED[published], color, LABELS[published])
-    style(panels[0], "Return of an episode", "simulation steps", "return")
-    style(panels[1], "The same runs", "CPU seconds of training")
-    legend_below(figure, panels, 4)
+            ax.axhline(PUBLISHED[method], color=color, lw=0.8, ls="--")
+    for ax in panels:
+        label = "all muscles by a square wave of 3 Hz, no training"
+        ax.axhline(BY_HAND, color=SOFT, lw=0.8, ls=":", label=label)
+    style(panels[0], "Return of an episode", "simulation steps")
+    panels[0].set_xscale("symlog", linthresh=1000, linscale=0.3)
+    panels[0].set_xlim(-100, 1.5 * PUBLISHED_STEPS)
+    panels[0].set_xticks([0, 1e3, 1e4, 1e5, 1e6])
+    style(panels[1], "The runs here", "CPU seconds of training")
+    legend_below(figure, panels, 2)
     save(figure, out)
 
 
@@ -130,10 +149,6 @@ def draw_jump(out: Path) -> None:
         ax.set_axis_off()
         ax.set_title(f"{k * CONTROL_PERIOD:.2f} s, center at {heights[k]:.2f} m", fontsize=8)
     save(figure, out)
-
-
-def _published_line(ax: Axes, value: float, color: str, name: str) -> None:
-    ax.axhline(value, color=color, lw=0.9, ls="--", label=f"{name}, published, 6 million steps")
 
 
 def main() -> None:

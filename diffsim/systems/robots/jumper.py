@@ -61,7 +61,7 @@ def soft_jumper(
         damping: Stiffness-proportional damping of the material [s].
         num_sensors: Number of velocity sensors.
         rtol: Relative tolerance of a time step's solution. Its scale are inertial forces, which
-            grow with 1 / dt^2: here 0.6 % of the weight, at half the step four times as much [-].
+            grow with 1 / dt^2: here 1 % of the weight, at half the step four times as much [-].
         integrator: As that of :class:`~diffsim.soft.SoftBody`.
     """
     edge = require_number("cell", cell, above=0.0, hint="unit is m") * (2.0 if coarse else 1.0)
