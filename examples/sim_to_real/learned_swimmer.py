@@ -7,8 +7,10 @@ the diagnosis of the real starfish names them. ``diffsim diagnose explain`` gets
 simulation gets what it names, the same network is trained anew and swims again. Every seed is such
 a chain of its own: first weights, scatter and noise of the laboratory.
 
-Expected: docs/measured/sim_to_real.md. About two minutes of processor time per seed. Every step is
-kept: started again, it goes on where it was interrupted.
+Expected: the diagnosis finds the slack to 3 %, but the robot gains nothing: -0.06 cm/s, 95 %
+interval -0.35 to 0.22 over three seeds. Eight updates do not train the second controller to its end
+(docs/measured/sim_to_real.md); ``--updates`` takes more. About two minutes of processor time per
+seed. Every step is kept: started again, it goes on where it was interrupted.
 
     python examples/sim_to_real/learned_swimmer.py --out runs/learned_swimmer
     python examples/sim_to_real/learned_swimmer.py --quick  # one seed, hardly trained
@@ -19,7 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -206,7 +208,7 @@ def interval(gains: Array) -> tuple[float, float, float]:
 def main(
     out: str = "runs/learned_swimmer",
     *,
-    seeds: Sequence[int] = (0, 1, 2, 3, 4),
+    seeds: Sequence[int] = (0, 1, 2),
     effort: Effort | None = None,
     plot: bool = True,
 ) -> dict[str, float]:
@@ -267,15 +269,17 @@ if __name__ == "__main__":
     with interruptible():
         parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
         parser.add_argument("--out", default="runs/learned_swimmer", help="folder of the chains")
-        parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+        parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
         parser.add_argument("--quick", action="store_true", help="one seed, hardly trained")
+        parser.add_argument("--updates", type=int, help="of either network; 8 by default")
         parser.add_argument("--no-pictures", action="store_true")
         args = parser.parse_args()
         torch.set_num_threads(1)
+        effort = QUICK if args.quick else Effort()
         found = main(
             args.out,
             seeds=args.seeds[:1] if args.quick else args.seeds,
-            effort=QUICK if args.quick else None,
+            effort=replace(effort, updates=args.updates) if args.updates else effort,
             plot=not args.no_pictures,
         )
         for name, value in found.items():
