@@ -92,7 +92,7 @@ def measure(
         "cells": cells,
         "reach": reach,
         "friction": friction if math.isfinite(friction) else None,
-        "candidates": len(body.contact_nodes) / body.mesh.num_vertices,
+        "candidates": len(body.contact_nodes) / body.mesh.num_nodes,
         "share": share,
         "rows": rows,
     }
@@ -111,7 +111,7 @@ def first_contacts(
         touching = int((state.contact_force != 0).any(-1).sum())
         if touching or states:
             states.append(before)
-            shares.append(touching / body.mesh.num_vertices)
+            shares.append(touching / body.mesh.num_nodes)
     every = max(1, plan.span // plan.samples)
     return states[::every], mean(shares[::every])
 

@@ -137,7 +137,7 @@ def contact_counts(solves: list[soft.SolveStats]) -> dict[str, float]:
 def about(body: soft.SoftBody) -> dict[str, Any]:
     """Sizes."""
     return {
-        "num_dof": 3 * body.mesh.num_vertices,
+        "num_dof": 3 * body.mesh.num_nodes,
         "num_elements": body.mesh.num_elements,
         "num_contact_nodes": len(body.contact_nodes),
     }

@@ -77,7 +77,7 @@ def measure_reference(plan: Plan) -> dict[str, Any]:
     _, second = timed(lambda: body(body.rest_state(), physics=still))
     run = one_pass(body, plan.num_steps)
     return {
-        "num_dof": 3 * body.mesh.num_vertices,
+        "num_dof": 3 * body.mesh.num_nodes,
         "num_elements": body.mesh.num_elements,
         "rtol": plan.reference_rtol,
         "converged": run.converged,

@@ -82,7 +82,7 @@ def parts(plan: Plan) -> list[Part]:
 
 
 def directions(plan: Plan, body: soft.SoftBody, count: int) -> list[Tensor]:
-    """Random shifts of the initial positions, (num_vertices, 3) each [m].
+    """Random shifts of the initial positions, (num_nodes, 3) each [m].
 
     As in the published code, every coordinate is uniform in +-reach times the beam's length; held
     nodes stay.

@@ -102,7 +102,7 @@ def material_rows(kind: str, material: str, seconds: float) -> list[Row]:
     body = cantilever(kind, material=material, volume_weight=weight_rule)
     samples = body.mesh.num_elements * (8 if kind == "hex" else 1)
     x = twisted(body)
-    weight, _ = loss_weights(body.mesh.num_vertices)
+    weight, _ = loss_weights(body.mesh.num_nodes)
     with torch.no_grad():
         gradient = median(lambda: body.elastic_force(x), seconds)
     leaf = x.clone().requires_grad_()

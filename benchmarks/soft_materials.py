@@ -141,7 +141,7 @@ def compare(settings: dict[str, Any], say: Callable[[str], None] = lambda text: 
     body = bodies["auto"]
     return {
         **settings,
-        "num_dof": 3 * body.mesh.num_vertices,
+        "num_dof": 3 * body.mesh.num_nodes,
         "num_elements": body.mesh.num_elements,
         "rows": rows,
     }

@@ -37,7 +37,7 @@ def _operations(settings: dict[str, Any]) -> dict[str, Any]:
     body = cantilever(settings["kind"], settings["cells"])
     body.solver = type(body.solver)(num_threads=threads)
     x = twisted(body)
-    weight, _ = loss_weights(body.mesh.num_vertices)
+    weight, _ = loss_weights(body.mesh.num_nodes)
 
     def median(call: Callable[[], object]) -> float:
         return spread([t.wall for t in repeat_for(call, seconds=seconds)])["median"]
@@ -60,7 +60,7 @@ def _operations(settings: dict[str, Any]) -> dict[str, Any]:
     return {
         "task": "operations",
         "kind": settings["kind"],
-        "num_dof": 3 * body.mesh.num_vertices,
+        "num_dof": 3 * body.mesh.num_nodes,
         "tangent_B": 9 * 8 * int(graph.nnz),
         **found,
     }
@@ -111,9 +111,7 @@ def node_graph(shape: mesh.Mesh) -> scipy.sparse.csr_array:
     count, corners = elements.shape
     ones = np.ones(elements.size)
     rows = np.repeat(np.arange(count), corners)
-    incidence = scipy.sparse.csr_array(
-        (ones, (rows, elements.ravel())), (count, shape.num_vertices)
-    )
+    incidence = scipy.sparse.csr_array((ones, (rows, elements.ravel())), (count, shape.num_nodes))
     graph = scipy.sparse.csr_array(incidence.T @ incidence)
     graph.data[:] = -1.0
     diagonal = np.diff(graph.indptr).astype(float)

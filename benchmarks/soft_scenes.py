@@ -71,10 +71,10 @@ def twisted(body: soft.SoftBody, degrees: float = 90.0) -> Tensor:
     )
 
 
-def loss_weights(num_vertices: int, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Standard normal weights of positions [1/m] and velocities [s/m], (num_vertices, 3)."""
+def loss_weights(num_nodes: int, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Standard normal weights of positions [1/m] and velocities [s/m], (num_nodes, 3)."""
     generator = torch.Generator().manual_seed(seed)
-    both = torch.randn(2, num_vertices, 3, generator=generator, dtype=torch.float64)
+    both = torch.randn(2, num_nodes, 3, generator=generator, dtype=torch.float64)
     return both[0], both[1]
 
 
@@ -90,7 +90,7 @@ class Pass:
 
     Attributes:
         loss: Of the final state [-].
-        grad: Gradient to initial positions and velocities, (2, num_vertices, 3) [1/m, s/m].
+        grad: Gradient to initial positions and velocities, (2, num_nodes, 3) [1/m, s/m].
         forward, backward: Times.
         steps, adjoints: Statistics of the solves, in order of execution.
     """

@@ -56,7 +56,7 @@ def main() -> None:
             )
         row = []
         for k in DIRECTIONS:
-            moving = soft.Directions(v=torch.ones(k, body.mesh.num_vertices, 3).double())
+            moving = soft.Directions(v=torch.ones(k, body.mesh.num_nodes, 3).double())
             both = cpu_time(
                 lambda b=body, s=start, p=physics, k=k, d=moving: soft.rollout_tangents(
                     b, s, STEPS, k, d, physics=p, keep=lambda s, t: (s.x[-1], t.x[:, -1])

@@ -24,7 +24,7 @@ Layer = Callable[[Tensor], Tensor]
 def soft_step() -> tuple[Layer, Tensor]:
     m = irregular_mesh("tet", (1, 1, 1))
     body = soft_body(m, fixed=torch.tensor([0, 1]))
-    x, v = deformed(m, 0.1), 0.2 * noise(m.num_vertices, 3, seed=2)
+    x, v = deformed(m, 0.1), 0.2 * noise(m.num_nodes, 3, seed=2)
     return lambda u: body(soft.State(x, u)).x, v
 
 
@@ -43,7 +43,7 @@ def soft_rollout() -> tuple[Layer, Tensor]:
 def soft_statics() -> tuple[Layer, Tensor]:
     m = irregular_mesh("hex", (1, 1, 1))
     body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
-    return lambda f: body.static_equilibrium(external_force=f).x, 0.1 * noise(m.num_vertices, 3)
+    return lambda f: body.static_equilibrium(external_force=f).x, 0.1 * noise(m.num_nodes, 3)
 
 
 def soft_contact() -> tuple[Layer, Tensor]:
@@ -58,7 +58,7 @@ def soft_contact() -> tuple[Layer, Tensor]:
         state = soft.step(body, soft.State(x, v), obstacles=ground)
         return torch.cat([state.x, 0.1 * state.contact_force])
 
-    return layer, down + 0.02 * noise(m.num_vertices, 3, seed=2)
+    return layer, down + 0.02 * noise(m.num_nodes, 3, seed=2)
 
 
 def elastic_force() -> tuple[Layer, Tensor]:

@@ -82,7 +82,7 @@ class Application:
         source: Where it is from, such as "thesis Fig. 4-9".
         body: The soft body; its solver's options are those compared.
         parameters: What is optimized.
-        simulate: Positions of all steps, (num_steps + 1, num_vertices, 3) [m], of parameters
+        simulate: Positions of all steps, (num_steps + 1, num_nodes, 3) [m], of parameters
             (num_parameters,); with gradient.
         loss: Loss of parameters and those positions; a scalar, with gradient.
         numbers: What the parameters and the motion mean to a person, by name with unit.
@@ -92,7 +92,7 @@ class Application:
         warm_up: The same parameters with an easier loss, of a shorter motion say, whose answer is
             the first guess of this one.
         obstacles: Obstacles for pictures.
-        follow: Maps positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
+        follow: Maps positions (..., num_nodes, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
         scale: The optimizer sees the loss over this; None: over the first loss. All parameters are
@@ -120,7 +120,7 @@ class Application:
     @property
     def num_dofs(self) -> int:
         """Degrees of freedom, fixed ones included, as Table 4.2 counts them."""
-        return 3 * self.body.mesh.num_vertices
+        return 3 * self.body.mesh.num_nodes
 
     def motion(self, values: Array) -> Tensor:
         """Positions of all steps, without gradient; kept, since stories ask for them again."""

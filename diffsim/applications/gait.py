@@ -91,7 +91,7 @@ def gait(
 
 
 def _walk(robot: SoftRobot, command: Tensor) -> Tensor:
-    """Positions of all steps from rest, (num_steps + 1, num_vertices, 3) [m]."""
+    """Positions of all steps from rest, (num_steps + 1, num_nodes, 3) [m]."""
     activation = robot.activation(command)
     return soft.rollout(
         robot.body,

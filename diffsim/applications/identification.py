@@ -18,7 +18,7 @@ TRUTH_RTOL = 1e-8
 """Tolerance of the truth's steps: its rounding is not that of the simulation fitted to it."""
 
 Move = Callable[[soft.SoftBody, soft.Physics, int], Tensor]
-"""Positions of all steps, (num_steps + 1, num_vertices, 3) [m], of a body, its parameters, and how
+"""Positions of all steps, (num_steps + 1, num_nodes, 3) [m], of a body, its parameters, and how
 many steps there are."""
 
 

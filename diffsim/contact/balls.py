@@ -29,7 +29,7 @@ def ball_force(
     :class:`BodyContact` has neither defect.
 
     Args:
-        x: Positions, (num_vertices, 3) [m].
+        x: Positions, (num_nodes, 3) [m].
         v: Velocities, same shape [m/s].
         balls: Nodes of each ball, (num_balls, nodes_per_ball) int64.
         radius: Radius of all balls [m], > 0.
@@ -40,10 +40,10 @@ def ball_force(
         Forces, each ball's spread evenly over its nodes, shape of x [N]. Gradients: x, radius,
         stiffness, friction (in v they vanish almost everywhere); first order.
     """
-    x = require("x", x, ("num_vertices", 3))
+    x = require("x", x, ("num_nodes", 3))
     v = require("v", v, tuple(x.shape))
     balls = require("balls", balls, ("num_balls", "nodes_per_ball"), torch.int64)
-    require_indices("balls", balls, len(x), "vertices")
+    require_indices("balls", balls, len(x), "nodes")
     if balls.shape[1] == 0:
         raise ValueError("balls must have at least one node each, got shape (num_balls, 0)")
     count = len(balls)

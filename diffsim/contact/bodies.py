@@ -63,17 +63,17 @@ class BodyContact(nn.Module):
         """Forces on both bodies.
 
         Args:
-            x_a, v_a: Positions [m] and velocities [m/s] of body a, (..., num_vertices_a, 3).
-            x_b, v_b: Positions [m] and velocities [m/s] of body b, (..., num_vertices_b, 3), with
+            x_a, v_a: Positions [m] and velocities [m/s] of body a, (..., num_nodes_a, 3).
+            x_b, v_b: Positions [m] and velocities [m/s] of body b, (..., num_nodes_b, 3), with
                 the same batch axes.
 
         Returns:
             Forces on a and b, shapes of x_a and x_b [N]. Gradients: positions, velocities and all
             coefficients; first order; which triangle is closest is piecewise constant.
         """
-        x_a = require("x_a", x_a, ("...", self._a.num_vertices, 3))
+        x_a = require("x_a", x_a, ("...", self._a.num_nodes, 3))
         v_a = require("v_a", v_a, tuple(x_a.shape))
-        x_b = require("x_b", x_b, (*x_a.shape[:-2], self._b.num_vertices, 3))
+        x_b = require("x_b", x_b, (*x_a.shape[:-2], self._b.num_nodes, 3))
         v_b = require("v_b", v_b, tuple(x_b.shape))
         if x_a.ndim == 2:
             return self._pair(x_a, v_a, x_b, v_b)
@@ -127,7 +127,7 @@ class _Skin:
     def __init__(self, name: str, mesh: _Mesh):
         if not isinstance(mesh, (HexMesh, TetMesh)):
             raise TypeError(f"{name} must be a HexMesh or TetMesh, got {type(mesh).__name__}")
-        self.num_vertices = mesh.num_vertices
+        self.num_nodes = mesh.num_nodes
         self.faces = surface_triangles(mesh).faces
         self.vertices, local = torch.unique(self.faces, return_inverse=True)
         self._local_faces = local.numpy()
@@ -165,7 +165,7 @@ class _Skin:
 
 
 class _Moving(NamedTuple):
-    """A body's surface with its positions [m] and velocities [m/s], (num_vertices, 3)."""
+    """A body's surface with its positions [m] and velocities [m/s], (num_nodes, 3)."""
 
     skin: _Skin
     x: Tensor

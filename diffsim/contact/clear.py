@@ -25,7 +25,7 @@ def check_clear(
     Args:
         obstacles: Obstacles at their poses at the start.
         mesh: The body's mesh.
-        x: Positions, (num_vertices, 3) [m].
+        x: Positions, (num_nodes, 3) [m].
         tolerance: Depth that is let pass [m].
 
     Raises:
@@ -34,9 +34,9 @@ def check_clear(
     many = require_obstacles(obstacles)
     if not isinstance(mesh, (HexMesh, TetMesh)):
         raise TypeError(f"mesh must be a HexMesh or TetMesh, got {type(mesh).__name__}")
-    x = require("x", x, (mesh.num_vertices, 3))
+    x = require("x", x, (mesh.num_nodes, 3))
     tolerance = require_number("tolerance", tolerance, at_least=0.0, hint="unit is m")
-    interior = torch.ones(mesh.num_vertices, dtype=torch.bool)
+    interior = torch.ones(mesh.num_nodes, dtype=torch.bool)
     interior[surface_vertices(mesh)] = False
     points = torch.cat([x[interior], x[mesh.elements].mean(1)])
     for k, obstacle in enumerate(many):

@@ -40,7 +40,7 @@ def penalty_force(
 
     Args:
         obstacles: Obstacles at their present poses.
-        x: Positions, (..., num_vertices, 3) [m].
+        x: Positions, (..., num_nodes, 3) [m].
         v: Velocities, same shape [m/s].
         stiffness: Stiffness of the normal force, >= 0 [N/m^(exponent - 1)].
         exponent: Exponent of the energy in depth, > 1; 2: force proportional to depth.
@@ -59,7 +59,7 @@ def penalty_force(
     Methods for Dynamics".
     """
     many = require_obstacles(obstacles)
-    x = require("x", x, ("...", "num_vertices", 3))
+    x = require("x", x, ("...", "num_nodes", 3))
     v = require("v", v, tuple(x.shape))
     kn = scalar("stiffness", stiffness, at_least=0.0)
     cap = scalar("viscous_cap", viscous_cap, at_least=0.0)
@@ -69,7 +69,7 @@ def penalty_force(
     if nodes is None:
         return _force(many, x, v, kn, exponent, mu, cap, damp)
     nodes = require("nodes", nodes, ("k",), torch.int64)
-    nodes = require_indices("nodes", nodes, x.shape[-2], "vertices")
+    nodes = require_indices("nodes", nodes, x.shape[-2], "nodes")
     force = _force(many, x[..., nodes, :], v[..., nodes, :], kn, exponent, mu, cap, damp)
     return torch.zeros_like(x).index_add(-2, nodes, force)
 

@@ -47,7 +47,7 @@ def body_picture(
     """A soft body's surface.
 
     Args:
-        x: Nodes, (num_vertices, 3) [m], z up.
+        x: Nodes, (num_nodes, 3) [m], z up.
         faces: (num_faces, 3 or 4).
         center: What the camera looks at, (3,) [m].
         reach: Half width of what is seen [m].

@@ -116,7 +116,7 @@ class Jump(SoftTask):
         out += [Entry(f"last command {k}", -1.0, 1.0) for k in range(self.num_actions)]
         out += [
             Entry(f"node {node} from the center, {axis}, times 0.1", -inf, inf, "m")
-            for node in range(self.robot.body.mesh.num_vertices)
+            for node in range(self.robot.body.mesh.num_nodes)
             for axis in "xyz"
         ]
         return out + self._clock_entries()

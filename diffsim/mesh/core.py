@@ -43,12 +43,12 @@ class Mesh:
 
     @property
     def num_nodes(self) -> int:
-        """Number of nodes; ``num_vertices`` in shapes."""
+        """Number of nodes."""
         return self.x_rest.shape[0]
 
     @property
     def num_vertices(self) -> int:
-        """Number of nodes."""
+        """Number of nodes, by the word that surfaces have."""
         return self.x_rest.shape[0]
 
     @property
@@ -59,7 +59,7 @@ class Mesh:
     @property
     def num_dofs(self) -> int:
         """Three displacements per node."""
-        return 3 * self.num_vertices
+        return 3 * self.num_nodes
 
     @property
     def bounds(self) -> Tensor:
@@ -70,14 +70,14 @@ class Mesh:
         """Edges of the elements, each once with the lower index first, (num_edges, 2) int64."""
         local = torch.from_numpy(self._local_edges)
         pairs = self.elements[:, local].reshape(-1, 2).sort(dim=1).values
-        keys = torch.unique(pairs[:, 0] * self.num_vertices + pairs[:, 1])
-        return torch.stack([keys // self.num_vertices, keys % self.num_vertices], dim=1)
+        keys = torch.unique(pairs[:, 0] * self.num_nodes + pairs[:, 1])
+        return torch.stack([keys // self.num_nodes, keys % self.num_nodes], dim=1)
 
     def nodes_where(self, predicate: Callable[[Tensor], Tensor]) -> Tensor:
         """Indices of the nodes at which ``predicate(x_rest)`` holds.
 
         Args:
-            predicate: Takes (num_vertices, 3) positions [m], returns (num_vertices,) bool, a tensor
+            predicate: Takes (num_nodes, 3) positions [m], returns (num_nodes,) bool, a tensor
                 or an array.
 
         Returns:
@@ -88,7 +88,7 @@ class Mesh:
             MeshError: no node is selected.
         """
         chosen = as_array("predicate(x_rest)", predicate(self.x_rest.clone()), torch.bool)
-        chosen = require("predicate(x_rest)", chosen, (self.num_vertices,), torch.bool)
+        chosen = require("predicate(x_rest)", chosen, (self.num_nodes,), torch.bool)
         nodes = torch.nonzero(chosen).flatten()
         if nodes.numel() == 0:
             raise MeshError(f"no node satisfies the predicate; the mesh spans {self._span()}")
@@ -128,7 +128,7 @@ class Mesh:
         for name, value in (("x_rest", self.x_rest), (field, getattr(self, field))):
             if isinstance(value, Tensor) and value.requires_grad:
                 raise ValueError(f"{name} must not require grad; pass {name}.detach()")
-        x = require("x_rest", as_array("x_rest", self.x_rest), ("num_vertices", 3), torch.float64)
+        x = require("x_rest", as_array("x_rest", self.x_rest), ("num_nodes", 3), torch.float64)
         elements = require(
             field,
             as_array(field, getattr(self, field), torch.int64),
@@ -137,12 +137,12 @@ class Mesh:
         )
         object.__setattr__(self, "x_rest", x.clone())
         object.__setattr__(self, field, elements.clone())
-        validate.check_indices(self.elements.numpy(), self.num_vertices, field)
+        validate.check_indices(self.elements.numpy(), self.num_nodes, field)
         validate.check_nodes(self.x_rest.numpy(), self.elements.numpy(), field)
 
     def __repr__(self) -> str:
         return (
-            f"{type(self).__name__}({self.num_vertices} nodes, {self.num_elements} elements, "
+            f"{type(self).__name__}({self.num_nodes} nodes, {self.num_elements} elements, "
             f"{self._span()})"
         )
 
@@ -152,7 +152,7 @@ class HexMesh(Mesh):
     """Trilinear hexahedra.
 
     Attributes:
-        x_rest: Node positions at rest, (num_vertices, 3) float64 [m]; also called ``nodes``. A
+        x_rest: Node positions at rest, (num_nodes, 3) float64 [m]; also called ``nodes``. A
             tensor, NumPy array or list.
         hexes: Node indices, (num_elements, 8) int64, local order (di, dj, dk) = 000, 001, 010,
             011, 100, 101, 110, 111. For VTK's order use ``vtk[:, HEX_FROM_VTK]``.
@@ -184,7 +184,7 @@ class TetMesh(Mesh):
     """Linear tetrahedra.
 
     Attributes:
-        x_rest: Node positions at rest, (num_vertices, 3) float64 [m]; also called ``nodes``. A
+        x_rest: Node positions at rest, (num_nodes, 3) float64 [m]; also called ``nodes``. A
             tensor, NumPy array or list.
         tets: Node indices, (num_elements, 4) int64, right-handed: det[x1-x0, x2-x0, x3-x0] > 0.
 

@@ -152,8 +152,8 @@ def save(
     Args:
         mesh: The mesh.
         path: File to write; the extension chooses the format. Folders are made.
-        x: Positions to write instead of ``x_rest``, (num_vertices, 3) [m].
-        node_data: Named values, (num_vertices, ...) each; volume formats only.
+        x: Positions to write instead of ``x_rest``, (num_nodes, 3) [m].
+        node_data: Named values, (num_nodes, ...) each; volume formats only.
         element_data: Named values, (num_elements, ...) each; volume formats only.
 
     Returns:
@@ -162,9 +162,9 @@ def save(
     path = Path(path)
     suffix = _suffix(path, [*VOLUME_FORMATS, *SURFACE_FORMATS])
     if x is not None:
-        x = require("x", as_array("x", x).detach(), (mesh.num_vertices, 3))
+        x = require("x", as_array("x", x).detach(), (mesh.num_nodes, 3))
     data = {
-        "node_data": _data("node_data", node_data, mesh.num_vertices),
+        "node_data": _data("node_data", node_data, mesh.num_nodes),
         "element_data": _data("element_data", element_data, mesh.num_elements),
     }
     with replacing(path, suffix) as partial:

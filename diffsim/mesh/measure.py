@@ -65,7 +65,7 @@ class Quality:
 
     Attributes:
         kind: Kind of the elements, "hex" or "tet".
-        num_vertices: Number of nodes.
+        num_nodes: Number of nodes.
         num_elements: Number of elements.
         total_volume: Volume of the mesh [m^3].
         volume_ratio: Largest element volume over the smallest [-].
@@ -78,7 +78,7 @@ class Quality:
     """
 
     kind: str
-    num_vertices: int
+    num_nodes: int
     num_elements: int
     total_volume: float
     volume_ratio: float
@@ -89,7 +89,7 @@ class Quality:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.num_elements} {self.kind} elements, {self.num_vertices} nodes, volume "
+            f"{self.num_elements} {self.kind} elements, {self.num_nodes} nodes, volume "
             f"{self.total_volume:.6g} m^3, largest/smallest element {self.volume_ratio:.3g}",
             f"{'':22}{'min':>11}{'mean':>11}{'max':>11}   histogram from min to max",
         ]
@@ -118,7 +118,7 @@ def quality(mesh: HexMesh | TetMesh) -> Quality:
         scaled, angles = _tet_scaled_jacobian(corners, lengths), _tet_dihedral_angles(corners)
     return Quality(
         kind=mesh.kind,
-        num_vertices=mesh.num_vertices,
+        num_nodes=mesh.num_nodes,
         num_elements=mesh.num_elements,
         total_volume=float(volume.sum()),
         volume_ratio=float(volume.max() / volume.min()),

@@ -78,10 +78,10 @@ def nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
     """Volume lumped to the nodes, see :func:`nodal_shares`.
 
     Returns:
-        (num_vertices,) [m^3], positive, summing to the mesh's volume; times density it is the
+        (num_nodes,) [m^3], positive, summing to the mesh's volume; times density it is the
         lumped mass.
     """
-    out = torch.zeros(mesh.num_vertices, dtype=torch.float64)
+    out = torch.zeros(mesh.num_nodes, dtype=torch.float64)
     return out.index_add_(0, mesh.elements.flatten(), nodal_shares(mesh).flatten())
 
 

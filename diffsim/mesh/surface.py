@@ -59,7 +59,7 @@ def to_trimesh(mesh: HexMesh | TetMesh, x: Tensor | None = None) -> trimesh.Trim
 
     Args:
         mesh: The volume mesh.
-        x: Positions to show instead of ``x_rest``, (num_vertices, 3) [m].
+        x: Positions to show instead of ``x_rest``, (num_nodes, 3) [m].
 
     Returns:
         Vertices in the order of `surface_vertices`; ``metadata["vertex_idx"]`` holds these indices

@@ -26,14 +26,14 @@ COINCIDENT = 1e-9
 _CHUNK = 1 << 16
 
 
-def check_indices(elements: IntArray, num_vertices: int, plural: str) -> None:
+def check_indices(elements: IntArray, num_nodes: int, plural: str) -> None:
     """No elements, indices out of range, and indices used twice in one element."""
     if len(elements) == 0:
         raise MeshError(f"the mesh has no elements: {plural} is empty; pass at least one element")
-    outside = np.flatnonzero(((elements < 0) | (elements >= num_vertices)).any(axis=1))
+    outside = np.flatnonzero(((elements < 0) | (elements >= num_nodes)).any(axis=1))
     if len(outside):
         raise MeshError(
-            f"{plural} must hold indices of x_rest in [0, {num_vertices}), but "
+            f"{plural} must hold indices of x_rest in [0, {num_nodes}), but "
             f"{_count(len(outside), len(elements), 'elements do', 'element does')} not: "
             f"{_first(outside)}; check that numbering starts at 0",
             _indices(outside),

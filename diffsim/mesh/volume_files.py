@@ -38,7 +38,7 @@ class VolumeFile:
     """What a file holds.
 
     Attributes:
-        x: Positions of the nodes, (num_vertices, 3) [unit of the file].
+        x: Positions of the nodes, (num_nodes, 3) [unit of the file].
         elements: Node indices, (num_elements, 8) or (num_elements, 4), in this library's order.
         element_data: Named values of the elements, (num_elements, ...) each.
         groups: Indices of the elements of each named group; elements may be in several.

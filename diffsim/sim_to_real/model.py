@@ -98,7 +98,7 @@ class Starfish:
         """Places of the markers and of the center of mass.
 
         Args:
-            x: (..., num_vertices, 3) [m].
+            x: (..., num_nodes, 3) [m].
 
         Returns:
             (..., 9): x and z of four markers, and x of the center of mass (thesis eq. 5.11; by

@@ -156,8 +156,8 @@ class EnergyArrays(Arrays):
         fiber_stiffness: (num_fibers,) [Pa].
         activation: Target stretch of each fiber, (batch, num_fibers) [-].
         damp_mu, damp_lambda: Weights of damping, (num_elements,) [Pa].
-        x_frame: Positions of the frame that damping refers to, (batch, num_vertices, 3) [m].
-        x_velocity: Positions that velocity is measured from, (batch, num_vertices, 3) [m].
+        x_frame: Positions of the frame that damping refers to, (batch, num_nodes, 3) [m].
+        x_velocity: Positions that velocity is measured from, (batch, num_nodes, 3) [m].
         pressure: Gauge pressures, (batch, num_chambers) [Pa].
     """
 
@@ -167,8 +167,8 @@ class EnergyArrays(Arrays):
     activation: Tensor = field(metadata=_spec("num_fibers"))
     damp_mu: Tensor = field(metadata=_spec("num_elements", batched=False, damping=True))
     damp_lambda: Tensor = field(metadata=_spec("num_elements", batched=False, damping=True))
-    x_frame: Tensor = field(metadata=_spec("num_vertices", 3, damping=True))
-    x_velocity: Tensor = field(metadata=_spec("num_vertices", 3, damping=True))
+    x_frame: Tensor = field(metadata=_spec("num_nodes", 3, damping=True))
+    x_velocity: Tensor = field(metadata=_spec("num_nodes", 3, damping=True))
     pressure: Tensor = field(metadata=_spec("num_chambers"))
 
     @property
@@ -187,19 +187,19 @@ class StepArrays(EnergyArrays):
     """The problem of one implicit step, see csrc/kernels/soft/implicit_step.h.
 
     Attributes:
-        y: Inertial positions, (batch, num_vertices, 3) [m].
-        force: (batch, num_vertices, 3) [N].
-        target: Positions of Dirichlet nodes, (batch, num_vertices, 3) [m].
-        guess: Start of the iteration, (batch, num_vertices, 3) [m]; its gradient is zero but in
+        y: Inertial positions, (batch, num_nodes, 3) [m].
+        force: (batch, num_nodes, 3) [N].
+        target: Positions of Dirichlet nodes, (batch, num_nodes, 3) [m].
+        guess: Start of the iteration, (batch, num_nodes, 3) [m]; its gradient is zero but in
             linearly implicit steps.
-        inertia: (num_vertices,) [N/m].
+        inertia: (num_nodes,) [N/m].
     """
 
-    y: Tensor = field(metadata=_spec("num_vertices", 3))
-    force: Tensor = field(metadata=_spec("num_vertices", 3))
-    target: Tensor = field(metadata=_spec("num_vertices", 3))
-    guess: Tensor = field(metadata=_spec("num_vertices", 3))
-    inertia: Tensor = field(metadata=_spec("num_vertices", batched=False))
+    y: Tensor = field(metadata=_spec("num_nodes", 3))
+    force: Tensor = field(metadata=_spec("num_nodes", 3))
+    target: Tensor = field(metadata=_spec("num_nodes", 3))
+    guess: Tensor = field(metadata=_spec("num_nodes", 3))
+    inertia: Tensor = field(metadata=_spec("num_nodes", batched=False))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -69,7 +69,7 @@ class SoftContext:
         require_magnitude("the body's longest side [m]", extent, LENGTHS)
         self.handle = next(_handles)
         self.material = material
-        self.num_vertices = x_rest.shape[0]
+        self.num_nodes = x_rest.shape[0]
         self.num_elements = elements.shape[0]
         self.num_fibers = fiber_elements.shape[0]
         self.num_chambers = chambers.num_chambers
@@ -77,7 +77,7 @@ class SoftContext:
         self.pattern = core.make_soft_pattern(
             is_hex=is_hex,
             material=getattr(core.Material, material),
-            num_nodes=self.num_vertices,
+            num_nodes=self.num_nodes,
             num_elements=self.num_elements,
             num_classes=grad.shape[0],
             num_fibers=self.num_fibers,
@@ -105,7 +105,7 @@ class SoftContext:
     def sizes(self) -> dict[str, int]:
         """Sizes of arrays by name, see :mod:`diffsim.soft._arrays`."""
         return {
-            "num_vertices": self.num_vertices,
+            "num_nodes": self.num_nodes,
             "num_elements": self.num_elements,
             "num_fibers": self.num_fibers,
             "num_chambers": self.num_chambers,

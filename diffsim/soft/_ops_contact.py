@@ -36,14 +36,14 @@ from diffsim.soft._sticking import report_pulling
 
 
 def _require_contacts(
-    num_vertices: int, batch: int, nodes: Tensor, contacts: list[Tensor]
+    num_nodes: int, batch: int, nodes: Tensor, contacts: list[Tensor]
 ) -> ContactArrays:
     """The arrays of the contacts, of the right sizes: kernels read whole arrays."""
     if nodes.dtype != torch.int64 or nodes.ndim != 1 or not nodes.is_contiguous():
         raise TypeError("contact nodes must be a contiguous int64 vector")
     count = nodes.shape[0]
-    if count and (int(nodes.min()) < 0 or int(nodes.max()) >= num_vertices):
-        raise ValueError(f"contact nodes must lie in [0, {num_vertices})")
+    if count and (int(nodes.min()) < 0 or int(nodes.max()) >= num_nodes):
+        raise ValueError(f"contact nodes must lie in [0, {num_nodes})")
     arrays = ContactArrays.of(contacts)
     arrays.require_sizes(batch, {"num_contacts": count})
     return arrays
@@ -80,7 +80,7 @@ def contact_step(
     ctx = context(handle)
     batch, count = StepArrays.of(inputs).y.shape[0], nodes.shape[0]
     arrays = require_step(ctx, inputs, batch)
-    planes = _require_contacts(ctx.num_vertices, batch, nodes, contacts)
+    planes = _require_contacts(ctx.num_nodes, batch, nodes, contacts)
     x = torch.empty_like(arrays.y)
     force = x.new_zeros(batch, count, 3)
     status = torch.zeros(batch, count, dtype=torch.int64)
@@ -142,7 +142,7 @@ def contact_step_vjp(
     batch, count = x.shape[0], nodes.shape[0]
     grad_x, grad_force, status = grad_x.contiguous(), grad_force.contiguous(), status.contiguous()
     arrays = require_step(ctx, inputs, batch, x=x, grad_x=grad_x)
-    planes = _require_contacts(ctx.num_vertices, batch, nodes, contacts)
+    planes = _require_contacts(ctx.num_nodes, batch, nodes, contacts)
     require_array("grad_force", grad_force, (batch, count, 3))
     if tuple(status.shape) != (batch, count) or status.dtype != torch.int64:
         raise ValueError(
@@ -236,13 +236,13 @@ def contact_step_jvp(
             empty tensor where one does not move.
 
     Returns:
-        (batch, num_vertices, 3), (batch, num_contacts, 3).
+        (batch, num_nodes, 3), (batch, num_contacts, 3).
     """
     ctx = context(handle)
     batch, count = x.shape[0], nodes.shape[0]
     x, status = x.contiguous(), status.contiguous()
     arrays = require_step(ctx, inputs, batch, x=x)
-    planes = _require_contacts(ctx.num_vertices, batch, nodes, contacts)
+    planes = _require_contacts(ctx.num_nodes, batch, nodes, contacts)
     moved = arrays.moving(directions)
     planes_moved = planes.moving(contact_directions)
     dx, dforce = torch.empty_like(x), x.new_empty(batch, count, 3)

@@ -20,7 +20,7 @@ def _require(ctx: SoftContext, inputs: list[Tensor], **nodal: Tensor) -> EnergyA
     batch = next(iter(nodal.values())).shape[0]
     arrays.require_sizes(batch, ctx.sizes, damped=arrays.damped)
     for name, tensor in nodal.items():
-        require_array(name, tensor, (batch, ctx.num_vertices, 3))
+        require_array(name, tensor, (batch, ctx.num_nodes, 3))
     return arrays
 
 

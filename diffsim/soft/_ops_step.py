@@ -54,11 +54,11 @@ def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None
 
 
 def require_step(ctx: SoftContext, inputs: list[Tensor], batch: int, **nodal: Tensor) -> StepArrays:
-    """The arrays of a step, and further (batch, num_vertices, 3) ones, of the body's sizes."""
+    """The arrays of a step, and further (batch, num_nodes, 3) ones, of the body's sizes."""
     arrays = StepArrays.of(inputs)
     arrays.require_sizes(batch, ctx.sizes, damped=arrays.damped)
     for name, tensor in nodal.items():
-        require_array(name, tensor, (batch, ctx.num_vertices, 3))
+        require_array(name, tensor, (batch, ctx.num_nodes, 3))
     return arrays
 
 
@@ -97,7 +97,7 @@ def soft_step(
         inputs: Tensors of a :class:`StepArrays`.
 
     Returns:
-        x (batch, num_vertices, 3) [m], stats.
+        x (batch, num_nodes, 3) [m], stats.
     """
     ctx = context(handle)
     batch = StepArrays.of(inputs).y.shape[0]
@@ -259,12 +259,12 @@ def soft_step_jvp(
     """Derivative of :func:`soft_step` along one direction of its inputs, for every batch item.
 
     Args:
-        x: Answer of the step, (batch, num_vertices, 3) [m].
+        x: Answer of the step, (batch, num_nodes, 3) [m].
         inputs: Tensors of a :class:`StepArrays`.
         directions: Tangents in the same order; an empty tensor where an input does not move.
 
     Returns:
-        (batch, num_vertices, 3).
+        (batch, num_nodes, 3).
     """
     require_forward_mode(method)
     ctx = context(handle)

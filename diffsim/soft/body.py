@@ -33,13 +33,13 @@ class SoftBody(Solid):
         youngs_modulus: Young's modulus, scalar or (num_elements,) [Pa], > 0.
         poissons_ratio: Poisson's ratio, scalar or (num_elements,) [-], in (-1, 0.5); for ``pd`` in
             [0, 0.5).
-        density: Mass per rest volume, scalar, (num_elements,) or (num_vertices,) [kg/m^3], > 0.
+        density: Mass per rest volume, scalar, (num_elements,) or (num_nodes,) [kg/m^3], > 0.
         material: Energy of the solid: ``pd`` (projective dynamics, corotated and volume energies,
             thesis eq. 4.12), ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``;
             or a :class:`~diffsim.soft.Material`.
         gravity: Acceleration of free fall, (3,) [m/s^2].
-        fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_vertices,) or one per
-            axis (num_vertices, 3) bool; None: free.
+        fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_nodes,) or one per
+            axis (num_nodes, 3) bool; None: free.
         muscles: Muscles and tendons, each driven by one activation.
         chambers: Pneumatic chambers, each driven by one pressure.
         damping: Rayleigh damping, :class:`~diffsim.soft.Damping`; None: no damping.

@@ -87,13 +87,13 @@ class PressureChamber:
         V = -1/6 sum over triangles of x_a . (x_b x x_c)
 
         Args:
-            x: Positions of the body's nodes, (..., num_vertices, 3) [m].
+            x: Positions of the body's nodes, (..., num_nodes, 3) [m].
 
         Returns:
             (...) [m^3]. Gradient: x.
         """
-        x = require("x", x, ("...", "num_vertices", 3))
-        require_indices("faces", self.faces, x.shape[-2], "vertices")
+        x = require("x", x, ("...", "num_nodes", 3))
+        require_indices("faces", self.faces, x.shape[-2], "nodes")
         # Relative to one node, a constant: the volume does not change and nothing cancels.
         x = x - x[..., self.faces[0, :1], :].detach()
         total = _triple(*(x[..., corner, :] for corner in self.faces.T)).sum(-1)
@@ -112,7 +112,7 @@ class ChamberSet:
             if not isinstance(chamber, PressureChamber):
                 kind = type(chamber).__name__
                 raise TypeError(f"chambers[{k}] must be a PressureChamber, got {kind}")
-            require_indices(f"chambers[{k}].faces", chamber.faces, mesh.num_vertices, "vertices")
+            require_indices(f"chambers[{k}].faces", chamber.faces, mesh.num_nodes, "nodes")
         self.chambers = tuple(chambers)
         self.num_chambers = len(chambers)
         if chambers:
@@ -127,7 +127,7 @@ class ChamberSet:
         self.lid_nodes = torch.cat([empty, *(lid for _, lid in lids)])
 
     def volumes(self, x: Tensor) -> Tensor:
-        """Volumes of all chambers at positions x (..., num_vertices, 3), (..., num_chambers) [m^3].
+        """Volumes of all chambers at positions x (..., num_nodes, 3), (..., num_chambers) [m^3].
 
         Gradient: x.
         """

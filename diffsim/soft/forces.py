@@ -44,7 +44,7 @@ def elastic_force(
 
     Args:
         body: The body.
-        x: Positions, (..., num_vertices, 3) [m].
+        x: Positions, (..., num_nodes, 3) [m].
         activation: Muscle activations, broadcastable to (..., num_muscles); None: rest.
         pressure: Gauge pressures of the chambers, broadcastable to (..., num_chambers) [Pa];
             None: zero.
@@ -69,7 +69,7 @@ def elastic_energy(
 
     Args:
         body: The body.
-        x: Positions, (..., num_vertices, 3) [m].
+        x: Positions, (..., num_nodes, 3) [m].
         activation: Muscle activations, broadcastable to (..., num_muscles); None: rest.
         pressure: Gauge pressures of the chambers, broadcastable to (..., num_chambers) [Pa];
             None: zero.
@@ -103,6 +103,6 @@ def _checked(
     physics: Physics | None,
 ) -> tuple[Tensor, Loads]:
     physics = body.physics() if physics is None else physics
-    x = require("x", x, ("...", body.mesh.num_vertices, 3))
+    x = require("x", x, ("...", body.mesh.num_nodes, 3))
     state = State(x, torch.zeros_like(x))
     return check_inputs(body, state, physics, activation=activation, pressure=pressure)

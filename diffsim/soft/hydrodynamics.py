@@ -23,8 +23,8 @@ class HydroForces(NamedTuple):
     """What :meth:`Hydrodynamics.evaluate` returns.
 
     Attributes:
-        forces: Nodal forces after limiting, (..., num_vertices, 3) [N].
-        limited: Nodes on which ``max_force`` acted, (..., num_vertices) bool.
+        forces: Nodal forces after limiting, (..., num_nodes, 3) [N].
+        limited: Nodes on which ``max_force`` acted, (..., num_nodes) bool.
     """
 
     forces: Tensor
@@ -129,7 +129,7 @@ class Hydrodynamics(nn.Module):
         """Nodal forces.
 
         Args:
-            x: Positions, (..., num_vertices, 3) [m].
+            x: Positions, (..., num_nodes, 3) [m].
             v: Velocities, same shape [m/s].
             water_velocity: Velocity of the water, (..., 3) [m/s], broadcast over batch axes;
                 None: the module's.
@@ -143,7 +143,7 @@ class Hydrodynamics(nn.Module):
         self, x: Tensor, v: Tensor, *, water_velocity: Tensor | None = None
     ) -> HydroForces:
         """Forces as in :meth:`forward`, and the nodes on which the limit acted."""
-        x = require("x", x, ("...", self.mesh.num_vertices, 3))
+        x = require("x", x, ("...", self.mesh.num_nodes, 3))
         v = require("v", v, tuple(x.shape))
         self._check_parameters()
         water = self.water_velocity
@@ -178,7 +178,7 @@ class Hydrodynamics(nn.Module):
             require_range("density", self.density, above=0.0, hint="unit is kg/m^3")
 
     def _at_corners(self, nodal: Tensor) -> Tensor:
-        """(..., num_vertices, 3) -> (..., corners, 3, num_faces).
+        """(..., num_nodes, 3) -> (..., corners, 3, num_faces).
 
         Faces come last: operations along three components are slow where these come last.
         """

@@ -24,11 +24,11 @@ def added_mass(
 
     Args:
         source: The mesh, or the hydrodynamics made for it.
-        coefficient: Added mass over displaced mass, scalar or (num_vertices,) [-], >= 0.
+        coefficient: Added mass over displaced mass, scalar or (num_nodes,) [-], >= 0.
         density: Density of the water, scalar [kg/m^3]; None: that of the hydrodynamics.
 
     Returns:
-        (num_vertices,) [kg]. Gradients: coefficient, density.
+        (num_nodes,) [kg]. Gradients: coefficient, density.
     """
     if isinstance(source, Hydrodynamics):
         mesh = source.mesh
@@ -61,16 +61,16 @@ def buoyancy(
     The volume is that at rest; a body that changes its volume is not followed.
 
     Args:
-        volume: The mesh, or nodal volumes (num_vertices,) [m^3].
+        volume: The mesh, or nodal volumes (num_nodes,) [m^3].
         density: Density of the water, scalar [kg/m^3].
         gravity: Acceleration of free fall, (3,) [m/s^2].
 
     Returns:
-        Nodal forces, (num_vertices, 3) [N], for ``external_force``. Gradients: nodal volumes,
+        Nodal forces, (num_nodes, 3) [N], for ``external_force``. Gradients: nodal volumes,
         density, gravity.
     """
     nodal = volume if isinstance(volume, Tensor) else _nodal_volume(volume)
-    nodal = require("volume", nodal, ("num_vertices",))
+    nodal = require("volume", nodal, ("num_nodes",))
     rho = require("density", as_tensor("density", density), ())
     pull = require("gravity", as_tensor("gravity", gravity), (3,))
     if not torch.compiler.is_compiling():

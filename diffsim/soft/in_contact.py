@@ -19,7 +19,7 @@ from diffsim.soft.state import State
 def contact_planes(
     body: Solid, obstacles: Sequence[Obstacle], x: Tensor, y: Tensor
 ) -> ContactPlanes:
-    """Half spaces of the contact nodes for a step from x to about y, (..., num_vertices, 3) [m]."""
+    """Half spaces of the contact nodes for a step from x to about y, (..., num_nodes, 3) [m]."""
     nodes = body.contact_nodes
     return detect(
         obstacles,

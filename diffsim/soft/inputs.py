@@ -22,8 +22,8 @@ class Loads:
     """What acts on a body in one step, checked, with the batch axes of the state.
 
     Attributes:
-        force: External forces and weight, (..., num_vertices, 3) [N].
-        target: Positions of Dirichlet nodes, (..., num_vertices, 3) [m].
+        force: External forces and weight, (..., num_nodes, 3) [N].
+        target: Positions of Dirichlet nodes, (..., num_nodes, 3) [m].
         activation: Activations of the muscles, (..., num_muscles) [-].
         pressure: Gauge pressures of the chambers, (..., num_chambers) [Pa].
         physics: The body's parameters.
@@ -42,8 +42,8 @@ class DampingFrame:
 
     Attributes:
         kappa: Velocity per displacement [1/s]: v = kappa (x - x_velocity).
-        x_frame: Positions that define the frame, (..., num_vertices, 3) [m].
-        x_velocity: Positions that velocity is measured from, (..., num_vertices, 3) [m].
+        x_frame: Positions that define the frame, (..., num_nodes, 3) [m].
+        x_velocity: Positions that velocity is measured from, (..., num_nodes, 3) [m].
     """
 
     kappa: float
@@ -61,11 +61,11 @@ def check_inputs(
     pressure: Tensor | None = None,
     dirichlet_target: Tensor | None = None,
 ) -> tuple[Tensor, Loads]:
-    """Positions (..., num_vertices, 3) [m] of a state, and what acts on it; see ``step``."""
-    num_vertices = body.mesh.num_vertices
-    require_physics(physics, num_vertices, body.mesh.num_elements, body.material.law)
+    """Positions (..., num_nodes, 3) [m] of a state, and what acts on it; see ``step``."""
+    num_nodes = body.mesh.num_nodes
+    require_physics(physics, num_nodes, body.mesh.num_elements, body.material.law)
     require_state(state)
-    x = require("state.x", state.x, ("...", num_vertices, 3))
+    x = require("state.x", state.x, ("...", num_nodes, 3))
     require("state.v", state.v, tuple(x.shape))
     for name in ("x_prev", "v_prev", "contact_force"):
         value = getattr(state, name)
@@ -78,10 +78,10 @@ def check_inputs(
         )
     force = physics.weighing_mass[..., None] * physics.gravity.unsqueeze(-2)
     if external_force is not None:
-        force = force + require("external_force", external_force, ("...", num_vertices, 3))
+        force = force + require("external_force", external_force, ("...", num_nodes, 3))
     target = body.x_rest
     if dirichlet_target is not None:
-        target = require("dirichlet_target", dirichlet_target, ("...", num_vertices, 3))
+        target = require("dirichlet_target", dirichlet_target, ("...", num_nodes, 3))
     batch = x.shape[:-2]
     return x, Loads(
         force=broadcast("external_force", force, x.shape),

@@ -28,9 +28,9 @@ class Stage:
 
     Attributes:
         c: Inertia per mass [1/s^2].
-        y: Inertial position, (..., num_vertices, 3) [m].
+        y: Inertial position, (..., num_nodes, 3) [m].
         kappa: Velocity per displacement [1/s].
-        x_velocity: Position that velocity is measured from, (..., num_vertices, 3) [m].
+        x_velocity: Position that velocity is measured from, (..., num_nodes, 3) [m].
             The frame of stiffness-proportional damping is y: it predicts the unknown to second
             order, so that damping keeps the integrator's order.
         midpoint: The unknown is the position in the middle of the step.
@@ -60,7 +60,7 @@ def make_stage(integrator: str, dt: float, state: State) -> Stage:
 def finish_stage(
     integrator: str, stage: Stage, state: State, solution: Tensor, fixed: Tensor
 ) -> State:
-    """The state after a step, from the solution of its problem; fixed (num_vertices, 3) bool."""
+    """The state after a step, from the solution of its problem; fixed (num_nodes, 3) bool."""
     velocity = stage.kappa * (solution - stage.x_velocity)
     if stage.midpoint:
         # Extrapolated, the velocity of a node with prescribed motion would alternate.

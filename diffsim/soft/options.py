@@ -34,10 +34,10 @@ class Masses:
     """Masses of nodes besides that of the solid.
 
     Attributes:
-        attached_mass: Point masses, (num_vertices,) [kg]; they weigh and are inert.
-        added_mass: Inertia without weight, of surrounding water say, (num_vertices,) [kg]; see
+        attached_mass: Point masses, (num_nodes,) [kg]; they weigh and are inert.
+        added_mass: Inertia without weight, of surrounding water say, (num_nodes,) [kg]; see
             :func:`~diffsim.soft.added_mass`.
-        node_mass: Nodal masses instead of those of ``density``, (num_vertices,) [kg].
+        node_mass: Nodal masses instead of those of ``density``, (num_nodes,) [kg].
     """
 
     attached_mass: Tensor | None = None

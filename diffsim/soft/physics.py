@@ -24,8 +24,8 @@ class Physics:
         material: Energy of the solid, see :mod:`diffsim.soft.materials`.
         w_mu, w_vol: The material's parameters 2 mu and lambda (pd: volume weight),
             (num_elements,) [Pa].
-        mass: Nodal inertia, attached and added masses included, (num_vertices,) [kg].
-        weighing_mass: What gravity acts on: ``mass`` without added mass, (num_vertices,) [kg].
+        mass: Nodal inertia, attached and added masses included, (num_nodes,) [kg].
+        weighing_mass: What gravity acts on: ``mass`` without added mass, (num_nodes,) [kg].
         gravity: Acceleration of free fall, (3,) [m/s^2].
         rayleigh_alpha: Damping proportional to ``mass``, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; None: none.
@@ -101,7 +101,7 @@ class LumpedVolume:
     Attributes:
         elements: Nodes of each element, (num_elements, 8 or 4) int64.
         shares: Volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3].
-        nodal: Volume of each node, (num_vertices,) [m^3].
+        nodal: Volume of each node, (num_nodes,) [m^3].
     """
 
     elements: Tensor
@@ -109,23 +109,23 @@ class LumpedVolume:
     nodal: Tensor
 
     def mass(self, density: Tensor, batch: int | None = None) -> Tensor:
-        """Lumped mass, (num_vertices,), or (batch, num_vertices) of a density per member [kg].
+        """Lumped mass, (num_nodes,), or (batch, num_nodes) of a density per member [kg].
 
         Args:
-            density: Scalar, (num_vertices,) or (num_elements,) [kg/m^3].
+            density: Scalar, (num_nodes,) or (num_elements,) [kg/m^3].
             batch: Members of a batch that the density may be given for, (batch,) or with a leading
                 batch axis; None: it may not.
         """
-        num_elements, num_vertices = len(self.elements), len(self.nodal)
+        num_elements, num_nodes = len(self.elements), len(self.nodal)
         shape = tuple(density.shape) if isinstance(density, Tensor) else ()
-        if batch is not None and shape not in ((), (num_vertices,), (num_elements,)):
+        if batch is not None and shape not in ((), (num_nodes,), (num_elements,)):
             return self._mass_of_members(density, batch)
-        if shape not in ((), (num_vertices,), (num_elements,)):
+        if shape not in ((), (num_nodes,), (num_elements,)):
             raise ValueError(
-                f"density must be a scalar or have shape (num_vertices,) = ({num_vertices},) or "
+                f"density must be a scalar or have shape (num_nodes,) = ({num_nodes},) or "
                 f"(num_elements,) = ({num_elements},), got {shape}"
             )
-        if shape and num_elements == num_vertices:
+        if shape and num_elements == num_nodes:
             raise ValueError(
                 f"density of shape {shape} may be of elements or of vertices: the mesh has as many "
                 "of both; pass a scalar, or node_mass instead"
@@ -135,26 +135,26 @@ class LumpedVolume:
             masses = density[:, None] * self.shares
             none = torch.zeros_like(self.nodal)
             return none.index_add(0, self.elements.flatten(), masses.flatten())
-        return _checked_density(_per("density", density, num_vertices, "num_vertices")) * self.nodal
+        return _checked_density(_per("density", density, num_nodes, "num_nodes")) * self.nodal
 
     def _mass_of_members(self, density: Tensor, batch: int) -> Tensor:
-        """(batch, num_vertices) [kg]."""
-        num_elements, num_vertices = len(self.elements), len(self.nodal)
+        """(batch, num_nodes) [kg]."""
+        num_elements, num_nodes = len(self.elements), len(self.nodal)
         shape = tuple(density.shape)
         if shape in ((batch,), (batch, 1)):
             density = require("density", density, shape).reshape(batch, 1)
             return _checked_density(density) * self.nodal
-        if shape == (batch, num_vertices) and num_vertices != num_elements:
+        if shape == (batch, num_nodes) and num_nodes != num_elements:
             return _checked_density(require("density", density, shape)) * self.nodal
-        if shape != (batch, num_elements) or num_vertices == num_elements:
+        if shape != (batch, num_elements) or num_nodes == num_elements:
             raise ValueError(
-                f"density of members must have shape ({batch},), ({batch}, num_vertices) = "
-                f"({batch}, {num_vertices}) or ({batch}, num_elements) = ({batch}, {num_elements}),"
+                f"density of members must have shape ({batch},), ({batch}, num_nodes) = "
+                f"({batch}, {num_nodes}) or ({batch}, num_elements) = ({batch}, {num_elements}),"
                 f" got {shape}; where a mesh has as many elements as vertices, pass node_mass"
             )
         density = _checked_density(require("density", density, shape))
         masses = (density[..., None] * self.shares).flatten(1)
-        none = self.nodal.new_zeros(batch, num_vertices)
+        none = self.nodal.new_zeros(batch, num_nodes)
         return none.index_add(1, self.elements.flatten(), masses)
 
 
@@ -177,7 +177,7 @@ def make_physics(
     Returns:
         :class:`Physics`, with a batch axis where there is a batch. Gradients: all values.
     """
-    num_elements, num_vertices = len(volume.elements), len(volume.nodal)
+    num_elements, num_nodes = len(volume.elements), len(volume.nodal)
 
     def per_element(name: str) -> Tensor:
         return _per(name, getattr(values, name), num_elements, "num_elements", batch)
@@ -186,12 +186,12 @@ def make_physics(
     if values.node_mass is None:
         mass = volume.mass(values.density, batch)
     else:
-        mass = _nodal_mass("node_mass", values.node_mass, num_vertices, batch, above=0.0)
+        mass = _nodal_mass("node_mass", values.node_mass, num_nodes, batch, above=0.0)
     if values.attached_mass is not None:
-        mass = mass + _nodal_mass("attached_mass", values.attached_mass, num_vertices, batch)
+        mass = mass + _nodal_mass("attached_mass", values.attached_mass, num_nodes, batch)
     weighing_mass = mass
     if values.added_mass is not None:
-        mass = mass + _nodal_mass("added_mass", values.added_mass, num_vertices, batch)
+        mass = mass + _nodal_mass("added_mass", values.added_mass, num_nodes, batch)
     gravity = _of_members("gravity", values.gravity, (3,), batch)
     rayleigh_alpha = _of_members("rayleigh_alpha", values.rayleigh_alpha, (), batch)
     _range("rayleigh_alpha", rayleigh_alpha, at_least=0.0, hint="unit is 1/s")
@@ -237,17 +237,15 @@ def _of_members(name: str, value: Tensor, shape: tuple[int, ...], batch: int | N
     return require(name, value, shape)
 
 
-def require_physics(
-    physics: Physics, num_vertices: int, num_elements: int, material: str
-) -> Physics:
+def require_physics(physics: Physics, num_nodes: int, num_elements: int, material: str) -> Physics:
     """Refuse what is no :class:`Physics`, or one of another body."""
     if not isinstance(physics, Physics):
         raise TypeError(f"physics must come from body.physics(...), got {type(physics).__name__}")
     size = (physics.mass.shape[-1], physics.w_mu.shape[-1])
-    if size != (num_vertices, num_elements):
+    if size != (num_nodes, num_elements):
         raise ValueError(
             f"physics must be made by this body's physics(...): it is for {size[0]} vertices and "
-            f"{size[1]} elements, the body has {num_vertices} and {num_elements}"
+            f"{size[1]} elements, the body has {num_nodes} and {num_elements}"
         )
     if physics.material != material:
         raise ValueError(
@@ -263,9 +261,9 @@ def _checked_density(density: Tensor) -> Tensor:
 
 
 def _nodal_mass(
-    name: str, value: Tensor, num_vertices: int, batch: int | None, **limits: float
+    name: str, value: Tensor, num_nodes: int, batch: int | None, **limits: float
 ) -> Tensor:
-    mass = _of_members(name, value, (num_vertices,), batch)
+    mass = _of_members(name, value, (num_nodes,), batch)
     _range(name, mass, hint="unit is kg", **(limits or {"at_least": 0.0}))
     return mass
 

@@ -20,10 +20,10 @@ class Problem:
     The layer under every integrator and under statics; see csrc/kernels/soft/implicit_step.h.
 
     Attributes:
-        y: Inertial positions, (..., num_vertices, 3) [m].
-        guess: Start of the iteration, (..., num_vertices, 3) [m]; no gradient but in linearly
+        y: Inertial positions, (..., num_nodes, 3) [m].
+        guess: Start of the iteration, (..., num_nodes, 3) [m]; no gradient but in linearly
             implicit steps, which are one Newton step from it.
-        inertia: Inertia per displacement of each node, (num_vertices,) [N/m].
+        inertia: Inertia per displacement of each node, (num_nodes,) [N/m].
         loads: Forces, targets, activations, pressures and physics.
         frame: Reference of the damping energy D; None: undamped.
     """
@@ -47,7 +47,7 @@ class Problem:
 
 
 def solve(body: Solid, problem: Problem, *, iterate: bool = False) -> Tensor:
-    """The positions (..., num_vertices, 3) that solve a problem [m].
+    """The positions (..., num_nodes, 3) that solve a problem [m].
 
     Args:
         body: The body.

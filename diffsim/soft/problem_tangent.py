@@ -22,11 +22,11 @@ def solve_along(body: Solid, problem: Problem, x: Tensor, rates: Mapping[str, Te
     Args:
         body: The body.
         problem: The problem, without batch axes.
-        x: Its solution, (num_vertices, 3) [m].
+        x: Its solution, (num_nodes, 3) [m].
         rates: Directions by name of ``StepArrays.differentiable()``, with a leading K.
 
     Returns:
-        (K, num_vertices, 3) [m] per unit of each direction.
+        (K, num_nodes, 3) [m] per unit of each direction.
     """
     return _ops_step.step_tangents(
         x[None].contiguous(),

@@ -38,7 +38,7 @@ def rollout(
 
     Args:
         body: The body.
-        state: Initial state, (..., num_vertices, 3).
+        state: Initial state, (..., num_nodes, 3).
         num_steps: Number of steps, >= 1.
         external_force: One tensor for all steps, or ``f(step, state)`` for closed loops and for
             signals in time [N].

@@ -88,7 +88,7 @@ class Solid(nn.Module):
         self.chambers = ChamberSet(chambers, mesh)
         # Not in the state_dict: loading one would change them behind the prepared solver's back.
         self.register_buffer("x_rest", mesh.x_rest, persistent=False)
-        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
+        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_nodes), persistent=False)
         nodes = _contact_nodes(contact.contact_nodes, mesh, self.fixed)
         self.register_buffer("contact_nodes", nodes, persistent=False)
         self.max_depenetration_speed = contact.max_depenetration_speed
@@ -166,7 +166,7 @@ class Solid(nn.Module):
             if members is not None and name in PER_ELEMENT:
                 sizes = {"num_elements": self.mesh.num_elements}
                 if name == "density":
-                    sizes["num_vertices"] = self.mesh.num_vertices
+                    sizes["num_nodes"] = self.mesh.num_nodes
                 require_distinct(name, values[name], members, sizes)
         volume = LumpedVolume(
             elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
@@ -186,7 +186,7 @@ class Solid(nn.Module):
         """What ``print(body)`` shows."""
         return (
             f"{self.mesh.kind} mesh, {self.mesh.num_elements} elements, "
-            f"{3 * self.mesh.num_vertices} DoF ({int(self.fixed.sum())} fixed), "
+            f"{3 * self.mesh.num_nodes} DoF ({int(self.fixed.sum())} fixed), "
             f"material {self.material.law}, "
             f"{self.muscles.num_muscles} muscles, {self.chambers.num_chambers} chambers, "
             f"{self.integrator}, dt = {self.dt:g} s, "
@@ -210,19 +210,19 @@ def _is_zero(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
 
 
-def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
-    """(num_vertices, 3) bool from the accepted forms of ``fixed``."""
-    mask = torch.zeros(num_vertices, 3, dtype=torch.bool)
+def _dirichlet_mask(fixed: Tensor | None, num_nodes: int) -> Tensor:
+    """(num_nodes, 3) bool from the accepted forms of ``fixed``."""
+    mask = torch.zeros(num_nodes, 3, dtype=torch.bool)
     if fixed is None:
         return mask
     if not isinstance(fixed, Tensor):  # a list or an array: of indices, or of True and False
         fixed = as_array("fixed", fixed, torch.bool if _is_mask(fixed) else torch.int64)
     if fixed.dtype == torch.bool:
         if fixed.ndim == 1:
-            return mask | require("fixed", fixed, (num_vertices,), torch.bool)[:, None]
-        return mask | require("fixed", fixed, (num_vertices, 3), torch.bool)
+            return mask | require("fixed", fixed, (num_nodes,), torch.bool)[:, None]
+        return mask | require("fixed", fixed, (num_nodes, 3), torch.bool)
     nodes = require("fixed", fixed, ("k",), torch.int64)
-    mask[require_indices("fixed", nodes, num_vertices, "vertices")] = True
+    mask[require_indices("fixed", nodes, num_nodes, "nodes")] = True
     return mask
 
 
@@ -242,7 +242,7 @@ def _contact_nodes(given: Tensor | None, mesh: HexMesh | TetMesh, fixed: Tensor)
         return surface[~held[surface]]
     given = as_array("contact_nodes", given, torch.int64)
     nodes = require("contact_nodes", given, ("k",), torch.int64)
-    require_indices("contact_nodes", nodes, mesh.num_vertices, "vertices")
+    require_indices("contact_nodes", nodes, mesh.num_nodes, "nodes")
     if len(nodes.unique()) < len(nodes):
         raise ValueError("contact_nodes must not name a node twice; use contact_nodes.unique()")
     if bool(held[nodes].any()):

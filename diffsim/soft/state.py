@@ -11,7 +11,7 @@ class State(NamedTuple):
     """Positions and velocities; BDF2 also remembers the step before.
 
     Attributes:
-        x: Positions, (..., num_vertices, 3) [m].
+        x: Positions, (..., num_nodes, 3) [m].
         v: Velocities, same shape [m/s].
         x_prev: Positions one step earlier, or None (then BDF2 starts with implicit Euler).
         v_prev: Velocities one step earlier, or None.
@@ -45,7 +45,7 @@ class Trajectory(NamedTuple):
     """States of a rollout, the initial one first.
 
     Attributes:
-        x: Positions, (num_steps + 1, ..., num_vertices, 3) [m].
+        x: Positions, (num_steps + 1, ..., num_nodes, 3) [m].
         v: Velocities, same shape [m/s].
         final: The last state, from which a rollout can go on.
     """

@@ -30,7 +30,7 @@ def static_equilibrium(
 
     Args:
         body: The body; its Dirichlet set must hold it on every axis.
-        guess: Start of the iteration, (..., num_vertices, 3) [m]; None: rest. Which of several
+        guess: Start of the iteration, (..., num_nodes, 3) [m]; None: rest. Which of several
             equilibria is found depends on it; no gradient.
         external_force, activation, pressure, dirichlet_target, physics: Loads, commands and
             parameters, as :func:`diffsim.soft.step` takes them.
@@ -44,7 +44,7 @@ def static_equilibrium(
         ConvergenceError: the solver stopped above its tolerance.
     """
     physics = body.physics() if physics is None else physics
-    nodal = ("...", body.mesh.num_vertices, 3)
+    nodal = ("...", body.mesh.num_nodes, 3)
     start = body.x_rest if guess is None else require("guess", guess, nodal)
     for name, given in (("external_force", external_force), ("dirichlet_target", dirichlet_target)):
         if given is None:

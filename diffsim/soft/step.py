@@ -37,7 +37,7 @@ def step(
 
     Args:
         body: The body.
-        state: x, v of shape (..., num_vertices, 3) [m], [m/s]; any leading batch axes.
+        state: x, v of shape (..., num_nodes, 3) [m], [m/s]; any leading batch axes.
         external_force: Nodal forces held over the step, broadcastable to x [N].
         activation: Muscle activations, broadcastable to (..., num_muscles) [-]; None: rest.
         pressure: Gauge pressures of the chambers, held over the step, broadcastable to
@@ -121,7 +121,7 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
 
     Args:
         stage: The integrator's implicit problem.
-        guess: Start of the iteration, (..., num_vertices, 3) [m].
+        guess: Start of the iteration, (..., num_nodes, 3) [m].
         loads: What acts in the step.
     """
     alpha = loads.physics.rayleigh_alpha * stage.kappa
@@ -135,7 +135,7 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
 
 
 def _nodal(value: Tensor) -> Tensor:
-    """One number, or one per member, as a factor of (..., num_vertices, 3)."""
+    """One number, or one per member, as a factor of (..., num_nodes, 3)."""
     return value[..., None, None]
 
 

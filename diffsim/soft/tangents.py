@@ -37,12 +37,12 @@ class Directions:
     Signals are tensors, or ``f(step, state, tangent)`` with the tangent's x and v (K, ...).
 
     Attributes:
-        x, v: Directions of the initial positions and velocities, (K, num_vertices, 3) [m], [m/s]
+        x, v: Directions of the initial positions and velocities, (K, num_nodes, 3) [m], [m/s]
             per unit of a direction.
-        external_force: Directions of the nodal forces, (K, num_vertices, 3) [N].
+        external_force: Directions of the nodal forces, (K, num_nodes, 3) [N].
         activation: Directions of the muscles' activations, (K, num_muscles).
         pressure: Directions of the chambers' pressures, (K, num_chambers) [Pa].
-        dirichlet_target: Directions of the prescribed positions, (K, num_vertices, 3) [m].
+        dirichlet_target: Directions of the prescribed positions, (K, num_nodes, 3) [m].
         physics: A :class:`~diffsim.soft.Physics` whose tensors are derivatives with a leading K,
             see :func:`physics_directions`.
     """
@@ -63,7 +63,7 @@ class Tangents(NamedTuple):
         x: Positions, or what ``keep`` keeps, (num_steps + 1, ...), the first ones first.
         tangent: Their derivatives, (num_steps + 1, K, ...).
         final: The last state.
-        final_tangent: Its derivatives, (K, num_vertices, 3) each.
+        final_tangent: Its derivatives, (K, num_nodes, 3) each.
     """
 
     x: Tensor
@@ -93,7 +93,7 @@ def rollout_tangents(
 
     Args:
         body: The body.
-        state: Initial state, (num_vertices, 3).
+        state: Initial state, (num_nodes, 3).
         num_steps: Number of steps, >= 1.
         count: Number of directions, K >= 1.
         directions: Directions in the state, the signals and the parameters.
@@ -114,7 +114,7 @@ def rollout_tangents(
             f"tangents need one of the integrators {list(IMPLICIT)}, the body has "
             f"{body.integrator!r}; differentiate it with rollout and backward()"
         )
-    shape = (body.mesh.num_vertices, 3)
+    shape = (body.mesh.num_nodes, 3)
     require("state.x", require_state(state).x, shape)
     if state.contact_force is not None:
         raise ValueError("state has contact forces; tangents are for bodies without obstacles")
@@ -164,7 +164,7 @@ def static_tangents(
 
     Args:
         body: The body.
-        x: The equilibrium, (num_vertices, 3) [m], of the same inputs.
+        x: The equilibrium, (num_nodes, 3) [m], of the same inputs.
         count: Number of directions, K >= 1.
         directions: Directions in loads, commands and parameters, as tensors; ``x`` and ``v`` are
             not read.
@@ -172,7 +172,7 @@ def static_tangents(
             equilibrium, as :func:`diffsim.soft.static_equilibrium` takes them.
 
     Returns:
-        (K, num_vertices, 3) [m] per unit of each direction.
+        (K, num_nodes, 3) [m] per unit of each direction.
     """
     physics = body.physics() if physics is None else physics
     changing = directions.physics or still_physics(physics, count)
@@ -211,7 +211,7 @@ def _rate(
     if rate is None:
         return None
     widths = {"activation": body.muscles.num_muscles, "pressure": body.chambers.num_chambers}
-    shape = (widths[name],) if name in widths else (body.mesh.num_vertices, 3)
+    shape = (widths[name],) if name in widths else (body.mesh.num_nodes, 3)
     return require(f"directions.{name}", rate, (count, *shape))
 
 

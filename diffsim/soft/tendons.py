@@ -88,7 +88,7 @@ class Tendon(nn.Module):
         shape = shape_gradients(mesh)
         rows = shape.class_idx[elements]
         weight = shape.weight[rows]
-        self._num_vertices = mesh.num_vertices
+        self._num_nodes = mesh.num_nodes
         self.register_buffer("elements", elements, persistent=False)
         self.register_buffer("piece_length", length, persistent=False)
         self.register_buffer("_nodes", mesh.elements[elements], persistent=False)
@@ -102,8 +102,8 @@ class Tendon(nn.Module):
         return torch.as_tensor(length_command, dtype=torch.float64) / self.rest_length
 
     def stretch(self, x: Tensor) -> Tensor:
-        """s_e of each piece at x (..., num_vertices, 3) [m], (..., num_pieces). Gradient: x."""
-        x = require("x", x, ("...", self._num_vertices, 3))
+        """s_e of each piece at x (..., num_nodes, 3) [m], (..., num_pieces). Gradient: x."""
+        x = require("x", x, ("...", self._num_nodes, 3))
         lines = torch.einsum("fqa,...fac->...fqc", self._along, x[..., self._nodes, :])
         return (lines.norm(dim=-1) * self._share).sum(-1)
 
@@ -111,7 +111,7 @@ class Tendon(nn.Module):
         """Current length sum L_e s_e, as the energy sees it.
 
         Args:
-            x: Positions, (..., num_vertices, 3) [m].
+            x: Positions, (..., num_nodes, 3) [m].
 
         Returns:
             (...) [m]. Gradient: x.
@@ -126,7 +126,7 @@ class Tendon(nn.Module):
         Its mean, weighted by ``piece_length``, is the force that the motor feels.
 
         Args:
-            x: Positions, (..., num_vertices, 3) [m].
+            x: Positions, (..., num_nodes, 3) [m].
             activation: a, broadcastable to the batch axes (...) [-].
             axial_stiffness: EA instead of the tendon's own, scalar [N].
 

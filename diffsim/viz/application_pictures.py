@@ -34,7 +34,7 @@ def motion_strip(
 
     Args:
         application: Whose body and targets are drawn.
-        motions: Positions of the nodes over time by caption, (num_steps + 1, num_vertices, 3) [m].
+        motions: Positions of the nodes over time by caption, (num_steps + 1, num_nodes, 3) [m].
         path: PNG file to be written.
         frames: Number of times that each row shows.
         view: Elevation and azimuth [degrees].

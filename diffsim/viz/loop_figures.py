@@ -99,7 +99,7 @@ def strip(
     """Fig. 5-9: the simulated robot from the side, with the measured markers on it.
 
     Args:
-        shots: One row each: title, and (time [s], vertices (num_vertices, 3) of the quarter,
+        shots: One row each: title, and (time [s], vertices (num_nodes, 3) of the quarter,
             measured markers (4, 2) as x and z) [m].
         faces: (num_faces, 3) surface of the quarter.
     """

@@ -299,7 +299,7 @@ def moving_starfish(result: LoopResult, model: Starfish, aside_m: float = 0.2) -
 
 
 def _vertices(model: Starfish, it: Iteration, num_samples: int) -> Array:
-    """(num_samples, num_vertices, 3) of the quarter, from where it is at the start [m]."""
+    """(num_samples, num_nodes, 3) of the quarter, from where it is at the start [m]."""
     values = {n: torch.tensor(v, dtype=torch.float64) for n, v in it.values.items()}
     times = torch.arange(num_samples, dtype=torch.float64) / RATE_HZ
     wish = torch.from_numpy(it.command.during(num_samples / RATE_HZ))

@@ -47,7 +47,7 @@ def tilted(m: mesh.TetMesh, angle: float, place: Triple) -> mesh.TetMesh:
 
 
 def center(body: soft.SoftBody, x: Tensor) -> Tensor:
-    """Center of mass of positions (..., num_vertices, 3) -> (..., 3) [m]."""
+    """Center of mass of positions (..., num_nodes, 3) -> (..., 3) [m]."""
     mass = body.physics().mass
     return (mass[:, None] * x).sum(-2) / mass.sum()
 
@@ -61,7 +61,7 @@ def cpu_seconds() -> Iterator[Callable[[], float]]:
 
 
 def add_body(axes, m: mesh.HexMesh | mesh.TetMesh, x: Tensor, color: str, **options) -> None:
-    """Draw the surface of a body at positions (num_vertices, 3) [m] into 3D axes."""
+    """Draw the surface of a body at positions (num_nodes, 3) [m] into 3D axes."""
     from matplotlib.colors import LightSource
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

@@ -91,7 +91,7 @@ def make_duck(spacing: float) -> soft.SoftBody:
 def fly(
     body: soft.SoftBody, friction: Tensor, complementarity: bool = False, duration: float = DURATION
 ) -> Tensor:
-    """Positions at every step, (num_steps + 1, num_vertices, 3) [m]."""
+    """Positions at every step, (num_steps + 1, num_nodes, 3) [m]."""
     pieces, steps = make_slide(friction), round(duration / DT)
     if complementarity:
         return soft.rollout(body, body.rest_state(), steps, obstacles=pieces).x

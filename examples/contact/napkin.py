@@ -86,7 +86,7 @@ def drape(cells: int, radius: float, num_steps: int) -> Run:
         rows.append([seconds, *(float(c) for c in counts)])
     table = torch.tensor([row for row in rows if row[1] > 0])
     mean = table.mean(0).tolist()
-    share = float(table[-1, 1]) / m.num_vertices
+    share = float(table[-1, 1]) / m.num_nodes
     return Run(cells, radius, m.num_dofs, share, mean[0], *mean[2:], m, state.x)
 
 

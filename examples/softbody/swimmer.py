@@ -81,7 +81,7 @@ def make_robot(
         for d in np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     ]
     hydro = soft.Hydrodynamics(m).requires_grad_(False)
-    rail = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    rail = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     rail[m.nodes_where(in_center), 1:] = True
     body = soft.SoftBody(
         m,

@@ -89,8 +89,8 @@ class Turn:
     """Feet held, head and shoulders turned about their own vertical axis.
 
     Attributes:
-        fixed: Nodes of both, (num_vertices,) bool.
-        top: The turned ones, (num_vertices,) bool.
+        fixed: Nodes of both, (num_nodes,) bool.
+        top: The turned ones, (num_nodes,) bool.
     """
 
     def __init__(self, x_rest: Tensor):
@@ -105,7 +105,7 @@ class Turn:
         self.x_rest = x_rest
 
     def target(self, angle: Tensor) -> Tensor:
-        """Prescribed positions, (num_vertices, 3) [m]; angle scalar [rad]."""
+        """Prescribed positions, (num_nodes, 3) [m]; angle scalar [rad]."""
         x, y = (self.x_rest[:, :2] - self.axis).unbind(1)
         turned = torch.stack(
             [
@@ -181,7 +181,7 @@ def main(
     """
     m = make_mesh(spacing, file)
     turn = Turn(m.x_rest)
-    numbers: dict[str, float] = {"num_dof": 3 * m.num_vertices, "num_elements": m.num_elements}
+    numbers: dict[str, float] = {"num_dof": 3 * m.num_nodes, "num_elements": m.num_elements}
     first: list[Tensor] | None = None
     for method in methods:
         body = soft.SoftBody(

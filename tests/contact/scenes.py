@@ -49,7 +49,7 @@ def moving(body, velocity=ZERO, spin=ZERO, wobble: float = 0.0, seed: int = 2) -
 
 
 def mass_mean(body, field: Tensor) -> Tensor:
-    """Mean over nodes weighted by mass: (..., num_vertices, 3) -> (..., 3)."""
+    """Mean over nodes weighted by mass: (..., num_nodes, 3) -> (..., 3)."""
     mass = body.physics().mass
     return (mass[:, None] * field).sum(-2) / mass.sum()
 

@@ -11,7 +11,7 @@ from tests.contact.cases import tensor, uniform
 
 def rough(m, amount: float, seed: int):
     """Positions of a mesh, displaced so that nothing is symmetric."""
-    return m.x_rest + amount * uniform(m.num_vertices, 3, seed=seed)
+    return m.x_rest + amount * uniform(m.num_nodes, 3, seed=seed)
 
 
 def overlapping(kind: str = "tet"):
@@ -118,7 +118,7 @@ def test_a_flat_block_pressed_into_another_feels_pressure_times_area():
 
 def _area(m):
     """Each node's third of the area of its surface triangles, by Heron's formula."""
-    area = torch.zeros(m.num_vertices).double()
+    area = torch.zeros(m.num_nodes).double()
     for triangle in mesh.surface_triangles(m).faces.tolist():
         a, b, c = (m.x_rest[i] for i in triangle)
         p, q, r = (float((u - w).norm()) for u, w in ((a, b), (b, c), (c, a)))

@@ -31,7 +31,7 @@ def inputs_of(m, mode: str) -> dict:
     """
     speed = {"stick": 0.02, "slip": 3.0, "mixed": 0.4, "separate": 0.1, "bounce": 0.4}[mode]
     friction = {"stick": 30.0, "slip": 0.1, "mixed": 0.25, "separate": 0.5, "bounce": 0.3}[mode]
-    v = torch.zeros(m.num_vertices, 3, dtype=torch.float64)
+    v = torch.zeros(m.num_nodes, 3, dtype=torch.float64)
     v[:, 0] = speed
     v[:, 1] = 0.4 * speed
     v[:, 2] = {"separate": 1.0, "bounce": -3.0}.get(mode, -2.0)
@@ -40,8 +40,8 @@ def inputs_of(m, mode: str) -> dict:
     bounce = {"restitution": 0.6} if mode == "bounce" else {}
     return {
         "x": x,
-        "v": v + 0.02 * noise(m.num_vertices, 3, seed=2),
-        "external_force": 0.1 * noise(m.num_vertices, 3, seed=3),
+        "v": v + 0.02 * noise(m.num_nodes, 3, seed=2),
+        "external_force": 0.1 * noise(m.num_nodes, 3, seed=3),
         "youngs_modulus": 30.0,
         "poissons_ratio": 0.3,
         "density": 1.5,
@@ -201,7 +201,7 @@ def test_batch_of_two_and_strided_inputs():
     some, other = inputs_of(m, "stick"), inputs_of(m, "slip")
     x = torch.stack([some["x"], other["x"]], -1)  # the batch axis last: not contiguous below
     v = torch.stack([some["v"], other["v"]], -1)
-    external = 0.1 * noise(3, m.num_vertices, seed=3)
+    external = 0.1 * noise(3, m.num_nodes, seed=3)
 
     def layer(x, v, external, friction, radius):
         given = {"friction": friction, "radius": radius}
@@ -304,13 +304,13 @@ def test_steps_on_half_spaces_are_one_graph():
         end = soft.step(body, soft.State(x, v), obstacles=[floor, ramp])
         return torch.cat([end.x, end.v, end.contact_force])
 
-    v = leaf(torch.tensor([-0.8, 0.3, -2.0]).double() + 0.02 * noise(m.num_vertices, 3, seed=2))
+    v = leaf(torch.tensor([-0.8, 0.3, -2.0]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
     whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
     results = []
     for function in (layer, whole):
         out = function(v)
         results.append((out, *torch.autograd.grad(out, (v, friction), noise(*out.shape))))
-    assert int((results[0][0][-m.num_vertices :] != 0.0).any(1).sum()) > 1
+    assert int((results[0][0][-m.num_nodes :] != 0.0).any(1).sum()) > 1
     assert torch.equal(results[0][0], results[1][0])
     for one, other in zip(*results, strict=True):  # sums of gradients run in another order
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)

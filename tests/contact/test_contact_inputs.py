@@ -42,7 +42,7 @@ def bad_force(shape):
         ({"contact_nodes": torch.tensor([0.0])}, TypeError, "contact_nodes must be torch.int64"),
         ({"contact_nodes": [0.5]}, TypeError, "contact_nodes must be an array of numbers"),
         ({"contact_nodes": torch.tensor([[0]])}, ValueError, "contact_nodes must have shape"),
-        ({"contact_nodes": torch.tensor([999])}, ValueError, r"indices of vertices in \[0, 18\)"),
+        ({"contact_nodes": torch.tensor([999])}, ValueError, r"indices of nodes in \[0, 18\)"),
         ({"contact_nodes": torch.tensor([-1])}, ValueError, "contact_nodes must hold indices"),
         ({"contact_nodes": torch.tensor([3, 3])}, ValueError, "must not name a node twice"),
         (

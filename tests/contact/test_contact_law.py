@@ -142,7 +142,7 @@ def test_external_force_activation_and_dirichlet_nodes_elsewhere():
     floor = contact.floor(friction=0.3)
     state = moving(body, (0.3, 0.0, -0.5))
     state = state._replace(v=torch.where(body.fixed, 0.0, state.v))
-    external = 0.1 * uniform(body.mesh.num_vertices, 3, seed=4)
+    external = 0.1 * uniform(body.mesh.num_nodes, 3, seed=4)
     activation = torch.tensor([0.7], dtype=torch.float64)
     touched = 0
     for _ in range(4):

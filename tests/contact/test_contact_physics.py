@@ -47,7 +47,7 @@ def onset_of_rolling(spacing, hollow, mu=0.3, v0=0.5, dt=1e-3) -> tuple[float, f
     A hollow ball has nine tenths of its mass on its surface nodes.
     """
     m = mesh.tet_sphere(0.05, spacing)
-    skin = torch.zeros(m.num_vertices, dtype=torch.float64)
+    skin = torch.zeros(m.num_nodes, dtype=torch.float64)
     if hollow:
         skin[mesh.surface_vertices(m)] = 4.7 / len(mesh.surface_vertices(m))
     body = soft.SoftBody(

@@ -51,7 +51,7 @@ def test_all_nodes_in_contact(mu):
     press = [contact.floor(0.002, friction=mu), contact.plane((0, 0, -1), -0.098, friction=mu)]
     state = moving(body, (0.2, 0.1, 0.0))
     _, found = checked_step(body, state, press)
-    assert found.num_contacts == body.mesh.num_vertices
+    assert found.num_contacts == body.mesh.num_nodes
     x = leaf(state.x)
     (grad,) = torch.autograd.grad(
         (body(state._replace(x=x), obstacles=press).x ** 2).sum(), x, allow_unused=True

@@ -71,9 +71,9 @@ def test_shapes_are_of_the_size_of_the_thesis():
     plant = load("plant").grow(0.0048)
     ball = load("bouncing_ball").holed_ball(24)
     bunny = load("bunny").bunny(0.0052)
-    assert (plant.num_elements, plant.num_vertices) == (5072, 29724 // 3)
-    assert (ball.num_elements, ball.num_vertices) == (1288, 8280 // 3)
-    assert (bunny.num_elements, bunny.num_vertices) == (1538, 6795 // 3)
+    assert (plant.num_elements, plant.num_nodes) == (5072, 29724 // 3)
+    assert (ball.num_elements, ball.num_nodes) == (1288, 8280 // 3)
+    assert (bunny.num_elements, bunny.num_nodes) == (1538, 6795 // 3)
     for m in (plant, ball, bunny):
         assert mesh.quality(m).scaled_jacobian.minimum > 0.99  # cubes
 

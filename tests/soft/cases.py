@@ -25,7 +25,7 @@ def noise(*shape: int, seed: int = 0) -> Tensor:
 def irregular_mesh(kind: str, cells=(2, 1, 1), size=(2.0, 1.0, 1.0), amount: float = 0.08):
     """A box whose nodes are all displaced, so that no two elements are alike."""
     box = (mesh.hex_box if kind == "hex" else mesh.tet_box)(cells, size)
-    x = box.x_rest + amount * noise(box.num_vertices, 3, seed=9).clamp(-1.5, 1.5)
+    x = box.x_rest + amount * noise(box.num_nodes, 3, seed=9).clamp(-1.5, 1.5)
     return type(box)(x, box.elements)
 
 
@@ -34,7 +34,7 @@ def deformed(m, amount: float = 0.25, seed: int = 1) -> Tensor:
     stretch = torch.tensor(
         [[1.2, 0.3, 0.0], [-0.2, 0.9, 0.4], [0.1, -0.3, 0.8]], dtype=torch.float64
     )
-    return m.x_rest @ stretch.T + amount * 0.3 * noise(m.num_vertices, 3, seed=seed)
+    return m.x_rest @ stretch.T + amount * 0.3 * noise(m.num_nodes, 3, seed=seed)
 
 
 def two_muscles() -> list[soft.Muscle]:
@@ -48,7 +48,7 @@ def two_muscles() -> list[soft.Muscle]:
 
 def rail_mask(m) -> Tensor:
     """Node 0 fixed, node 1 on a rail along x, node 2 held in z alone."""
-    mask = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    mask = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     mask[0] = True
     mask[1, 1:] = True
     mask[2, 2] = True

@@ -28,7 +28,7 @@ def bar(method: str = "auto", **changes) -> soft.SoftBody:
 
 def members(body: soft.SoftBody) -> dict[str, Tensor]:
     """Every parameter, different for each member; stiffness and damping by element too."""
-    elements, nodes = body.mesh.num_elements, body.mesh.num_vertices
+    elements, nodes = body.mesh.num_elements, body.mesh.num_nodes
 
     def around(value: float, *shape: int, seed: int) -> Tensor:
         return value * (1.0 + 0.2 * noise(MEMBERS, *shape, seed=seed).clamp(-1.5, 1.5))
@@ -110,7 +110,7 @@ def test_statics_and_forces_take_members_too():
     physics = body.physics(batch=3, youngs_modulus=E)
     at = m.x_rest.expand(3, -1, -1)
     down = body.static_equilibrium(guess=at, physics=physics).x
-    x = m.x_rest + 0.05 * noise(3, m.num_vertices, 3, seed=1)
+    x = m.x_rest + 0.05 * noise(3, m.num_nodes, 3, seed=1)
     force = soft.elastic_force(body, x, physics=physics)
     for k in range(3):
         own = body.physics(youngs_modulus=E[k])
@@ -128,7 +128,7 @@ def test_friction_and_restitution_of_members():
     m = mesh.hex_box((2, 2, 2), (1.0, 1.0, 1.0))
     body = soft_body(m, dt=0.01, youngs_modulus=1000.0, gravity=(0.0, 0.0, -10.0))
     friction, bounce = leaf([0.0, 0.2, math.inf, 0.4]), leaf([0.0, 0.5, 0.0, 0.2])
-    v = torch.tensor([1.0, 0.0, -0.5], dtype=torch.float64).expand(4, m.num_vertices, 3)
+    v = torch.tensor([1.0, 0.0, -0.5], dtype=torch.float64).expand(4, m.num_nodes, 3)
     x = m.x_rest.expand(4, -1, -1)
 
     def end(x, v, mu, e):

@@ -31,7 +31,7 @@ def hollow(kind="hex", shape="cavity", amount=0.06):
         inside &= center[:, 2] > 1.0
     if shape == "cavity":
         inside &= center[:, 2] < 2.0
-    x = box.x_rest + amount * noise(box.num_vertices, 3, seed=9).clamp(-1.5, 1.5)
+    x = box.x_rest + amount * noise(box.num_nodes, 3, seed=9).clamp(-1.5, 1.5)
     m = type(box)(x, box.elements[~inside])
     if shape == "cavity":
         return m, soft.PressureChamber.from_cavity(m)
@@ -132,7 +132,7 @@ def test_force_is_pressure_times_the_gradient_of_volume(shape, kind):
     assert force.sum(0).norm() < 1e-13
     assert torch.linalg.cross(x, force).sum(0).norm() < 1e-12
     # Nodes away from the chamber feel nothing.
-    away = torch.ones(m.num_vertices, dtype=torch.bool)
+    away = torch.ones(m.num_nodes, dtype=torch.bool)
     away[chamber.faces.flatten()] = False
     assert away.any() and (force[away] == 0.0).all()
 
@@ -203,7 +203,7 @@ def test_the_hessian_is_exact_and_symmetric(shape):
         return [torch.autograd.grad(f, x, direction)[0] for f in both]
 
     nodes = chamber.faces.unique()[:6]
-    H = torch.zeros(m.num_vertices, 3, 6, 3, dtype=torch.float64)
+    H = torch.zeros(m.num_nodes, 3, 6, 3, dtype=torch.float64)
     for k, node in enumerate(nodes):
         for axis in range(3):
             direction = torch.zeros_like(x)
@@ -417,7 +417,7 @@ def test_static_batch_of_pressures():
     pressure = torch.tensor([[0.0], [2.0], [4.0]], dtype=torch.float64)
     x = body.static_equilibrium(pressure=pressure).x
     volume = body.chambers.volumes(x)[:, 0]
-    assert x.shape == (3, m.num_vertices, 3) and (volume.diff() > 0.0).all()
+    assert x.shape == (3, m.num_nodes, 3) and (volume.diff() > 0.0).all()
     single = body.static_equilibrium(pressure=pressure[2]).x
     torch.testing.assert_close(x[2], single, rtol=0, atol=0)
 
@@ -537,7 +537,7 @@ def test_bad_chambers_of_a_body():
     for chamber, message in (
         (turned, r"chambers\[1\].faces\[0\] = .* is turned into the solid: normals must point"),
         (inner, r"chambers\[1\].faces\[0\] = \(21, 22, 26\) is not a triangle of the mesh's"),
-        (beyond, r"chambers\[1\].faces must hold indices of vertices in \[0, 64\), got 64"),
+        (beyond, r"chambers\[1\].faces must hold indices of nodes in \[0, 64\), got 64"),
     ):
         good = soft.PressureChamber(FACES[:2])
         with pytest.raises(ValueError, match=message):

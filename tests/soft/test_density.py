@@ -54,7 +54,7 @@ def test_an_element_gives_its_mass_to_its_own_nodes(kind):
         density[e] = 2.0
         mass = body.physics(density=density).mass
         assert float(mass.sum()) == pytest.approx(float((density * volume).sum()), rel=1e-14)
-        own = torch.zeros(m.num_vertices, dtype=torch.bool)
+        own = torch.zeros(m.num_nodes, dtype=torch.bool)
         own[m.elements[e]] = True
         assert bool((mass[own] > 1e-2 * volume[e]).all()) and bool((mass[~own] < 1e-8).all())
 
@@ -76,11 +76,11 @@ def test_total_mass_has_the_volumes_as_gradient(kind):
 
 
 def end_shares(m) -> torch.Tensor:
-    """Share of each node in a uniform traction on the end at x = l, (num_vertices,) [-]."""
+    """Share of each node in a uniform traction on the end at x = l, (num_nodes,) [-]."""
     faces = mesh.surface_triangles(m).faces
     at_end = (m.x_rest[faces][..., 0] == LENGTH).all(1)
     corners = faces[at_end].flatten()  # triangles of equal area
-    return torch.bincount(corners, minlength=m.num_vertices).double() / len(corners)
+    return torch.bincount(corners, minlength=m.num_nodes).double() / len(corners)
 
 
 @pytest.mark.parametrize(("kind", "accuracy"), [("hex", 1e-7), ("tet", 1e-5)])
@@ -145,7 +145,7 @@ def test_gradient_through_steps(integrator, kind):
             state = body(state, physics=physics)
         return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
 
-    args = (leaf(x), leaf(0.3 * noise(m.num_vertices, 3, seed=2)), density)
+    args = (leaf(x), leaf(0.3 * noise(m.num_nodes, 3, seed=2)), density)
     assert float(torch.autograd.grad(layer(*args).sum(), density)[0].abs().min()) > 1e-6
     assert torch.autograd.gradcheck(layer, args, **TOLERANCE)
 
@@ -188,7 +188,7 @@ def test_compiles():
 def test_as_many_elements_as_vertices_are_refused():
     """A vector could then mean either."""
     m = mesh.tet_box((2, 1, 1))
-    assert m.num_elements == m.num_vertices
+    assert m.num_elements == m.num_nodes
     body = soft_body(m)
     with pytest.raises(ValueError, match="may be of elements or of vertices"):
         body.physics(density=torch.ones(m.num_elements, dtype=torch.float64))
@@ -199,7 +199,7 @@ def test_bad_densities_are_refused():
     body = soft_body(mesh.hex_box((2, 1, 1)))
     with pytest.raises(ValueError, match=r"density must lie in \(0, inf\), got -1; unit is kg/m"):
         body.physics(density=torch.tensor([1.0, -1.0], dtype=torch.float64))
-    with pytest.raises(ValueError, match=r"\(num_vertices,\) = \(12,\) or \(num_elements,\) = \(2"):
+    with pytest.raises(ValueError, match=r"\(num_nodes,\) = \(12,\) or \(num_elements,\) = \(2"):
         body.physics(density=torch.ones(3, dtype=torch.float64))
     with pytest.raises(TypeError, match=r"density must be a torch\.Tensor, got NoneType"):
         body.physics(density=None)

@@ -22,8 +22,8 @@ def close(actual, expected, tol=1e-9):
 def case(kind, batch=()):
     """A deformed, moving body with faces in all directions: hydrodynamics, x and v."""
     m = irregular_mesh(kind)
-    x = deformed(m) + 0.02 * noise(*batch, m.num_vertices, 3, seed=7)
-    v = noise(*batch, m.num_vertices, 3, seed=8) + torch.tensor([0.4, -0.3, 0.6]).double()
+    x = deformed(m) + 0.02 * noise(*batch, m.num_nodes, 3, seed=7)
+    v = noise(*batch, m.num_nodes, 3, seed=8) + torch.tensor([0.4, -0.3, 0.6]).double()
     return m, x, v
 
 
@@ -291,7 +291,7 @@ def test_turns_with_the_body_and_scales_with_speed_squared(kind):
     m, x, v = case(kind)
     hydro = soft.Hydrodynamics(m, max_force=300.0, warn=False)
     forces, limited = hydro.evaluate(x, v)
-    assert 0 < limited.sum() < m.num_vertices
+    assert 0 < limited.sum() < m.num_nodes
     turn = torch.linalg.qr(noise(3, 3, seed=4))[0]
     turn = turn * turn.det()
     rotated = hydro.evaluate(x @ turn.T, v @ turn.T)
@@ -320,7 +320,7 @@ def test_limit_says_when_it_acts(limit):
     size = free.norm(dim=-1) if limit == "isotropic" else free.abs().amax(-1)
     bound = float(size.sort().values[-3:-1].mean())  # between the second and third largest
     hydro = soft.Hydrodynamics(m, max_force=bound, limit=limit)
-    with pytest.warns(RuntimeWarning, match=rf"on 2 of {m.num_vertices} nodes.*largest would be"):
+    with pytest.warns(RuntimeWarning, match=rf"on 2 of {m.num_nodes} nodes.*largest would be"):
         forces, limited = hydro.evaluate(x, v)
     assert (limited == (size > bound)).all()
     torch.testing.assert_close(forces[~limited], free[~limited], rtol=0, atol=0)
@@ -348,7 +348,7 @@ def test_numbers_become_parameters_and_tensors_stay():
     assert soft.Hydrodynamics(m, drag_coefficients=given).drag_coefficients is given
     twin = copy.deepcopy(hydro)
     twin.load_state_dict(hydro.state_dict())
-    v = noise(m.num_vertices, 3)
+    v = noise(m.num_nodes, 3)
     torch.testing.assert_close(twin(m.x_rest, v), hydro(m.x_rest, v), rtol=0, atol=0)
     assert "24 faces" not in repr(hydro) and "16 faces" in repr(hydro)
 
@@ -473,7 +473,7 @@ def test_gradient_to_added_mass_through_a_step(integrator):
         total = mass + soft.added_mass(m, coefficient, density)
         return body(soft.State(x, v), physics=body.physics(added_mass=total)).x
 
-    args = (leaf(0.1 + 0.05 * noise(m.num_vertices).tanh()), leaf(0.7), leaf(1.2))
+    args = (leaf(0.1 + 0.05 * noise(m.num_nodes).tanh()), leaf(0.7), leaf(1.2))
     out = after(*args)
     assert all(g.abs().max() > 1e-6 for g in torch.autograd.grad(out.sum(), args))
     assert torch.autograd.gradcheck(after, args, atol=2e-5, rtol=2e-5)

@@ -15,7 +15,7 @@ from diffsim.soft._arrays import EnergyArrays
 from tests.soft.cases import irregular_mesh, soft_body, two_muscles
 
 MESH = mesh.hex_box((2, 1, 1))
-NODES, ELEMENTS = MESH.num_vertices, MESH.num_elements
+NODES, ELEMENTS = MESH.num_nodes, MESH.num_elements
 BODY = soft_body(MESH, fixed=torch.tensor([0, 1, 2, 3]))
 MUSCULAR = soft_body(MESH, fixed=torch.tensor([0, 1, 2, 3]), muscles=two_muscles())
 NAN, INF = float("nan"), float("inf")
@@ -69,7 +69,7 @@ BAD_BODIES = [
     (
         {"density": zeros(ELEMENTS + 1)},
         ValueError,
-        r"density must be a scalar or have shape \(num_vertices,\)",
+        r"density must be a scalar or have shape \(num_nodes,\)",
     ),
     ({"gravity": -9.81}, ValueError, r"gravity must have shape \(3\), got \(\)"),
     ({"gravity": (0.0, -9.81)}, ValueError, r"gravity must have shape \(3\), got \(2,\)"),
@@ -95,7 +95,7 @@ BAD_BODIES = [
     (
         {"fixed": torch.tensor([0, NODES])},
         ValueError,
-        rf"fixed must hold indices of vertices in \[0, {NODES}\), got {NODES}",
+        rf"fixed must hold indices of nodes in \[0, {NODES}\), got {NODES}",
     ),
     ({"fixed": torch.tensor([-1])}, ValueError, "fixed must hold indices.*got -1"),
     (
@@ -449,7 +449,7 @@ def test_any_positive_parameter_is_used_or_refused(value, name):
 @settings(max_examples=40, deadline=None)
 @given(shape=st.lists(st.integers(0, 4), max_size=4))
 def test_any_shape_of_force_is_used_or_refused(shape):
-    """Shapes end in (num_vertices, 3) and broadcast to the state, or raise ValueError."""
+    """Shapes end in (num_nodes, 3) and broadcast to the state, or raise ValueError."""
     try:
         end = BODY(STATE, external_force=zeros(tuple(shape)))
     except ValueError as error:
@@ -473,7 +473,7 @@ def test_any_box_steps(cells, kind, batch, method):
         m, fixed=torch.tensor([0]), solver=soft.SolverOptions(method=method, rtol=1e-9)
     )
     end = body(body.rest_state(batch))
-    assert end.x.shape == (batch, m.num_vertices, 3)
+    assert end.x.shape == (batch, m.num_nodes, 3)
     assert end.x.isfinite().all()
     mass = body.physics().mass
     assert float(mass.sum()) == pytest.approx(1.5 * float(body.nodal_volume.sum()))

@@ -20,7 +20,7 @@ def bars(kind: str, method: str, **options) -> tuple[soft.SoftBody, soft.State, 
         youngs_modulus=200.0,
         solver=soft.SolverOptions(method=method, **{"rtol": 1e-11, **options}),
     )
-    shape = (9, m.num_vertices, 3)
+    shape = (9, m.num_nodes, 3)
     x = leaf(m.x_rest + 0.003 * noise(*shape, seed=1))
     v = leaf(0.03 * noise(*shape, seed=2))
     return body, soft.State(x, v), [x, v]

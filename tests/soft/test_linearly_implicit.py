@@ -57,7 +57,7 @@ def two_steps(body: soft.SoftBody, weight: Tensor, **given):
 
 
 def leaves_of(m, *more) -> list[Tensor]:
-    shape = (m.num_vertices, 3)
+    shape = (m.num_nodes, 3)
     start = [deformed(m, 0.15), noise(*shape, seed=3), 30.0, 0.3, 1.5, noise(*shape, seed=4)]
     return [leaf(value) for value in (*start, *more)]
 
@@ -67,7 +67,7 @@ def leaves_of(m, *more) -> list[Tensor]:
 def test_gradients_of_every_material_are_those_of_differences(material, kind):
     m = irregular_mesh(kind)
     body = linear_body(m, material=material)
-    require_differences(two_steps(body, noise(m.num_vertices, 3, seed=5)), leaves_of(m))
+    require_differences(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
 
 
 @pytest.mark.parametrize("preconditioner", ["auto", "multigrid"])
@@ -83,8 +83,8 @@ def test_gradients_with_muscles_damping_and_moving_targets(integrator, precondit
         rayleigh_beta=0.05,
         options={"preconditioner": preconditioner},
     )
-    target = m.x_rest + 0.1 * noise(m.num_vertices, 3, seed=8)
-    loss = two_steps(body, noise(m.num_vertices, 3, seed=5), activation=None, dirichlet_target=None)
+    target = m.x_rest + 0.1 * noise(m.num_nodes, 3, seed=8)
+    loss = two_steps(body, noise(m.num_nodes, 3, seed=5), activation=None, dirichlet_target=None)
     require_differences(loss, leaves_of(m, [0.9, 0.2], target))
 
 
@@ -92,9 +92,9 @@ def test_gradients_at_rest_where_all_stretches_are_equal():
     m = irregular_mesh("hex")
     for material in ("pd", "corotated"):
         body = linear_body(m, material=material)
-        start = [leaf(v) for v in (m.x_rest, 0.5 * noise(m.num_vertices, 3, seed=3))]
+        start = [leaf(v) for v in (m.x_rest, 0.5 * noise(m.num_nodes, 3, seed=3))]
         rest = leaves_of(m)[2:]
-        require_differences(two_steps(body, noise(m.num_vertices, 3, seed=5)), start + rest)
+        require_differences(two_steps(body, noise(m.num_nodes, 3, seed=5)), start + rest)
 
 
 def test_gradients_with_a_pressure_chamber():
@@ -103,8 +103,8 @@ def test_gradients_with_a_pressure_chamber():
     shell = mesh.HexMesh(box.x_rest, box.elements[~inside])
     body = linear_body(shell, chambers=[soft.PressureChamber.from_cavity(shell)])
     leaves = leaves_of(shell, [3.0])
-    leaves[0] = leaf(shell.x_rest + 0.05 * noise(shell.num_vertices, 3, seed=1))
-    loss = two_steps(body, noise(shell.num_vertices, 3, seed=5), pressure=None)
+    leaves[0] = leaf(shell.x_rest + 0.05 * noise(shell.num_nodes, 3, seed=1))
+    loss = two_steps(body, noise(shell.num_nodes, 3, seed=5), pressure=None)
     require_differences(loss, leaves)
 
 
@@ -131,8 +131,8 @@ def test_step_and_gradient_are_those_of_torch_on_the_energy_written_out():
         H = torch.func.hessian(energy)(x.flatten(), modulus) + torch.diag(mass)
         return x - torch.linalg.solve(H, slope).reshape(-1, 3)
 
-    x, v, modulus = leaf(deformed(m, 0.1)), leaf(noise(m.num_vertices, 3, seed=2)), leaf(E)
-    weight = noise(m.num_vertices, 3, seed=6)
+    x, v, modulus = leaf(deformed(m, 0.1)), leaf(noise(m.num_nodes, 3, seed=2)), leaf(E)
+    weight = noise(m.num_nodes, 3, seed=6)
     found = body(soft.State(x, v), physics=body.physics(youngs_modulus=modulus)).x
     wanted = newton(x, v, modulus)
     torch.testing.assert_close(found, wanted, rtol=1e-11, atol=1e-11)
@@ -168,7 +168,7 @@ def test_order_is_that_of_the_integrator(integrator, order):
 
 def test_members_of_a_batch_do_not_depend_on_one_another():
     m = irregular_mesh("hex")
-    shape = (11, m.num_vertices, 3)
+    shape = (11, m.num_nodes, 3)
     start = m.x_rest + 0.05 * noise(*shape, seed=1)
     for method in ("linearly_implicit", "auto"):
         body = soft_body(m, fixed=rail_mask(m), solver=soft.SolverOptions(method=method, rtol=1e-8))
@@ -191,13 +191,13 @@ def test_a_tangent_that_is_not_definite_is_solved_all_the_same():
     x = leaf(m.x_rest * torch.tensor([0.55, 1.0, 1.0]))  # compressed far beyond buckling
     v = leaf(torch.zeros_like(x))
     with soft.record_stats() as solves:
-        loss = (body(soft.State(x, v)).x * noise(m.num_vertices, 3, seed=5)).sum()
+        loss = (body(soft.State(x, v)).x * noise(m.num_nodes, 3, seed=5)).sum()
     assert float(solves[0].num_factorizations[0]) > 1  # the first one broke down
     assert float(solves[0].converged[0]) == 1.0
     body = linear_body(m, youngs_modulus=3000.0)
 
     def f(x, v):
-        return (body(soft.State(x, v)).x * noise(m.num_vertices, 3, seed=5)).sum()
+        return (body(soft.State(x, v)).x * noise(m.num_nodes, 3, seed=5)).sum()
 
     assert torch.isfinite(loss)
     require_differences(f, [x, v], tolerance=1e-5)

@@ -149,7 +149,7 @@ def test_small_strains_recover_the_constants(material, ratio, kind):
         pytest.skip("projective dynamics needs nu >= 0")
     box = (mesh.hex_box if kind == "hex" else mesh.tet_box)((3, 1, 1), (3.0, 1.0, 1.0))
     x = box.x_rest
-    mask = torch.zeros(box.num_vertices, 3, dtype=torch.bool)
+    mask = torch.zeros(box.num_nodes, 3, dtype=torch.bool)
     mask[:, 0] = (x[:, 0] == 0) | (x[:, 0] == 3)
     for axis in (1, 2):  # planes of symmetry: free to slide, not to drift
         mask[:, axis] = x[:, axis] == 0
@@ -345,7 +345,7 @@ def test_steps_from_inverted_elements(material, kind):
     after = body(soft.State(x, torch.zeros_like(x)))
     assert inverted(body, after.x) > 0
     names = ("x", "v", "youngs_modulus", "poissons_ratio")
-    args = (leaf(x), leaf(0.1 * noise(m.num_vertices, 3)), leaf(30.0), leaf(0.3))
+    args = (leaf(x), leaf(0.1 * noise(m.num_nodes, 3)), leaf(30.0), leaf(0.3))
     assert torch.autograd.gradcheck(layer_of(body, names, 1), args, fast_mode=True, **TOLERANCE)
 
 
@@ -370,7 +370,7 @@ def test_solvers_agree(material, kind):
         )
         x0 = leaf(torch.where(body.fixed, m.x_rest, x))
         state = body(soft.State(x0, torch.zeros_like(x0)))
-        (state.x * noise(m.num_vertices, 3, seed=4)).sum().backward()
+        (state.x * noise(m.num_nodes, 3, seed=4)).sum().backward()
         results.append((state.x.detach(), x0.grad))
     for position, gradient in results[1:]:
         close(position, results[0][0], 1e-8)
@@ -440,7 +440,7 @@ def test_prescribed_motion_may_exceed_an_element(method, kind):
     inertia = body.physics().mass[:, None] / 0.1**2
     residual = inertia * (state.x - m.x_rest) - body.elastic_force(state.x)
     assert residual[~body.fixed].norm() < 1e-6
-    everything = soft_body(m, fixed=torch.arange(m.num_vertices), **options)
+    everything = soft_body(m, fixed=torch.arange(m.num_nodes), **options)
     mirrored = m.x_rest * torch.tensor([-1.0, 1.0, 1.0]).double()
     with pytest.raises(InvertedElementError, match=f"{m.num_elements} of {m.num_elements} element"):
         everything(everything.rest_state(), dirichlet_target=mirrored)
@@ -451,7 +451,7 @@ def test_prescribed_motion_may_exceed_an_element(method, kind):
 def test_damping_is_beta_times_the_small_strain_stiffness(material):
     """f(x, v) - f(x, 0) = -beta K v at rest, K the tangent there."""
     m = irregular_mesh("hex")
-    beta, v = 0.05, noise(m.num_vertices, 3, seed=6)
+    beta, v = 0.05, noise(m.num_nodes, 3, seed=6)
     options = {"material": material, "integrator": "semi_implicit_euler", "dt": 1e-3}
     damped, plain = soft_body(m, rayleigh_beta=beta, **options), soft_body(m, **options)
     rest = soft.State(m.x_rest, v)
@@ -477,7 +477,7 @@ def test_batches_pickling_and_printing():
     body = soft_body(m, material="stvk", fixed=torch.tensor([0, 1, 2]))
     assert "material stvk" in repr(body)
     copy = pickle.loads(pickle.dumps(body))
-    x = torch.stack([m.x_rest, m.x_rest + 0.02 * noise(m.num_vertices, 3)])
+    x = torch.stack([m.x_rest, m.x_rest + 0.02 * noise(m.num_nodes, 3)])
     both = copy(soft.State(x, torch.zeros_like(x)))
     for k in range(2):
         alone = body(soft.State(x[k], torch.zeros_like(x[k])))
@@ -492,7 +492,7 @@ def test_it_compiles(material):
     def layer(x):
         return body(soft.State(x, torch.zeros_like(x))).x
 
-    x = m.x_rest + 0.02 * noise(m.num_vertices, 3)
+    x = m.x_rest + 0.02 * noise(m.num_nodes, 3)
     whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
     close(whole(x), layer(x), 1e-12)
 

@@ -123,9 +123,9 @@ def test_nodes_that_are_fixed_in_part_and_bodies_of_parts():
     one = mesh.hex_box((6, 3, 3), (2.0, 1.0, 1.0))
     apart = one.x_rest + torch.tensor([0.0, 5.0, 0.0], dtype=torch.float64)
     m = mesh.HexMesh(
-        torch.cat([one.x_rest, apart]), torch.cat([one.elements, one.elements + one.num_vertices])
+        torch.cat([one.x_rest, apart]), torch.cat([one.elements, one.elements + one.num_nodes])
     )
-    fixed = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    fixed = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     fixed[0] = True
     fixed[1, 1:] = True
     fixed[5, 2] = True
@@ -142,7 +142,7 @@ def test_a_part_that_nothing_holds_is_refused_at_rest():
     one = mesh.hex_box((4, 1, 1), (2.0, 1.0, 1.0))
     apart = one.x_rest + torch.tensor([0.0, 5.0, 0.0], dtype=torch.float64)
     m = mesh.HexMesh(
-        torch.cat([one.x_rest, apart]), torch.cat([one.elements, one.elements + one.num_vertices])
+        torch.cat([one.x_rest, apart]), torch.cat([one.elements, one.elements + one.num_nodes])
     )
     body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
     with pytest.raises(Exception, match="needs Dirichlet nodes on every axis"):

@@ -38,7 +38,7 @@ def make_mesh(kind, d, elements="elements"):
 def reference_mass(m, d):
     """The published code's lumped mass: every node gets density times mean element volume."""
     volume = float(d["dx"]) ** 3 / (1 if m.kind == "hex" else 6)
-    return torch.full((m.num_vertices,), float(d["rho"]) * volume, dtype=torch.float64)
+    return torch.full((m.num_nodes,), float(d["rho"]) * volume, dtype=torch.float64)
 
 
 @pytest.mark.parametrize("kind", ["hex", "tet"])

@@ -280,7 +280,7 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]), solver=options(method))
     x = m.x_rest * 0.4 + 0.03 * noise(*m.x_rest.shape)
     physics = body.physics()
-    inertia = 0.05 * torch.ones(m.num_vertices, dtype=torch.float64)
+    inertia = 0.05 * torch.ones(m.num_nodes, dtype=torch.float64)
     n = x.numel()
     stiffness = -torch.autograd.functional.jacobian(body.elastic_force, x).reshape(n, n)
     hessian = stiffness + torch.diag(inertia.repeat_interleave(3))
@@ -337,7 +337,7 @@ def test_a_changed_parameter_never_meets_an_old_factor():
         {"rayleigh_beta": 0.01},
         {"rayleigh_beta": 0.5},
         {"rayleigh_alpha": 3.0},
-        {"attached_mass": torch.ones(m.num_vertices).double()},
+        {"attached_mass": torch.ones(m.num_nodes).double()},
         {"youngs_modulus": 30.0},
         {"dt": 0.05},
         {"dt": 0.1},

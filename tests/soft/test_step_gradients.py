@@ -36,17 +36,17 @@ def all_inputs(m, per_element: bool = False, fixed: torch.Tensor | None = None) 
     spread = 1.0 + 0.2 * noise(m.num_elements, seed=5).tanh() if per_element else torch.tensor(1.0)
     values = {
         "x": x,
-        "v": 0.3 * noise(m.num_vertices, 3, seed=2),
-        "external_force": 0.2 * noise(m.num_vertices, 3, seed=3),
+        "v": 0.3 * noise(m.num_nodes, 3, seed=2),
+        "external_force": 0.2 * noise(m.num_nodes, 3, seed=3),
         "activation": [0.8, 0.3],
-        "dirichlet_target": m.x_rest + 0.1 * noise(m.num_vertices, 3, seed=4),
+        "dirichlet_target": m.x_rest + 0.1 * noise(m.num_nodes, 3, seed=4),
         "youngs_modulus": 30.0 * spread,
         "poissons_ratio": 0.3 * spread,
-        "density": 1.5 + 0.1 * noise(m.num_vertices, seed=6).tanh() if per_element else 1.5,
+        "density": 1.5 + 0.1 * noise(m.num_nodes, seed=6).tanh() if per_element else 1.5,
         "gravity": [0.3, -0.2, -1.0],
         "rayleigh_alpha": 0.4,
         "rayleigh_beta": 0.02 * spread,
-        "attached_mass": 0.2 + 0.1 * noise(m.num_vertices, seed=7).tanh(),
+        "attached_mass": 0.2 + 0.1 * noise(m.num_nodes, seed=7).tanh(),
         "fiber_stiffness": [8.0, 6.0],
     }
     return {name: leaf(value) for name, value in values.items()}
@@ -346,7 +346,7 @@ def test_batch_equals_one_by_one(integrator, kind):
     )
     x = torch.stack([deformed(m, seed=k) for k in range(6)]).view(2, 3, -1, 3)
     names = ("v", "external_force", "dirichlet_target")
-    varied = {n: 0.2 * noise(2, 3, m.num_vertices, 3, seed=k) for k, n in enumerate(names)}
+    varied = {n: 0.2 * noise(2, 3, m.num_nodes, 3, seed=k) for k, n in enumerate(names)}
     varied["dirichlet_target"] = varied["dirichlet_target"] * 0.2 + m.x_rest
     activation = 0.8 + 0.1 * noise(2, 3, 1)
 
@@ -477,7 +477,7 @@ def test_elastic_force_keeps_the_layer_contract(monkeypatch):
 
     ops = recorded_ops(
         monkeypatch,
-        lambda: (layer(*args) * noise(m.num_vertices, 3)).sum().backward(),
+        lambda: (layer(*args) * noise(m.num_nodes, 3)).sum().backward(),
         "elastic_gradient",
         "elastic_gradient_vjp",
     )

@@ -91,8 +91,8 @@ def test_a_turned_world_gives_the_turned_step(integrator, kind):
     }
     body = soft_body(m, **options)
     turn, shift = rotation(), torch.tensor([3.0, -2.0, 1.0], dtype=torch.float64)
-    x, v = deformed(m), noise(m.num_vertices, 3)
-    push = noise(m.num_vertices, 3, seed=5)
+    x, v = deformed(m), noise(m.num_nodes, 3)
+    push = noise(m.num_nodes, 3, seed=5)
     here = run(body, soft.State(x, v), 3, external_force=push, dirichlet_target=x)
     there = run(
         body,
@@ -114,7 +114,7 @@ def test_free_bodies_keep_their_momentum(integrator, kind):
     (its force is a torque-free function of x_n; x_{n+1} x v_{n+1} = x_n x v_{n+1})."""
     body = free_body(kind, integrator, dt=0.02, rayleigh_beta=0.01)
     mass = body.physics().mass
-    start = soft.State(deformed(body.mesh), noise(body.mesh.num_vertices, 3))
+    start = soft.State(deformed(body.mesh), noise(body.mesh.num_nodes, 3))
     end = run(body, start, 10)
     # The residual, 1e-12 of about 1e3 N, acts over 0.2 s.
     close(momentum(mass, end), momentum(mass, start), 1e-8)
@@ -178,7 +178,7 @@ def test_the_damping_force_of_a_rigid_rotation_is_zero():
 @pytest.mark.parametrize("kind", KINDS)
 def test_implicit_euler_never_gains_energy(kind):
     body = free_body(kind, "implicit_euler", dt=0.05)
-    state = soft.State(deformed(body.mesh), 0.5 * noise(body.mesh.num_vertices, 3))
+    state = soft.State(deformed(body.mesh), 0.5 * noise(body.mesh.num_nodes, 3))
     mass = body.physics().mass
     energies = []
     for _ in range(40):
@@ -195,7 +195,7 @@ def test_implicit_midpoint_nearly_keeps_energy(kind):
     for dt in (0.02, 0.01):
         body = free_body(kind, "implicit_midpoint", dt=dt)
         state = soft.State(
-            body.x_rest + 0.02 * noise(body.mesh.num_vertices, 3), torch.zeros_like(body.x_rest)
+            body.x_rest + 0.02 * noise(body.mesh.num_nodes, 3), torch.zeros_like(body.x_rest)
         )
         mass = body.physics().mass
         energies = []
@@ -236,7 +236,7 @@ def test_free_fall_is_a_parabola(integrator, kind):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_numbering_does_not_matter(integrator, kind):
     m = irregular_mesh(kind, (2, 1, 1))
-    order = torch.randperm(m.num_vertices, generator=torch.Generator().manual_seed(0))
+    order = torch.randperm(m.num_nodes, generator=torch.Generator().manual_seed(0))
     place = torch.argsort(order)  # old node -> new node
     shuffle = torch.randperm(m.num_elements, generator=torch.Generator().manual_seed(1))
     other = type(m)(m.x_rest[order], place[m.elements[shuffle]])
@@ -247,7 +247,7 @@ def test_numbering_does_not_matter(integrator, kind):
         (other, order, elements),
     ):
         muscle = soft.Muscle(elements=muscle_elements, direction=[1.0, 0.2, 0.0], stiffness=8.0)
-        fixed = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+        fixed = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
         fixed[:2] = True
         fixed[2, 1] = True
         body = soft_body(
@@ -258,11 +258,9 @@ def test_numbering_does_not_matter(integrator, kind):
             rayleigh_beta=0.02,
             dt=0.02,
         )
-        x, v = leaf(deformed(m)[pick]), leaf(noise(m.num_vertices, 3)[pick])
+        x, v = leaf(deformed(m)[pick]), leaf(noise(m.num_nodes, 3)[pick])
         state = run(body, soft.State(x, v), 2, activation=torch.tensor([0.8], dtype=torch.float64))
-        grads = torch.autograd.grad(
-            (state.x * noise(m.num_vertices, 3, seed=4)[pick]).sum(), (x, v)
-        )
+        grads = torch.autograd.grad((state.x * noise(m.num_nodes, 3, seed=4)[pick]).sum(), (x, v))
         results.append((state.x, state.v, *grads))
     for one, renumbered in zip(*results, strict=True):
         close(renumbered, one[order], 1e-8)
@@ -290,7 +288,7 @@ def test_patch(kind, volume_weight):
     inside."""
     box = (mesh.hex_box if kind == "hex" else mesh.tet_box)((3, 3, 3))
     inside = ((box.x_rest > 1e-9) & (box.x_rest < 1 - 1e-9)).all(1)
-    moved = box.x_rest + 0.06 * inside[:, None] * noise(box.num_vertices, 3).clamp(-1.5, 1.5)
+    moved = box.x_rest + 0.06 * inside[:, None] * noise(box.num_nodes, 3).clamp(-1.5, 1.5)
     m = type(box)(moved, box.elements)
     body = soft_body(m, fixed=~inside, gravity=(0.0, 0.0, 0.0), volume_weight=volume_weight)
     strain = torch.eye(3, dtype=torch.float64) + torch.tensor(
@@ -309,7 +307,7 @@ def uniaxial(kind, nu, volume_weight):
     """(E, nu) found by pulling a box by 1e-5 on rollers."""
     m = (mesh.hex_box if kind == "hex" else mesh.tet_box)((2, 2, 2))
     x = m.x_rest
-    fixed = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    fixed = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     for axis in range(3):
         fixed[:, axis] = x[:, axis] == 0.0
     fixed[x[:, 0] == 1.0, 0] = True
@@ -350,7 +348,7 @@ def test_thesis_weights_soften(kind):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_a_rail_leaves_one_axis_free(integrator):
     m = irregular_mesh("hex", (2, 1, 1))
-    mask = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    mask = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     mask[:, 1:] = True
     body = soft_body(m, fixed=mask, gravity=(2.0, -1.0, -3.0), integrator=integrator, dt=0.02)
     end = run(body, body.rest_state(), 10)
@@ -365,7 +363,7 @@ def test_a_rail_leaves_one_axis_free(integrator):
 def test_a_moving_boundary_is_followed(integrator):
     """A rigidly carried body arrives where it is carried, at the carrier's velocity."""
     m = irregular_mesh("hex", (2, 1, 1))
-    body = soft_body(m, fixed=torch.arange(m.num_vertices), integrator=integrator, dt=0.02)
+    body = soft_body(m, fixed=torch.arange(m.num_nodes), integrator=integrator, dt=0.02)
     speed = torch.tensor([1.0, -0.5, 2.0], dtype=torch.float64)
     state = soft.State(m.x_rest, speed.expand_as(m.x_rest).contiguous())
     for k in range(5):
@@ -390,7 +388,7 @@ def test_attached_mass_pulls_and_slows():
     """Axial bar: the extra mass stretches it by m g l / (E A), and lowers its frequency."""
     body = bar(gravity=(9.81, 0.0, 0.0))
     tip = body.mesh.nodes_near_plane("x", 1.0)
-    extra = torch.zeros(body.mesh.num_vertices, dtype=torch.float64)
+    extra = torch.zeros(body.mesh.num_nodes, dtype=torch.float64)
     share = body.nodal_volume[tip] / body.nodal_volume[tip].sum()  # as if spread over the end face
     extra[tip] = 4.0 * share  # 4 kg on a bar of 40 kg
     loaded = body.physics(attached_mass=extra)

@@ -21,18 +21,18 @@ def inputs_of(body):
     """Values of everything that may move: moving, strained, per element where that is allowed."""
     m = body.mesh
     return {
-        "x": m.x_rest + torch.where(body.fixed, 0.0, 0.05 * noise(m.num_vertices, 3, seed=1)),
-        "v": 0.3 * noise(m.num_vertices, 3, seed=2),
-        "external_force": 0.2 * noise(m.num_vertices, 3, seed=3),
+        "x": m.x_rest + torch.where(body.fixed, 0.0, 0.05 * noise(m.num_nodes, 3, seed=1)),
+        "v": 0.3 * noise(m.num_nodes, 3, seed=2),
+        "external_force": 0.2 * noise(m.num_nodes, 3, seed=3),
         "activation": torch.tensor([0.8, 0.3], dtype=torch.float64),
-        "dirichlet_target": m.x_rest + 0.05 * noise(m.num_vertices, 3, seed=4),
+        "dirichlet_target": m.x_rest + 0.05 * noise(m.num_nodes, 3, seed=4),
         "youngs_modulus": 30.0 * (1.0 + 0.2 * noise(m.num_elements, seed=5).tanh()),
         "poissons_ratio": torch.tensor(0.3, dtype=torch.float64),
-        "density": 1.5 + 0.1 * noise(m.num_vertices, seed=6).tanh(),
+        "density": 1.5 + 0.1 * noise(m.num_nodes, seed=6).tanh(),
         "gravity": torch.tensor([0.3, -0.2, -1.0], dtype=torch.float64),
         "rayleigh_alpha": torch.tensor(0.4, dtype=torch.float64),
         "rayleigh_beta": 0.02 * (1.0 + 0.2 * noise(m.num_elements, seed=5).tanh()),
-        "attached_mass": 0.2 + 0.1 * noise(m.num_vertices, seed=7).tanh(),
+        "attached_mass": 0.2 + 0.1 * noise(m.num_nodes, seed=7).tanh(),
         "fiber_stiffness": torch.tensor([8.0, 6.0], dtype=torch.float64),
     }
 
@@ -262,7 +262,7 @@ def test_indefinite_tangents_are_solved_too():
     ends = torch.cat([m.nodes_near_plane("x", 0.0), m.nodes_near_plane("x", 6.0)])
     body = soft_body(m, fixed=ends, gravity=(0.0, 0.0, 0.0))
     x = m.x_rest * torch.tensor([0.7, 1.0, 1.0], dtype=torch.float64)
-    force = noise(2, m.num_vertices, 3, seed=1)
+    force = noise(2, m.num_nodes, 3, seed=1)
     with soft.record_stats() as solves:
         found = soft.static_tangents(body, x, 2, soft.Directions(external_force=force))
     assert int(solves[0].num_iters) > 0  # not by the factor

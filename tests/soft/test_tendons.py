@@ -147,7 +147,7 @@ def test_contraction_of_a_bar(sections):
     """nu = 0, a tendon in the axis of a bar: stretch = (E A + EA a) / (E A + EA)."""
     m = slender("hex", cells=(10, sections, sections))
     tendon = soft.Tendon(m, [[0, 0.05, 0.05], [1, 0.05, 0.05]], axial_stiffness=40.0)
-    hold = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    hold = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     hold[m.nodes_near_plane("x", 0.0), 0] = True
     hold[:, 1:] = True
     body = soft.SoftBody(
@@ -208,7 +208,7 @@ def test_gradients_of_length_and_tension(kind):
         a = tendon.activation(command)
         return tendon.length(x), tendon.tension(x, a, axial_stiffness=stiffness)
 
-    x = deformed(m).expand(2, -1, -1) + 0.01 * noise(2, m.num_vertices, 3, seed=6)
+    x = deformed(m).expand(2, -1, -1) + 0.01 * noise(2, m.num_nodes, 3, seed=6)
     args = (leaf(x), leaf([1.5, 1.8]), leaf(5.0))
     assert torch.autograd.gradcheck(measures, args)
     assert torch.autograd.grad(measures(*args)[0].sum(), args[0])[0].abs().max() > 0.1

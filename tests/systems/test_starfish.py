@@ -43,7 +43,7 @@ def whole_robot(dt: float) -> tuple[soft.SoftBody, np.ndarray]:
             off = side * d[::-1]
             ends = [[-DEPTH, *(s * d + off)] for s in (REACH - TENDON, REACH)]
             tendons.append(soft.Tendon(m, ends, axial_stiffness=150.0).muscle)
-    rail = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    rail = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     rail[(m.x_rest[:, 1:].abs() < WIDTH / 2 + 1e-9).all(1), 1:] = True
     body = soft.SoftBody(
         m,
@@ -58,7 +58,7 @@ def whole_robot(dt: float) -> tuple[soft.SoftBody, np.ndarray]:
         masses=soft.Masses(added_mass=soft.added_mass(m, 1.0, 1000.0)),
         solver=soft.SolverOptions(rtol=1e-9),
     )
-    return body, back[: part.num_vertices]
+    return body, back[: part.num_nodes]
 
 
 def test_quarter_moves_as_the_whole_robot_does():

@@ -50,7 +50,7 @@ class SoftBalls:
     ):
         self.radius, self.steps, self.frame_s = radius, steps, frame_s
         self.ball = ball_mesh(radius, subdivisions)
-        n = self.ball.num_vertices
+        n = self.ball.num_nodes
         apart = torch.tensor([4.0 * radius, 0.0, 0.0], dtype=torch.float64)
         both = mesh.TetMesh(
             torch.cat([self.ball.x_rest, self.ball.x_rest + apart]),
@@ -75,7 +75,7 @@ class SoftBalls:
         return self.rollout(values, num_frames)[:, self.nodes].mean(2)
 
     def rollout(self, values: Mapping[str, Tensor], num_frames: int) -> Tensor:
-        """Nodes at every frame, (num_frames, num_vertices, 3) [m].
+        """Nodes at every frame, (num_frames, num_nodes, 3) [m].
 
         Args:
             values: ``MOTION``, (); spins are given as velocities of rolling [m/s].

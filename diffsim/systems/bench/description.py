@@ -65,7 +65,8 @@ class BenchDescription(FormulaKeys):
             ZERO_SCALES: zero_scales(study),
         }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
-        zeros = run_zeros(study, zero_scales(study))
+        # what differs between groups of a search for faults is their stated scatter, and no fault
+        zeros = run_zeros(study, zero_scales(study)) if study.faults is None else ()
         advised = DiagnosisSettings(
             search=SearchSettings(
                 max_effects=MAX_EFFECTS,

@@ -52,7 +52,7 @@ class SoftRobot:
     @property
     def num_dofs(self) -> int:
         """Degrees of freedom, fixed ones included."""
-        return 3 * self.body.mesh.num_vertices
+        return 3 * self.body.mesh.num_nodes
 
     def activation(self, command: Tensor) -> Tensor:
         """Muscle activations (..., num_muscles) of commands (..., num_commands)."""
@@ -64,7 +64,7 @@ class SoftRobot:
         """Force of the water at a state, shape of x [N]; None in air.
 
         Args:
-            state: x, v (..., num_vertices, 3).
+            state: x, v (..., num_nodes, 3).
             water_velocity: (..., 3) [m/s]; None: at rest.
             gain: Factor on drag and thrust, broadcastable to x; None: 1.
         """

@@ -100,7 +100,7 @@ def starfish(
         dt=dt,
         youngs_modulus=youngs_modulus,
         amplitude=amplitude,
-        added=torch.ones(shape.num_vertices, dtype=torch.float64),
+        added=torch.ones(shape.num_nodes, dtype=torch.float64),
         num_sensors=num_sensors,
         solver=_solver(coarse, rtol, method),
     )
@@ -175,7 +175,7 @@ def shark(
     for sign in (-1.0, 1.0):  # the grid's second axis is -y
         layer = tail & (sign * side > 0.5)
         muscles.append(fibers(layer, (1.0, 0.0, 0.0), 2.0 * youngs_modulus))
-    added = torch.ones(shape.num_vertices, dtype=torch.float64)
+    added = torch.ones(shape.num_nodes, dtype=torch.float64)
     added[(u[:, 1:].abs() > 1.0).any(1) | (u[:, 0] > 0.86)] = 4.0  # plates: pi w / (4 t)
     return _swimmer(
         "shark",

@@ -282,8 +282,8 @@ def _check_half(name: str, across: int, per_muscle: bool) -> None:
 
 
 def _on_middle(shape: mesh.HexMesh) -> Tensor:
-    """Mask (num_vertices, 3) that holds y on the plane y = 0."""
-    held = torch.zeros(shape.num_vertices, 3, dtype=torch.bool)
+    """Mask (num_nodes, 3) that holds y on the plane y = 0."""
+    held = torch.zeros(shape.num_nodes, 3, dtype=torch.bool)
     held[:, 1] = shape.x_rest[:, 1].abs() < 1e-9
     return held
 

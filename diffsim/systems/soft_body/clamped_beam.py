@@ -118,7 +118,7 @@ class Beam:
         share = torch.ones(len(edge), dtype=torch.float64)
         ends = (x[edge, 1] < tol) | (x[edge, 1] > self.bar.width_m - tol)
         share[ends] = 0.5
-        shares = torch.zeros(self.mesh.num_vertices, dtype=torch.float64)
+        shares = torch.zeros(self.mesh.num_nodes, dtype=torch.float64)
         shares[edge] = share / share.sum()
         return shares
 

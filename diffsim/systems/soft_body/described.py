@@ -179,7 +179,7 @@ class DescribedModel:
         return share * fact_in(run, load.mass_from, "kg")
 
     def _hung(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
-        """(num_vertices,) of what acts by its weight alone [kg]; less than 0: buoyancy."""
+        """(num_nodes,) of what acts by its weight alone [kg]; less than 0: buoyancy."""
         hung = [
             self._mass(i, own, run) * rig.load_shares[i]
             for i, load in enumerate(self.given.masses)

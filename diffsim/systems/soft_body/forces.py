@@ -19,7 +19,7 @@ def drag(shares: Callable[[SoftScene], Tensor], *, quadratic: bool) -> Apply:
     """An effect's ``apply`` that drags every node by its share of the body.
 
     Args:
-        shares: Area or volume of each node of a scene, (num_vertices,) [m^2] or [m^3].
+        shares: Area or volume of each node of a scene, (num_nodes,) [m^2] or [m^3].
         quadratic: Whether drag grows with the square of the speed.
     """
     return partial(_dragged, shares=shares, quadratic=quadratic)
@@ -59,11 +59,11 @@ class _Drag(Force):
 
 
 def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
-    """Share of the surface at rest that belongs to each node, (num_vertices,) [m^2]."""
+    """Share of the surface at rest that belongs to each node, (num_nodes,) [m^2]."""
     faces = surface_triangles(mesh).faces
     a, b, c = mesh.x_rest[faces].unbind(1)
     area = 0.5 * torch.linalg.cross(b - a, c - a).norm(dim=-1)
-    areas = torch.zeros(mesh.num_vertices, dtype=torch.float64)
+    areas = torch.zeros(mesh.num_nodes, dtype=torch.float64)
     return areas.index_add(0, faces.flatten(), (area / 3.0).repeat_interleave(3))
 
 

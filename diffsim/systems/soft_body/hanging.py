@@ -132,7 +132,7 @@ class SlackScene(SoftScene):
         return SoftScene(**(kept | changes))
 
     def _at_catch(self, fall: Tensor, last: int) -> tuple[Tensor, Tensor]:
-        """Places and speeds (num_vertices, 3) by Lagrange through four steps around the catch."""
+        """Places and speeds (num_nodes, 3) by Lagrange through four steps around the catch."""
         first = max(last - 1, 0)
         s = self.slack_s / self.body.dt - first
         nodes = range(4)
@@ -178,5 +178,5 @@ def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
 
 
 def _places(x: Tensor) -> Tensor:
-    """All nodes' places in a row, (..., 3 num_vertices)."""
+    """All nodes' places in a row, (..., 3 num_nodes)."""
     return x.flatten(-2)

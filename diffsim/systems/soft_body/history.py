@@ -14,7 +14,7 @@ class History:
 
     Attributes:
         since_s: Time since the hand let go [s].
-        hand_force: (num_vertices, 3) of the hand [N].
+        hand_force: (num_nodes, 3) of the hand [N].
         swing_rate: () angular frequency of the swing [rad/s].
     """
 
@@ -31,12 +31,12 @@ class History:
         or forgotten within a few swings.
 
         Args:
-            force: (..., num_vertices, 3) of the solid now [N].
-            weight: Weight of the solid at each node, (num_vertices, 3) [N].
+            force: (..., num_nodes, 3) of the solid now [N].
+            weight: Weight of the solid at each node, (num_nodes, 3) [N].
             tau: (num_branches,) time constants [s].
 
         Returns:
-            (num_branches, ..., num_vertices, 3) [N].
+            (num_branches, ..., num_nodes, 3) [N].
         """
         tau = tau.reshape(-1, *(1 for _ in force.shape))
         held = torch.exp(-self.since_s / tau) * self.hand_force

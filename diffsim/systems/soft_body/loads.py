@@ -70,7 +70,7 @@ def _tip_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 
 def free_end(scene: SoftScene) -> Tensor:
-    """(num_vertices,) shares of the nodes farthest from where the body is held; they sum to 1."""
+    """(num_nodes,) shares of the nodes farthest from where the body is held; they sum to 1."""
     body = scene.body
     x, held = body.x_rest, body.fixed.any(-1)
     from_point = x[held].mean(0) if bool(held.any()) else x.mean(0)

@@ -103,7 +103,7 @@ class _Relaxation(Force):
         return other._strength * others.mean() / mean
 
     def _at_first(self, scene: SoftScene, force: Tensor) -> Tensor:
-        """(num_branches, ..., num_vertices, 3) [N]."""
+        """(num_branches, ..., num_nodes, 3) [N]."""
         if scene.history is None:
             return force.expand(len(self._tau), *force.shape)
         mass = scene.solid_mass + scene.parameter("attached_mass")

@@ -71,7 +71,7 @@ def beam_model(
             rtol=rtol * numerics.tolerance,
         )
         beam = made(setup, float(run.setup.get("tip_load_mass_kg", 0.0)))
-        face = torch.zeros(beam.mesh.num_vertices, dtype=torch.float64)
+        face = torch.zeros(beam.mesh.num_nodes, dtype=torch.float64)
         face[beam.face] = 1.0 / len(beam.face)
         return SoftScene(
             body=beam.body,

@@ -160,7 +160,7 @@ def carried_weights(places: Array, points: Array) -> Array:
 
 
 def spread_evenly(volume: Tensor, nodes: Tensor) -> Tensor:
-    """(num_vertices,) shares of some nodes by the volume they stand for; they sum to 1."""
+    """(num_nodes,) shares of some nodes by the volume they stand for; they sum to 1."""
     out = torch.zeros_like(volume)
     out[nodes] = volume[nodes] / volume[nodes].sum()
     return out

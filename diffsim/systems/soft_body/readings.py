@@ -165,7 +165,7 @@ def look_of(
     """
     used = list(dict.fromkeys(m for _, r in readings for m in (*r.markers, *r.minus)))
     index = {name: k for k, name in enumerate(used)}
-    dense = np.zeros((len(used), mesh.num_vertices))
+    dense = np.zeros((len(used), mesh.num_nodes))
     places = np.array([markers[name].at for name in used])
     for k, name in enumerate(used):
         marker = markers[name]

@@ -234,13 +234,13 @@ class BeamTip:
         )
 
     def look(self, x: Tensor) -> Tensor:
-        """Channels of positions (..., num_vertices, 3), (..., num_channels)."""
+        """Channels of positions (..., num_nodes, 3), (..., num_channels)."""
         face = x[..., self.face, :].transpose(-1, -2)[..., list(self.seen.axes), :]
         return (self.seen.weights * face).sum(-1)
 
 
 def propping_force(bar: BeamGeometry, density: Tensor, tip: BeamTip, load: Tensor) -> Tensor:
-    """(num_vertices, 3) of a hand under the tip that holds the bar straight [N].
+    """(num_nodes, 3) of a hand under the tip that holds the bar straight [N].
 
     The reaction of a propped cantilever, 3/8 of the bar's weight, and all of the tip's load.
     """
@@ -257,7 +257,7 @@ def tip_stiffness(bar: BeamGeometry, youngs_modulus: Tensor) -> Tensor:
 
 
 def _spread(volume: Tensor, nodes: Tensor) -> Tensor:
-    """(num_vertices,) shares of the nodes by the volume they stand for; they sum to 1."""
+    """(num_nodes,) shares of the nodes by the volume they stand for; they sum to 1."""
     out = torch.zeros_like(volume)
     out[nodes] = volume[nodes] / volume[nodes].sum()
     return out

@@ -94,8 +94,8 @@ class Rig:
         return found
 
     def _fixed(self) -> Tensor:
-        """(num_vertices, 3) bool."""
-        held = torch.zeros(self.mesh.num_vertices, 3, dtype=torch.bool)
+        """(num_nodes, 3) bool."""
+        held = torch.zeros(self.mesh.num_nodes, 3, dtype=torch.bool)
         for i, clamp in enumerate(self.given.fixed):
             nodes = self._nodes(f"fixed[{i}]", clamp)
             for axis in clamp.axes:
@@ -230,7 +230,7 @@ class Rig:
         inside = torch.zeros(len(around.faces), dtype=torch.bool)
         for clamp in self.given.fixed:
             if len(clamp.axes) == 1 and not isinstance(getattr(clamp, clamp.axes), tuple):
-                on_plane = torch.zeros(self.mesh.num_vertices, dtype=torch.bool)
+                on_plane = torch.zeros(self.mesh.num_nodes, dtype=torch.bool)
                 on_plane[clamp.nodes(self.mesh)] = True
                 inside |= on_plane[around.faces].all(1)
         around.faces = around.faces[~inside]

@@ -34,7 +34,7 @@ class Moment:
     """State of one time step, which a force may depend on.
 
     Attributes:
-        x, v: Positions [m] and velocities [m/s] of the nodes, (num_vertices, 3).
+        x, v: Positions [m] and velocities [m/s] of the nodes, (num_nodes, 3).
         time: Time since the start [s].
         dt: Time step [s].
     """
@@ -48,11 +48,11 @@ class Moment:
 class Force:
     """A force that may remember; made anew for every simulation.
 
-    ``__call__`` returns nodal forces (num_vertices, 3) [N] of one moment; called once per step, in
+    ``__call__`` returns nodal forces (num_nodes, 3) [N] of one moment; called once per step, in
     order.
 
     Attributes:
-        leading_axes: Whether moments with leading axes, x and v (..., num_vertices, 3), are
+        leading_axes: Whether moments with leading axes, x and v (..., num_nodes, 3), are
             understood: then derivatives ask for many states at once.
         reads: The physical parameters of the scene that the force depends on; None: any.
     """
@@ -80,16 +80,16 @@ class SoftScene:
         body: The body, with its time step and solver.
         sample_times: When channels were recorded, since the start of the simulation, (num_samples,)
             [s]. Before 0 the body rests as it starts.
-        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,). Derivatives are
+        observe: Positions (num_nodes, 3) [m] -> channels (num_channels,). Derivatives are
             quicker where it is one function for all scenes and takes leading axes.
         axes: Axis of space of every channel, 0, 1 or 2 for x, y or z, so that maps of space find
             their components.
         parameters: Physical parameters for ``body.physics`` by name; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
             command and ``holding_force``, or "given": ``start_position``.
-        holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
-        start_position: (num_vertices, 3) for the start "given" [m].
-        start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
+        holding_force: (num_nodes, 3) of a hand that lets go at 0 [N]; None: none.
+        start_position: (num_nodes, 3) for the start "given" [m].
+        start_velocity: (num_nodes, 3) at 0 [m/s]; None: at rest.
         relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
             first guess of the equilibrium, which is iterated all the same.
         history: Loads before the start, for hooks with memory; None: the loads of the start acted
@@ -104,7 +104,7 @@ class SoftScene:
         water: Drag and thrust of a fluid, explicit; None: there is none.
         current: Velocity of the fluid, which every drag force is relative to, (3,) [m/s].
         fluid_density: Density of the fluid for added mass [kg/m^3].
-        friction_shares: (num_vertices,) of dry friction, summing to 1; None: evenly by volume.
+        friction_shares: (num_nodes,) of dry friction, summing to 1; None: evenly by volume.
         time_scale: True seconds per second of the record.
         clock_offset: The record's clock is late by this [s].
         late: Channels of an instrument by their indices, and how late it is [s]; added up.
@@ -115,7 +115,7 @@ class SoftScene:
         output_maps: Functions of channels (num_samples, num_channels) and sample times that change
             the channels, in order.
         pressurize: Commands (n, width) -> pressures (n, num_chambers) [Pa]; None: no chambers.
-        hung_mass: (num_vertices,) what hangs from each node as a force only [kg]; None: nothing.
+        hung_mass: (num_nodes,) what hangs from each node as a force only [kg]; None: nothing.
         obstacles: What the body meets; see :class:`diffsim.contact.Obstacle`.
     """
 
@@ -186,7 +186,7 @@ class SoftScene:
 
     @property
     def solid_mass(self) -> Tensor:
-        """Mass of the solid at each node, (num_vertices,) [kg]."""
+        """Mass of the solid at each node, (num_nodes,) [kg]."""
         body, density = self.body, self.parameter("density")
         volume = LumpedVolume(
             elements=body.mesh.elements, shares=body.nodal_shares, nodal=body.nodal_volume
@@ -194,7 +194,7 @@ class SoftScene:
         return volume.mass(density)
 
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-        """Force of the solid without fibers, as a function of x (..., num_vertices, 3) [m].
+        """Force of the solid without fibers, as a function of x (..., num_nodes, 3) [m].
 
         It returns the elastic force, shape of x [N], and the mean square strain (...) [-]: that of
         a bar with the same energy, 2 U / (E V), whatever E.
@@ -291,7 +291,7 @@ class SoftScene:
             activation: Activations of the muscles, (num_muscles,); None: none.
             physics: Parameters of the body.
             pressure: Pressures of the chambers, (num_chambers,) [Pa]; None: none.
-            guess: Places to begin from, (num_vertices, 3) [m]; None: the unstrained shape.
+            guess: Places to begin from, (num_nodes, 3) [m]; None: the unstrained shape.
         """
         held = self.holding_force
         relaxed = {**self.parameters, **self.relaxed}
@@ -374,7 +374,7 @@ class SoftScene:
         return total
 
     def force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
-        """Sum of the hooks' forces at the start of step k, (num_vertices, 3) [N]."""
+        """Sum of the hooks' forces at the start of step k, (num_nodes, 3) [N]."""
         dt = self.body.dt
         moment = Moment(state.x, state.v, self.start_time + k * dt, dt)
         total = torch.zeros_like(state.x)

@@ -103,7 +103,7 @@ class _Path:
 
     Attributes:
         moves: Whether the record shows any motion.
-        modes: (3, num_vertices, 3) displacement of all nodes per forward shift, upward shift [-]
+        modes: (3, num_nodes, 3) displacement of all nodes per forward shift, upward shift [-]
             and rotation [m].
     """
 

@@ -126,7 +126,7 @@ class TendonBar:
         )
         self._rest = x[self.axis][:, :, 1].mean(1)
         face = box.nodes_near_plane("x", length)
-        self.tip = torch.zeros(box.num_vertices, dtype=torch.float64)
+        self.tip = torch.zeros(box.num_nodes, dtype=torch.float64)
         self.tip[face] = 1.0 / len(face)
 
     def look(self, x: Tensor) -> Tensor:

@@ -36,7 +36,7 @@ class Quarter:
 
     Attributes:
         body: Soft body with one muscle, which stands for both half tendons.
-        rail: (num_vertices,) shares of the nodes that the rail holds; they sum to 1.
+        rail: (num_nodes,) shares of the nodes that the rail holds; they sum to 1.
         rows: (2, n) weights of ``nodes``: marker at the middle of a leg, marker at its tip.
         nodes: (n,) along the leg's edge on the flat side.
     """
@@ -98,7 +98,7 @@ def quarter(
     """The body with its tendons; density, stiffness and damping are the scene's to say."""
     m = make_mesh(refine)
     x = m.x_rest
-    held = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    held = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
     on_rail = (x[:, 1:] < WIDTH / 2 + 1e-9).all(1)  # the same part of the core on every mesh
     held[on_rail, 1:] = True
     held[x[:, 1] < 1e-9, 1] = True

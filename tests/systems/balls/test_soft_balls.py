@@ -30,7 +30,7 @@ def balls() -> SoftBalls:
 
 def test_size_is_that_of_table_4_2(balls):
     assert balls.ball.num_elements == 320
-    assert 3 * balls.ball.num_vertices == 489
+    assert 3 * balls.ball.num_nodes == 489
     assert balls.body.mesh.num_elements == 640
     assert balls.body.dt == pytest.approx(5.6e-3, abs=5e-5)
 

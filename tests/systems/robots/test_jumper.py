@@ -31,7 +31,7 @@ def free_stretch(command: float) -> float:
 def test_size_of_the_published_mesh() -> None:
     """204 nodes, 444 tetrahedra, 222 commands there."""
     robot = robots.soft_jumper()
-    assert robot.body.mesh.num_vertices == pytest.approx(204, rel=0.15)
+    assert robot.body.mesh.num_nodes == pytest.approx(204, rel=0.15)
     assert robot.body.mesh.num_elements == pytest.approx(444, rel=0.03)
     assert len(robot.command_names) == robot.body.mesh.num_elements // 2
     x = robot.body.x_rest
