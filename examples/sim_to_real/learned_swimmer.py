@@ -8,8 +8,8 @@ simulation gets what it names, the same network is trained anew and swims again.
 a chain of its own: first weights, scatter and noise of the laboratory.
 
 Expected: the diagnosis finds the slack to 3 %, but the robot gains nothing: -0.06 cm/s, 95 %
-interval -0.35 to 0.22 over three seeds, and -0.87 to 0.77 with five times the ``--updates``: first
-weights decide more than the model (docs/measured/sim_to_real.md). About two minutes of processor time per
+interval -0.35 to 0.22 over three seeds, and -0.87 to 0.77 with five times the ``--updates``: seeds
+differ more than models do (docs/measured/sim_to_real.md). About two minutes of processor time per
 seed. Every step is kept: started again, it goes on where it was interrupted.
 
     python examples/sim_to_real/learned_swimmer.py --out runs/learned_swimmer
