@@ -7,14 +7,16 @@ from diffsim.sim_to_real.hardware import (
     Hardware,
 )
 from diffsim.sim_to_real.identification import FitSettings, Identified, identify
-from diffsim.sim_to_real.laboratory import VirtualLaboratory
+from diffsim.sim_to_real.laboratory import Rig, VirtualLaboratory
 from diffsim.sim_to_real.loop import sim_to_real
 from diffsim.sim_to_real.measured import on_real_recording
-from diffsim.sim_to_real.model import Starfish
+from diffsim.sim_to_real.model import CHANNELS, Starfish
 from diffsim.sim_to_real.records import Iteration, LoopResult, LoopSettings
-from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, travel_loss
+from diffsim.sim_to_real.rod_swimmer import Truth
+from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, speed, travel_loss
 
 __all__ = [
+    "CHANNELS",
     "AwaitingRecordingError",
     "Command",
     "FileHardware",
@@ -25,8 +27,10 @@ __all__ = [
     "Limits",
     "LoopResult",
     "LoopSettings",
+    "Rig",
     "Starfish",
     "TrajectorySettings",
+    "Truth",
     "VirtualLaboratory",
     "followed",
     "identify",
@@ -34,5 +38,6 @@ __all__ = [
     "optimize",
     "sim_to_real",
     "sinusoid",
+    "speed",
     "travel_loss",
 ]

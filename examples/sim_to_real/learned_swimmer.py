@@ -33,17 +33,21 @@ from numpy.typing import NDArray
 from diffsim.cli import main as diffsim_cli
 from diffsim.core import DiffsimError, interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.data.importers.starfish import COMMAND
-from diffsim.data.study import Run
+from diffsim.data import Run
 from diffsim.learn import GradientLearner, recipe, train
 from diffsim.learn.tendon_swim import Servo, Steering, SwimSetup, swim_options
-from diffsim.sim_to_real import Limits, VirtualLaboratory, sinusoid
-from diffsim.sim_to_real.laboratory import Rig
-from diffsim.sim_to_real.model import CHANNELS
-from diffsim.sim_to_real.rod_swimmer import Truth
-from diffsim.sim_to_real.trajectory import speed
+from diffsim.sim_to_real import (
+    CHANNELS,
+    Limits,
+    Rig,
+    Truth,
+    VirtualLaboratory,
+    sinusoid,
+    speed,
+)
 
 Array = NDArray[np.float64]
+COMMAND = "tendon_contraction_m"  # the column of the laboratory's command
 STUDY = Path(__file__).with_name("learned_swimmer_study.yaml")
 HIDDEN = Servo(lag_s=Rig().lag_s, rate_m_s=0.110, slack_m=0.0074)  # docs/measured/starfish.md
 LIMITS = Limits(
