@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.gates import numerical_shift
@@ -151,7 +151,7 @@ class Averaged:
         spread = fit.covariance[np.ix_(own, own)] * np.outer(stretch, stretch)
         widest = max(self.factors.get(fit.problem.names[c], self.usual) for c in own)
         away = float(u @ np.linalg.solve(spread, u)) / widest**2
-        return away > float(stats.chi2.ppf(0.9, len(own)))
+        return away > float(special.chdtri(len(own), 0.1))  # 90 % of chi squared
 
     def _part(self, h: Hypothesis, i: int, names: Sequence[str] | None) -> tuple[Array, Array]:
         """Mean and sd of an effect's scaled coordinates in a set.
