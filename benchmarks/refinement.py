@@ -56,22 +56,12 @@ def cow(out: Path, steps: int, cells: int) -> float:
 
 def torus(out: Path, steps: int, cells: int) -> float:
     """Travel of the coarse ring in 0.8 s [mm]."""
-    module = load("torus")
-    solver = solver_options(OURS, rtol=module.RTOL)
-    record = out / "torus.jsonl"
-    found = minimize(module.build(solver, True), max_evaluations=8, record=record)
-    made = module.build(solver, True, steps, cells)
-    return _travel(made, np.array(found.best.values))
+    return _travel(*_optimized("torus", out, steps, cells))
 
 
 def bunny(out: Path, steps: int, cells: int) -> float:
     """Distance of the coarse bunny from its target [mm]."""
-    module = load("bunny")
-    solver = solver_options(OURS, rtol=module.RTOL)
-    record = out / "bunny.jsonl"
-    found = minimize(module.build(solver, True), max_evaluations=8, record=record)
-    made = module.build(solver, True, steps, cells)
-    values = np.array(found.best.values)
+    made, values = _optimized("bunny", out, steps, cells)
     return float(made.numbers(values, made.motion(values))["distance mm"])
 
 
@@ -122,6 +112,14 @@ RESULTS: dict[str, tuple[Callable[[Path, int, int], float], str]] = {
 CHANGES = {"as made": (1, 1), "step / 2": (2, 1), "step / 4": (4, 1), "finer mesh": (1, 2)}
 # a tendon lies in the middle of its cells, which halving would move
 THIRDS = ("swimmer",)
+
+
+def _optimized(name: str, out: Path, steps: int, cells: int) -> tuple[Application, np.ndarray]:
+    """A coarse application, refined, and the command that was found as it is made."""
+    module = load(name)
+    solver = solver_options(OURS, rtol=module.RTOL)
+    found = minimize(module.build(solver, True), max_evaluations=8, record=out / f"{name}.jsonl")
+    return module.build(solver, True, steps, cells), np.array(found.best.values)
 
 
 def _travel(made: Application, values: np.ndarray) -> float:

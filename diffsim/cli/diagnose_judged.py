@@ -28,7 +28,7 @@ def write_judged(out: Path, study: Study, found: Unseen) -> list[Path]:
     by_name = {run.name: run for run in study.runs}
     return [
         write_text_atomic(
-            out / FOLDER / f"{_file_name(name)}.csv", _table(by_name[name], study, *said)
+            out / FOLDER / f"{file_name(name)}.csv", _table(by_name[name], study, *said)
         )
         for name, said in found.predicted.items()
     ]
@@ -49,6 +49,6 @@ def _table(run: Run, study: Study, before: Array, after: Array) -> str:
     return "\n".join([",".join(header), *rows]) + "\n"
 
 
-def _file_name(name: str) -> str:
-    """The run's name, without what divides folders."""
-    return name.replace("/", "_").replace("\\", "_")
+def file_name(name: str) -> str:
+    """The run's name, what divides folders encoded: another one for every run."""
+    return name.replace("%", "%25").replace("/", "%2F").replace("\\", "%5C")

@@ -28,7 +28,7 @@ from diffsim.diagnose.left_out import (
 from diffsim.diagnose.records import Interval
 from diffsim.diagnose.search import Search
 from diffsim.identify import Fit
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, is_of_run
 
 Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
@@ -125,7 +125,7 @@ class Averaged:
         out = {}
         fitted = {f"@{run.name}" for run in wide.runs}
         for k, component in enumerate(effect.components):
-            if component.startswith("@") and component not in fitted:
+            if is_of_run(component) and component not in fitted:
                 continue  # of a run that nothing was fitted to
             unit = float(wide.size_units[columns[k] - wide.num_base])
             mean = np.array([p[0][k] for p in parts])

@@ -24,6 +24,7 @@ from diffsim.diagnose.records import (
     ErrorRow,
     Interval,
 )
+from diffsim.identify.effect import is_of_run
 
 MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
 MAX_NAMES = 2  # names in the headline
@@ -378,7 +379,7 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
     """Causes with their 90 % intervals."""
     parts = []
     for row in (row.as_read() for row in rows):
-        if len(row.size) > 1 and all(c.startswith("@") for c in row.size):
+        if len(row.size) > 1 and all(map(is_of_run, row.size)):
             parts.append(_by_run(row))
             continue
         sizes = ", ".join(

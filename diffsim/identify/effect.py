@@ -20,6 +20,11 @@ Apply = Callable[[Any, Tensor, Run], Any]
 Needs = Callable[[Study], "str | None"]
 
 
+def is_of_run(component: str) -> bool:
+    """Whether a component acts in one run alone ("@run_3"), as nuisances are called."""
+    return component.startswith("@")
+
+
 def needs_nothing(study: Study) -> str | None:
     """Accept every study."""
     return None

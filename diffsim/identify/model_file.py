@@ -33,7 +33,7 @@ from diffsim.core.check import require_choice, require_number
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, is_of_run
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import SimModel
@@ -306,7 +306,7 @@ def _same(wanted: Sequence[str], given: Sequence[str]) -> bool:
 
 
 def _is_of_run(component: str) -> bool:
-    return component.partition(".")[2].startswith("@")
+    return is_of_run(component.partition(".")[2])
 
 
 def _require_frame(saved: SavedModel, model: SimModel) -> None:

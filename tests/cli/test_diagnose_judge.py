@@ -13,6 +13,7 @@ import yaml
 
 from diffsim import cli
 from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.cli.diagnose_judged import file_name
 from diffsim.data import save_study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.frozen import judge_saved
@@ -144,3 +145,10 @@ def test_a_file_without_the_plain_fit_is_refused(model_folder, new_folder, tmp_p
     inputs = inputs_of(load_study(new_folder), seed=0, setup_file=Path(SETUP))
     with pytest.raises(ValueError, match="holds no plain model to compare with"):
         judge_saved(inputs, read_extended(tmp_path))
+
+
+def test_every_run_has_a_table_of_its_own():
+    names = ["a/b", "a_b", "a\\b", "a%2Fb", "a b"]
+    files = [file_name(name) for name in names]
+    assert len(set(files)) == len(names) and files[1::3] == ["a_b", "a b"]
+    assert not any(c in "".join(files) for c in "/\\")

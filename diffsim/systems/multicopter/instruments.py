@@ -6,7 +6,7 @@ without a statement (``sensors``) stays, but for the delay of all cameras togeth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -88,12 +88,12 @@ def _judged(study: Study, cutter: Cutter) -> list[_Judged]:
     ]
 
 
-def _is_there(cause: str, own: Sequence[_Judged], every: object) -> bool:
+def _is_there(cause: str, own: Sequence[_Judged], every: Iterable[_Judged]) -> bool:
     """Whether a vehicle has the cause anyway, of the whole group that these channels are."""
     groups = {j.group for j in own}
     if len(groups) != 1 or not groups <= set(ALREADY.get(cause, ())):
         return False
-    return all(j in own for j in every if j.group in groups)  # type: ignore[attr-defined]
+    return all(j in own for j in every if j.group in groups)
 
 
 def _late(scene: CopterScene, size: Tensor, run: Run, *, channels: tuple[int, ...]) -> CopterScene:
