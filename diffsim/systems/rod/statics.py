@@ -154,11 +154,23 @@ class Rod:
             offset: (..., P, 3) from the axis, in the frame of the section [m].
             u: (..., N, 3) twist and bends [1/m].
         """
+        v, edges, nodes = self._course(u)
+        return _points(self.shape, points, offset, u, v, edges, nodes)
+
+    def course(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Rotations (..., N + 1, 3, 3) and places (..., N + 1, 3) [m] of the sections at the edges.
+
+        Args:
+            u: (..., N, 3) twist and bends [1/m].
+        """
+        return self._course(u)[1:]
+
+    def _course(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Stretch and shears, and what ``course`` returns."""
         edges, middles = self.frames(u)
         force = self._forces(middles)[0]
         v, _ = self.section(u, _into(middles, force))
-        nodes = self._places(middles, v)[0]
-        return _points(self.shape, points, offset, u, v, edges, nodes)
+        return v, edges, self._places(middles, v)[0]
 
     def residual(self, u: Tensor) -> Tensor:
         """(..., N, 3) moment that is left over in the sections [N m]."""
