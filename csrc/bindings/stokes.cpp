@@ -41,8 +41,8 @@ GridShape make_shape(nb::sequence cells, nb::sequence spacing) {
 }  // namespace
 
 void bind_stokes(nb::module_& m) {
-  static_assert(sizeof(FlowStats) == 5 * sizeof(double),
-                "Python reads stats as (cases, 5) doubles");
+  static_assert(sizeof(FlowStats) == 6 * sizeof(double),
+                "Python reads stats as (cases, 6) doubles");
   nb::class_<GridShape>(m, "GridShape");
   m.def("make_grid_shape", &make_shape);
   m.attr("STOKES_MAX_DIRECT_NODES") = kMaxDirectNodes;
@@ -110,6 +110,17 @@ void bind_stokes(nb::module_& m) {
                     reinterpret_cast<FlowStats*>(stats), pool);
           },
           nb::kw_only(), "inputs"_a, "velocity"_a, "pressure"_a, "stats"_a, "num_threads"_a)
+      .def(
+          "equations",
+          [](StokesSystem& s, const StokesArrays& inputs, Address velocity, Address pressure,
+             Address momentum, Address mass, int num_threads) {
+            nb::gil_scoped_release release;
+            ThreadPool pool(num_threads);
+            s.equations(inputs.inputs(), in(velocity), in(pressure), out(momentum), out(mass),
+                        pool);
+          },
+          nb::kw_only(), "inputs"_a, "velocity"_a, "pressure"_a, "momentum"_a, "mass"_a,
+          "num_threads"_a)
       .def(
           "adjoint",
           [](StokesSystem& s, const StokesArrays& inputs, Address velocity, Address pressure,

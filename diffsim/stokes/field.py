@@ -28,10 +28,12 @@ class FlowField:
         volume_fraction: Fluid share of every cell, (*shape) [-].
         stats: Figures per case: "num_iters", "divergence" (root mean square dilatation of cells
             relative to max speed / longest side of the box), "converged", "net_inflow" (net over
-            gross flux of the worst part of the fluid without an open face), "residual" (of the
-            iterative solver, relative; zero for the direct one), "imbalance" (``mass_report``).
-        solve: Why every case ended: relative residual of the iterative solver; divergence where a
-            direct flow is incompressible, and elsewhere without a tolerance.
+            gross flux of the worst part of the fluid without an open face), "residual" (of momentum
+            and continuity, relative to what drives the flow), "pressure_error" (estimated root
+            mean square, relative; of a direct solver's incompressible flow, else zero),
+            "imbalance" (``mass_report``).
+        solve: Why every case ended, with the relative residual, or with the divergence or the error
+            of the pressures where that was too large.
     """
 
     grid: Grid

@@ -75,6 +75,19 @@ void FlowOperator<D>::residual(const double* v, const FlowData& data, const doub
 }
 
 template <int D>
+void FlowOperator<D>::add_pressure_force(const double* p, double* r, ThreadPool& pool) const {
+  const StokesGrid<D>& grid = geometry_.grid();
+  run_colors(geometry_.cell_colors(), pool, [&](std::int64_t cell) {
+    if (p[cell] == 0.0) return;
+    typename Form::Corner c;
+    form_.divergence(weights(cell), c);
+    const std::int64_t node = geometry_.first_node(cell);
+    for (int i = 0; i < kCorners; ++i)
+      for (int a = 0; a < D; ++a) r[(node + grid.corner_offset[i]) * D + a] -= p[cell] * c[i][a];
+  });
+}
+
+template <int D>
 void FlowOperator<D>::add_traction(const double* traction, double* r) const {
   constexpr int kFace = kCorners / 2;
   for (const OpenFace& face : open_faces_) {

@@ -112,6 +112,8 @@ class FlowOperator {
   /// R(v) = e(v, .) - p C(., 0) - traction, overwritten; p (num_cells,) or nullptr.
   void residual(const double* v, const FlowData& data, const double* pressure, double eta,
                 double* r, ThreadPool& pool) const;
+  /// r -= p C(., 0).
+  void add_pressure_force(const double* p, double* r, ThreadPool& pool) const;
   /// C(v, wall velocity) of every cell, (num_cells,) [m^D/s]; zero in empty cells.
   void outflow(const double* v, const double* wall_velocity, double* C, ThreadPool& pool) const;
   /// The penalties' part of the residual, added.
