@@ -12,7 +12,7 @@ from diffsim.core.record import Solve, warn
 from diffsim.stokes import _ops_flow
 from diffsim.stokes._ended import STATS, solve_of
 from diffsim.stokes._systems import StokesContext
-from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
+from diffsim.stokes.boundary import WALL_KINDS, Boundary, Inlet, Open, Wall
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 from diffsim.stokes.options import SolverOptions
@@ -20,7 +20,6 @@ from diffsim.stokes.problem import flow_inputs
 
 MAX_DIRECT_NODES: int = _ops_flow.MAX_DIRECT_NODES
 """What the method "auto" solves directly in three dimensions: at most so many nodes with fluid."""
-WALL_KINDS = ("no_slip", "no_separation")
 
 
 class StokesFlow(nn.Module):
@@ -168,6 +167,7 @@ class StokesFlow(nn.Module):
             volume_fraction=outputs.fraction.reshape(grid.shape),
             stats=dict(zip(STATS, outputs.stats.unbind(-1), strict=True)),
             solve=self._solve_of(inputs.phi, outputs.stats),
+            wall=self.wall,
         ).with_imbalance()
 
     def inlet_positions(self, name: str | None = None) -> Tensor:

@@ -168,9 +168,9 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
     if (data.wall_velocity) gather(data.wall_velocity, node, ge);
     if (data.body_force) gather(data.body_force, node, fe);
     double* out = by_value.data() + cut_of[u(cell)] * Cut::kSize;
-    form_.weight_gradient(w, ve, ze, data.wall_velocity ? ge : nullptr,
-                          data.body_force ? fe : nullptr, p[cell], pi[cell], eta,
-                          out + Cut::kVolume, out + Cut::kArea, out + Cut::kNormal);
+    form_.weight_gradient(
+        w, ve, ze, data.wall_velocity ? ge : nullptr, data.body_force ? fe : nullptr, p[cell],
+        pi[cell], eta, out + Cut::kVolume, out + Cut::kArea, out + Cut::kNormal, out + Cut::kFacet);
     const PressureVolume M = pressure_volume_terms(cell);
     const double by_fluid = by_volume[cell] + by_mass[cell] * M.by_fluid_volume;
     for (int k = 0; k < 2 * D; ++k) out[Cut::kAperture + k] += by_mass[cell] * M.by_open;

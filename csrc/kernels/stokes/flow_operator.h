@@ -81,8 +81,9 @@ class FlowOperator {
   const std::vector<OpenFace>& open_faces() const { return open_faces_; }
   CellWeights weights(std::int64_t cell) const {
     const CutCell<D>* c = geometry_.cut(cell);
-    if (c) return {c->volume(), c->area(), geometry_.wall_normal(cell)};
-    return {form_.basis().weight, nullptr, nullptr};
+    if (c)
+      return {c->volume(), c->area(), geometry_.wall_normal(cell), geometry_.facet_normal(cell)};
+    return {form_.basis().weight, nullptr, nullptr, nullptr};
   }
   PressureVolume pressure_volume_terms(std::int64_t cell) const {
     double open = 0.0;

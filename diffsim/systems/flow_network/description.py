@@ -40,7 +40,11 @@ class FlowNetworkDescription(Description):
     shear_rate: ShearRate = Field(
         100.0, gt=0, description="Beyond which a thinning fluid thins [1/s]"
     )
-    channels: tuple[TubeKeys, ...] = Field(min_length=1, description="Channels of the network")
+    channels: tuple[TubeKeys, ...] = Field(
+        min_length=1,
+        description="Channels of the network. Where some meet and no pump is, a leak is a "
+        "candidate cause, leak_at_NODE; at the pump it is leak",
+    )
     sources: tuple[SourceKeys, ...] = Field(
         min_length=1,
         description="Pumps and known pressures; give each open end {node, pressure: 0}, for "

@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim.identify.model import Numerics, SimModel
 from diffsim.systems.rod.figure import dots_of, skin_of
 from diffsim.systems.rod.layout import Layout, layout_of
-from diffsim.systems.rod.scene import RodScene
+from diffsim.systems.rod.scene import Poses, RodScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -35,7 +35,7 @@ class DescribedRod:
     def __init__(self, given: RodKeys, channels: Sequence[str], parameters: BaseParameters):
         self.given, self.parameters = given, parameters
         self._layout = lru_cache(maxsize=8)(lambda finer: layout_of(given, channels, finer))
-        self._guesses: dict[tuple[str, float], Tensor] = {}
+        self._guesses: dict[tuple[str, float], Poses] = {}
 
     def model(self) -> SimModel:
         """The model that is fitted; many points are simulated at once."""
@@ -53,8 +53,7 @@ class DescribedRod:
         if key not in self._guesses:
             at_prior = {p.name: torch.tensor(p.value).double() for p in self.parameters.base}
             plain = self._scene(self.parameters.in_run(at_prior, run), run, numerics)
-            with torch.no_grad():
-                self._guesses[key] = plain.strains()
+            self._guesses[key] = plain.poses()
         return RodScene(
             scene.layout, scene.numbers, scene.command, scene.tolerance, self._guesses[key]
         )
