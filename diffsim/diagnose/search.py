@@ -34,6 +34,7 @@ from diffsim.diagnose.from_sheet import (
     has_left,
     promising_sets,
 )
+from diffsim.diagnose.refine import SetNumerics, numerics_of
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -67,6 +68,7 @@ class Search:
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
+        numerics: Numerical settings at sets where they were checked.
     """
 
     null: Null
@@ -76,6 +78,7 @@ class Search:
     linear: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
     failed: Mapping[Hypothesis, str] = field(default_factory=dict)
     borrowed: Mapping[Members, str] = field(default_factory=dict)
+    numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
 
     @property
     def wide(self) -> Problem:
@@ -172,6 +175,17 @@ def search_sets(search: Search) -> Search:
             break
         center, search = _center(search, best, center)
     return _weigh_unknowns(repaired(_refit_rivals(search, center)), center)
+
+
+def with_numerics(search: Search, members: Members) -> Search:
+    """Check the numerical settings at the fit of a set, once; at that of the plain model they were
+    checked before."""
+    accepted = search.null.case.settings.accept_numerics
+    if accepted or members == NONE or members in search.numerics:
+        return search
+    record = search.simulations.fitted[members].record
+    found = numerics_of(search.null, search.fit_of(members), record)
+    return replace(search, numerics={**search.numerics, members: found})
 
 
 def _from_data_sheet(search: Search) -> tuple[Center, Search]:

@@ -11,13 +11,14 @@ search begins at the signal that came farthest of some dozen.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import numpy as np
 
 from diffsim import soft
 from diffsim.applications import Application
 from diffsim.applications.gait import gait, signal, sinusoid, strong
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance

@@ -15,13 +15,14 @@ farthest at 2.5 and 0.625 ms of some twenty.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import numpy as np
 
 from diffsim import soft
 from diffsim.applications import Application
 from diffsim.applications.gait import gait, signal, sinusoid, strong
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-4, 25

@@ -19,6 +19,8 @@ step is kept: started again, it goes on where it was interrupted.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import json
 from collections.abc import Mapping, Sequence
@@ -32,7 +34,7 @@ import yaml
 from numpy.typing import NDArray
 
 from diffsim.cli import main as diffsim_cli
-from diffsim.core import DiffsimError, interruptible
+from diffsim.core import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data import Run
 from diffsim.learn import GradientLearner, recipe, train

@@ -19,13 +19,14 @@ rerun (.rrd).
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 
 import torch
 from torch import Tensor
 
 from diffsim.cli.device_design import run
-from diffsim.core import interruptible
 from diffsim.stokes import devices
 
 

@@ -27,7 +27,7 @@ def read_ulog(path: Path, part: str) -> Columns:
     """Columns of a topic; ``timestamp`` is in microseconds."""
     log, topic = _ulog(path), _topics(path)[part]
     start = min(log.start_timestamp, int(topic.data["timestamp"][0]))
-    seconds = (topic.data["timestamp"].astype(np.int64) - start) * 1e-6
+    seconds = (topic.data["timestamp"].astype(np.int64) - start) / 1e6
     return {TIME: seconds, **topic.data}
 
 
@@ -48,7 +48,7 @@ def read_mcap(path: Path, part: str) -> Columns:
         reader = _mcap().make_reader(file)
         start = reader.get_summary().statistics.message_start_time
         for schema, channel, message in reader.iter_messages(topics=[part]):
-            times.append((message.log_time - start) * 1e-9)
+            times.append((message.log_time - start) / 1e9)
             messages.append(_decoded(schema, channel, message))
     return {TIME: np.array(times), **of_messages(messages)}
 
@@ -65,7 +65,7 @@ def read_rosbag(path: Path, part: str) -> Columns:
     with _rosbag(path) as bag:
         wanted = [c for c in bag.connections if c.topic == part]
         for connection, stamp, raw in bag.messages(connections=wanted):
-            times.append((stamp - bag.start_time) * 1e-9)
+            times.append((stamp - bag.start_time) / 1e9)
             messages.append(_plain(bag.deserialize(raw, connection.msgtype)))
     return {TIME: np.array(times), **of_messages(messages)}
 

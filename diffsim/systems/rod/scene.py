@@ -16,6 +16,19 @@ _ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
+class Poses:
+    """Equilibria of one rod.
+
+    Attributes:
+        strains: Twist and bends of the elements, (num_samples, N, 3) [1/m].
+        slopes: Of the residual there, (num_samples, 3 N, 3 N).
+    """
+
+    strains: Tensor
+    slopes: Tensor
+
+
+@dataclass(frozen=True, eq=False)
 class RodScene:
     """A rod under the tensions of a run; each sample is a pose.
 
@@ -24,14 +37,14 @@ class RodScene:
         numbers: Numbers by name, () or (K,) for K points; what nobody gave is 0.
         command: Commanded tensions, (num_samples, num_tendons) [N].
         tolerance: Turn of the solver's last step [rad].
-        guess: Bending strains to start from, (num_samples, N, 3); None: straight, without tension.
+        guess: Known poses to start from; None: straight, without tension.
     """
 
     layout: Layout
     numbers: Mapping[str, Tensor]
     command: Tensor
     tolerance: float
-    guess: Tensor | None = None
+    guess: Poses | None = None
 
     def with_added(self, name: str, size: Tensor) -> RodScene:
         """The scene with a number larger by a size, () or (K,)."""
@@ -48,9 +61,19 @@ class RodScene:
         shown = rod.at_points(markers, offset, u).flatten(-2)[..., self.layout.columns]
         return shown if any(v.ndim for v in self.numbers.values()) else shown[0]
 
-    def strains(self) -> Tensor:
-        """Twist and bends of the elements at the first point, (num_samples, N, 3) [1/m]."""
-        return self._strains(*rod_of(self.layout, self.numbers, self.command))[0]
+    def poses(self) -> Poses:
+        """Equilibria at the first point."""
+        with torch.no_grad():
+            rod, count = rod_of(self.layout, self.numbers, self.command)
+            found, slopes = self._found(rod, count, slopes_of_all=True)
+        return Poses(found[0], slopes[0])
+
+    def course(self) -> tuple[Tensor, Tensor]:
+        """Rotations (num_samples, N + 1, 3, 3) and places (num_samples, N + 1, 3) [m] of the
+        sections at the ends of the elements, at the first point."""
+        rod, count = rod_of(self.layout, self.numbers, self.command)
+        frames, places = rod.course(self._strains(rod, count))
+        return frames[0], places[0]
 
     def _strains(self, rod: Rod, count: int) -> Tensor:
         """(K, num_samples, N, 3) in equilibrium [1/m]; differentiable in the numbers."""
@@ -62,25 +85,32 @@ class RodScene:
         if not slopes_of_all:
             return found
         # one step more, which moves nothing, carries derivatives: u = u - J^-1 residual(numbers)
+        assert slopes is not None
         left = rod.residual(found).flatten(2)[..., None]
         return found - torch.linalg.solve(slopes, left).reshape(found.shape)
 
-    def _found(self, rod: Rod, count: int, slopes_of_all: bool) -> tuple[Tensor, Tensor]:
-        """Strains, and slopes of the residual there (K or 1, num_samples, 3 N, 3 N)."""
-        from_straight = self.guess is None
-        shape = (len(self.command), len(self.layout.shape.radius), 3)
-        start = torch.zeros(shape, dtype=torch.float64) if self.guess is None else self.guess
-        known, slopes = equilibrium(rod.row(0), start, self.tolerance, straight=from_straight)
+    def _found(self, rod: Rod, count: int, slopes_of_all: bool) -> tuple[Tensor, Tensor | None]:
+        """Strains, and slopes of the residual there (K, num_samples, 3 N, 3 N) if asked for."""
+        lengths, guess = self.layout.shape.lengths, self.guess
+        if guess is None:
+            start = torch.zeros(len(self.command), len(lengths), 3, dtype=torch.float64)
+        else:
+            start = guess.strains
+            if not slopes_of_all:  # slopes cost a hundred residuals
+                many = start.expand(count, *start.shape)
+                close = nearby(rod.residual, many, guess.slopes, lengths, self.tolerance)
+                if close is not None:
+                    return close, None
+        known, slopes = equilibrium(rod.row(0), start, self.tolerance, straight=guess is None)
         if count == 1:
             return known[None], slopes[None]
         if not slopes_of_all:
-            lengths = self.layout.shape.lengths
-            start = known.expand(count, *known.shape)
-            close = nearby(rod.residual, start, slopes, lengths, self.tolerance)
+            many = known.expand(count, *known.shape)
+            close = nearby(rod.residual, many, slopes, lengths, self.tolerance)
             if close is not None:
-                return close, slopes[None]
+                return close, None
         pairs = [equilibrium(rod.row(k), known, self.tolerance) for k in range(count)]
         return torch.stack([p[0] for p in pairs]), torch.stack([p[1] for p in pairs])
 
 
-__all__ = ["RodScene"]
+__all__ = ["Poses", "RodScene"]

@@ -17,6 +17,7 @@ from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics, fit
 from diffsim.identify.unknown import UnknownDrift
 from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.rod import statics
 
 PULLS = ((1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (0.0, 1.0), (0.0, 2.5), (1.5, 1.5), (3.0, 1.0))
 NOISE = 2e-4  # [m]
@@ -139,6 +140,22 @@ def test_many_points_at_once_are_as_one_by_one():
         for k in range(3):
             one = setup.model.predict(run, q[k], {cause["tendon_friction"]: sizes[k]})
             torch.testing.assert_close(many[k], one, atol=1e-9, rtol=0.0)
+
+
+def test_poses_near_the_best_guess_need_no_new_slopes_and_stay_the_same(monkeypatch):
+    setup = setup_of(study())
+    run = study().fit_runs[3]
+    q = torch.tensor([0.4], dtype=torch.float64)[: len(setup.model.base)]
+    q = torch.cat([q, torch.zeros(len(setup.model.base) - len(q), dtype=torch.float64)])
+    scene = setup.model.scene(run, q)
+    asked = []
+    slopes = statics._slopes
+    monkeypatch.setattr(statics, "_slopes", lambda *a: asked.append(1) or slopes(*a))
+    shown = scene.simulate()
+    assert not asked
+    alone = replace(scene, guess=None).simulate()  # by itself, from straight
+    assert asked
+    assert torch.allclose(shown, alone, rtol=0.0, atol=1e-10)
 
 
 def test_finer_elements_change_less_and_less():
