@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -27,6 +28,12 @@ def ending_at_once() -> None:
             signal.signal(number, signal.SIG_DFL)
 
 
+def end_while_loading(number: int, frame: object) -> None:
+    """Handler of Ctrl-C while modules are imported: some swallow an exception or change it."""
+    os.write(2, b"\ninterrupted\n")
+    os._exit(EXIT_INTERRUPTED)
+
+
 @contextmanager
 def interruptible(hint: str = "") -> Iterator[None]:
     """The main part of a script: an interruption prints a line and exits with status 130.
@@ -38,6 +45,8 @@ def interruptible(hint: str = "") -> Iterator[None]:
         SystemExit: it was interrupted.
     """
     terminate_as_interrupt()
+    if signal.getsignal(signal.SIGINT) is end_while_loading:  # all is loaded: work is kept now
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     with ending_in_one_line(hint):
         yield
 

@@ -7,10 +7,11 @@ module: it changes how the process ends.
 
 from __future__ import annotations
 
+import signal
 import sys
 from types import TracebackType
 
-from diffsim.core.interrupts import interruptible
+from diffsim.core.interrupts import end_while_loading, interruptible
 from diffsim.core.optional import advice, ask_for, present
 
 _before = sys.excepthook
@@ -38,6 +39,22 @@ def _missing(error: ImportError) -> str | None:
     return None if present(top) else f"{top} is not installed: {advice([top])}"
 
 
+def _is_imported_by_a_script() -> bool:
+    """Whether the process's own script imports this, not a test or a session that imports one."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and (
+        frame.f_globals.get("__name__") == __name__
+        or "importlib" in str(frame.f_globals.get("__name__"))
+    ):
+        frame = frame.f_back
+    return frame.f_globals.get("__name__") == "__main__"
+
+
 sys.excepthook = _in_one_line
+if (
+    _is_imported_by_a_script()
+    and signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not deaf to it
+):
+    signal.signal(signal.SIGINT, end_while_loading)
 
 __all__ = ["ask_for", "interruptible"]

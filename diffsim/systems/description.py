@@ -8,7 +8,7 @@ a key means is said once, in the field's description: the reference of all keys 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -108,6 +108,15 @@ def quantity(unit: str) -> Any:
     return Annotated[Quantity, BeforeValidator(read), said]
 
 
+def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> Iterator[Problem]:
+    """Quantities that differ by a fact of the runs which some of these do not state."""
+    for key, q in quantities.items():
+        if q.per not in (None, "run") and any(q.per not in r.setup for r in runs):
+            yield Problem(
+                "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
+            )
+
+
 class EffectChoice(Part):
     """Which candidate causes are judged."""
 
@@ -146,6 +155,16 @@ class Description(Part):
             study: Study with this description as its ``model``.
         """
         return []
+
+    def require_possible(self, study: Study) -> None:
+        """Refuse a study that the description disagrees with.
+
+        Raises:
+            ValueError: all errors of ``problems``.
+        """
+        wrong = [p for p in self.problems(study) if p.severity == "error"]
+        if wrong:
+            raise ValueError("\n".join(str(p) for p in wrong))
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study.

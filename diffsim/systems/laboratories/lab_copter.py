@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.multicopter import flight_model, flight_nuisances, unknown_wrench
+from diffsim.systems.multicopter.paths import PATHS, Path
 from diffsim.systems.registry import library
 
 Array = NDArray[np.float64]
@@ -82,15 +83,11 @@ def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> Diagno
 def bank(vehicle: Multicopter) -> tuple[Run, ...]:
     """Flights that could be recorded next, as the nominal vehicle would fly them."""
     loaded = vehicle.replace(mass=vehicle.mass + 0.3)
-    flights: dict[str, tuple[Multicopter, Callable[[Tensor], Tensor], dict[str, float]]] = {
-        "hover": (vehicle, _still(1.0), {}),
-        "low_hover": (vehicle, _still(0.2), {}),
-        "hover_with_payload": (loaded, _still(1.0), {"payload_kg": 0.3}),
-        "fast_forward": (vehicle, lambda t: _path(t, north=4.0 * _rise(t)), {}),
-        "climb": (vehicle, lambda t: _path(t, height=0.5 + 3.0 * _rise(t)), {}),
-        "weave": (vehicle, lambda t: _path(t, east=0.4 * torch.sin(3.0 * t)), {}),
-        "turn": (vehicle, lambda t: _path(t, yaw=1.5 * _rise(t)), {}),
-    }
+    flights: dict[str, tuple[Multicopter, Path, dict[str, float]]] = {}
+    for name, path in PATHS.items():
+        flights[name] = vehicle, path, {}
+        if name == "low_hover":
+            flights["hover_with_payload"] = loaded, PATHS["hover"], {"payload_kg": 0.3}
     runs = [_flown(name, *flight) for name, flight in flights.items()]
     yawed = [_yawed(run) for run in runs if run.name in ("hover", "fast_forward")]
     return (*runs, *yawed)
@@ -122,31 +119,7 @@ def _base(priors: Mapping[str, Mapping[str, Any]]) -> list[Parameter]:
     ]
 
 
-def _rise(t: Tensor) -> Tensor:
-    """From 0 to 1 within 2 s and back, smoothly."""
-    return 0.5 - 0.5 * torch.cos(0.5 * torch.pi * t)
-
-
-def _still(height: float) -> Callable[[Tensor], Tensor]:
-    return lambda t: _path(t, height=height)
-
-
-def _path(
-    t: Tensor,
-    north: Tensor | float = 0.0,
-    east: Tensor | float = 0.0,
-    height: Tensor | float = 1.0,
-    yaw: Tensor | float = 0.0,
-) -> Tensor:
-    """States of 12 to be followed, (num_samples, 12)."""
-    aim = torch.zeros(len(t), 12, dtype=torch.float64)
-    aim[:, 0], aim[:, 1], aim[:, 2], aim[:, 5] = north, east, _f64(-1.0) * height, yaw
-    return aim
-
-
-def _flown(
-    name: str, vehicle: Multicopter, path: Callable[[Tensor], Tensor], facts: Mapping[str, float]
-) -> Run:
+def _flown(name: str, vehicle: Multicopter, path: Path, facts: Mapping[str, float]) -> Run:
     """Under feedback about hover, without noise: what a diagnosis asks of a run not yet made."""
     count, dt = round(BANK_S * BANK_HZ), 1.0 / BANK_HZ
     t = dt * torch.arange(count, dtype=torch.float64)

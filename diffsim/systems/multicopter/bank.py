@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearize, lqr
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
+from diffsim.systems.multicopter.paths import PATHS, Path
 from diffsim.systems.multicopter.readings import Record, read
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
@@ -32,16 +33,8 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
         return ()
     payload = _PAYLOAD * float(vehicle.mass)
     heavier = vehicle.replace(mass=vehicle.mass + payload)
-    paths: dict[str, Callable[[Tensor], Tensor]] = {
-        "hover": lambda t: _path(t),
-        "low_hover": lambda t: _path(t, height=0.2),
-        "fast_forward": lambda t: _path(t, north=4.0 * _rise(t)),
-        "climb": lambda t: _path(t, height=0.5 + 3.0 * _rise(t)),
-        "weave": lambda t: _path(t, east=0.4 * torch.sin(3.0 * t)),
-        "turn": lambda t: _path(t, yaw=1.5 * _rise(t)),
-    }
-    out = [_flown(name, flights, vehicle, path, runs[0], 0.0) for name, path in paths.items()]
-    loaded = _flown("hover_with_payload", flights, heavier, paths["hover"], runs[0], payload)
+    out = [_flown(name, flights, vehicle, path, runs[0], 0.0) for name, path in PATHS.items()]
+    loaded = _flown("hover_with_payload", flights, heavier, PATHS["hover"], runs[0], payload)
     return (*out, loaded)
 
 
@@ -67,7 +60,7 @@ def _flown(
     name: str,
     flights: DescribedFlights,
     vehicle: Multicopter,
-    path: Callable[[Tensor], Tensor],
+    path: Path,
     like: Run,
     payload: float,
 ) -> Run:
@@ -117,22 +110,3 @@ def _readings(
     record = Record(*(torch.cat([p[:, :1], p[:, :-1]], 1).detach()[None] for p in parts))
     shown: np.ndarray = read(scene, record)[0, 0].numpy()
     return shown
-
-
-def _rise(t: Tensor) -> Tensor:
-    """From 0 to 1 within 2 s and back, smoothly."""
-    return 0.5 - 0.5 * torch.cos(0.5 * torch.pi * t)
-
-
-def _path(
-    t: Tensor,
-    north: Tensor | float = 0.0,
-    east: Tensor | float = 0.0,
-    height: Tensor | float = 1.0,
-    yaw: Tensor | float = 0.0,
-) -> Tensor:
-    """States of 12 to be followed, (num_samples, 12)."""
-    aim = torch.zeros(len(t), 12, dtype=torch.float64)
-    aim[:, 0], aim[:, 1], aim[:, 5] = north, east, yaw
-    aim[:, 2] = -torch.as_tensor(height, dtype=torch.float64)
-    return aim

@@ -9,7 +9,12 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import BaseParameters, chosen_effects, settings_with
+from diffsim.systems.description import (
+    BaseParameters,
+    chosen_effects,
+    settings_with,
+    unstated_facts,
+)
 from diffsim.systems.rod.effects import library
 from diffsim.systems.rod.keys import RodKeys
 from diffsim.systems.rod.model import DescribedRod
@@ -54,17 +59,11 @@ class RodDescription(RodKeys):
                     "model.sessions",
                     f"run {run.name} states no {self.sessions!r}{guess}; taken as of the first",
                 )
-        for key, q in self.quantities().items():
-            if q.per not in (None, "run") and any(q.per not in r.setup for r in study.runs):
-                yield Problem(
-                    "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
-                )
+        yield from unstated_facts(self.quantities(), study.runs)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model of the rod, causes that its parts allow, and options."""
-        wrong = [p for p in self.problems(study) if p.severity == "error"]
-        if wrong:
-            raise ValueError("\n".join(str(p) for p in wrong))
+        self.require_possible(study)
         parameters = BaseParameters(self.quantities(), study.runs)
         described = DescribedRod(self, [c.name for c in study.channels], parameters)
         advised = DiagnosisSettings(

@@ -16,6 +16,7 @@ from diffsim.systems.description import (
     chosen_effects,
     fact_in,
     settings_with,
+    unstated_facts,
 )
 from diffsim.systems.dials import channels_of, clock_of, clock_problems
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
@@ -89,17 +90,11 @@ class SoftBodyDescription(SoftBodyKeys):
                 )
             elif load.mass_from is not None:
                 yield from _masses(f"model.masses[{i}].mass_from", load.mass_from, runs)
-        for key, q in self.quantities().items():
-            if q.per not in (None, "run") and any(q.per not in r.setup for r in runs):
-                yield Problem(
-                    "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
-                )
+        yield from unstated_facts(self.quantities(), runs)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model of the body, causes that its parts allow, and options."""
-        wrong = [p for p in self.problems(study) if p.severity == "error"]
-        if wrong:
-            raise ValueError("\n".join(str(p) for p in wrong))
+        self.require_possible(study)
         described = self._described(study)
         model = described.model()
         reach = {REACH: list(fitted_reach(study, self.commands))} if self.commands else {}
