@@ -11,6 +11,7 @@ import sys
 from types import TracebackType
 
 from diffsim.core.interrupts import interruptible
+from diffsim.core.optional import advice, ask_for, present
 
 _before = sys.excepthook
 
@@ -34,11 +35,9 @@ def _missing(error: ImportError) -> str | None:
     top = (error.name or "").partition(".")[0]
     if not isinstance(error, ModuleNotFoundError) or top in ("", "diffsim", "examples", "rl"):
         return None
-    from diffsim.core.optional import advice, present
-
     return None if present(top) else f"{top} is not installed: {advice([top])}"
 
 
 sys.excepthook = _in_one_line
 
-__all__ = ["interruptible"]
+__all__ = ["ask_for", "interruptible"]

@@ -49,9 +49,9 @@ class FlowField:
     def flux(self, axis: int, index: int) -> Tensor:
         """Volume flow through the fluid part of a grid plane, positive along the axis.
 
-        For slip walls in 2D it is what the flow's equations conserve: the same through every
-        plane between inlet and outlet, up to the divergence. Elsewhere cells on both sides of a
-        plane take a little different parts of it as fluid, and this is the mean.
+        For slip walls in 2D it is what the flow's equations conserve: the same through every plane
+        between inlet and outlet, up to the divergence. Elsewhere cells on both sides of a plane
+        take a little different parts of it as fluid, and this is the mean.
 
         Args:
             axis: The plane's normal.

@@ -13,7 +13,7 @@ Expected: "added_spring_at_hinge", 0.60 N m/rad within its interval. Running tim
 
 from __future__ import annotations
 
-from diffsim.core.script import interruptible
+from diffsim.core.script import ask_for, interruptible
 
 import argparse
 import tempfile
@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from diffsim.core.optional import ask_for
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of

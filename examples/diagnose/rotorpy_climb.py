@@ -12,7 +12,7 @@ Expected: "delay", 0.040 s within its interval. Running time: 30 s. Needs ``pip 
 
 from __future__ import annotations
 
-from diffsim.core.script import interruptible
+from diffsim.core.script import ask_for, interruptible
 
 import argparse
 import tempfile
@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 
-from diffsim.core.optional import ask_for
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of

@@ -27,6 +27,10 @@ WORK: dict[str, Callable[[], Callable[[], Answer]]] = {
     "stokes": channel,
     "stokes, slip": lambda: channel("no_separation"),
     "stokes, iterative": lambda: channel(solver=stokes.SolverOptions(method="iterative")),
+    "stokes, incompressible": lambda: channel(incompressible=True),
+    "stokes, incompressible, iterative": lambda: channel(
+        incompressible=True, solver=stokes.SolverOptions(method="iterative")
+    ),
 }
 
 

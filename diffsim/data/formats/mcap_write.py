@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
 from diffsim.core.version import __version__
+from diffsim.data.formats.logs import TABLE
 from diffsim.data.formats.messages import CLOCKS, stamps
 
 TOPIC = "/recording"
@@ -38,7 +39,7 @@ def write(path: Path, columns: Mapping[str, NDArray[Any]], topic: str = "") -> N
         log = writer.Writer(file)
         log.start(library=f"diffsim {__version__}")
         of = log.register_schema(
-            name="diffsim.Recording", encoding="jsonschema", data=json.dumps(schema).encode()
+            name=TABLE, encoding="jsonschema", data=json.dumps(schema).encode()
         )
         channel = log.register_channel(schema_id=of, topic=topic or TOPIC, message_encoding="json")
         for k, stamp in enumerate(ticks.tolist()):
