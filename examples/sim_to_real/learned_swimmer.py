@@ -37,8 +37,7 @@ from diffsim.cli import main as diffsim_cli
 from diffsim.core import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data import Run
-from diffsim.learn import GradientLearner, recipe, train
-from diffsim.learn.run import read_rows
+from diffsim.learn import GradientLearner, read_rows, recipe, train
 from diffsim.learn.tendon_swim import (
     CONTROL_S,
     DATA_SHEET,
