@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from diffsim.learn.ppo import PpoLearner, PpoOptions
     from diffsim.learn.presets import PRESETS, preset
     from diffsim.learn.recipes import RECIPES, Recipe, recipe
-    from diffsim.learn.run import Learner, Run, train
+    from diffsim.learn.run import Learner, Run, read_rows, train
     from diffsim.learn.sac import SacLearner, SacOptions
     from diffsim.learn.sapo import SapoLearner, SapoOptions
     from diffsim.learn.setup import Setup
@@ -63,6 +63,7 @@ _WHERE = {
     "make_learner": "methods",
     "open_loop": "open_loop",
     "preset": "presets",
+    "read_rows": "run",
     "read_trained": "trained",
     "recipe": "recipes",
     "train": "run",
@@ -102,6 +103,7 @@ __all__ = [
     "make_learner",
     "open_loop",
     "preset",
+    "read_rows",
     "read_trained",
     "recipe",
     "train",

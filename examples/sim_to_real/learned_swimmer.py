@@ -9,7 +9,7 @@ servo that it names, the same network is trained anew and swims again. Every see
 its own: first weights, scatter and noise of the laboratory.
 
 Expected: the diagnosis finds slack and speed limit to 3 %, and the model's misfit falls to a third,
-but the robot gains nothing that is sure: 0.16 cm/s, 95 % interval -0.49 to 0.81 over four
+but the robot gains nothing that is sure: 0.12 cm/s, 95 % interval -0.33 to 0.57 over five
 seeds (why: docs/measured/sim_to_real.md). About three minutes of processor time per seed. Every
 step is kept: started again, it goes on where it was interrupted.
 
@@ -37,8 +37,7 @@ from diffsim.cli import main as diffsim_cli
 from diffsim.core import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data import Run
-from diffsim.learn import GradientLearner, recipe, train
-from diffsim.learn.run import read_rows
+from diffsim.learn import GradientLearner, read_rows, recipe, train
 from diffsim.learn.tendon_swim import (
     CONTROL_S,
     DATA_SHEET,
