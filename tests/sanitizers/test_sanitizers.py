@@ -80,7 +80,7 @@ def sanitized(sanitizer: str, place: Path) -> dict[str, str]:
         place: Where to make the copy.
     """
     pytest.importorskip("nanobind", reason="pip install -c constraints.txt nanobind cmeel-eigen")
-    for name in ("diffsim", "tests", "examples", "benchmarks"):
+    for name in ("csrc", "diffsim", "tests", "examples", "benchmarks"):  # csrc: tests compile it
         shutil.rmtree(place / name, ignore_errors=True)
         shutil.copytree(
             ROOT / name, place / name, ignore=shutil.ignore_patterns("*.so", "__pycache__")
