@@ -21,7 +21,7 @@ from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, co
 
 Array = NDArray[np.float64]
 NUMERICS_LAMBDA = 2.0
-FIRST_ANSWER = "first_answer"
+FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
 ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
 REPEATS = "repeats:"
@@ -193,6 +193,19 @@ def scan_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
         return ()
     note = f"groups of causes not tried over decades: {seconds:g} CPU s were over before"
     return (GateResult("scan_budget", False, float(num_late), 0.0, note),)
+
+
+def refit_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
+    """Whether the budget ended before all rivals of the best set were refitted.
+
+    Args:
+        num_late: Sets that keep their linear evidence.
+        seconds: The budget [CPU s].
+    """
+    if num_late == 0:
+        return ()
+    note = f"{num_late} rival sets were not refitted, as {seconds:g} CPU s were over"
+    return (GateResult(LATE, False, float(num_late), 0.0, note, applies=False),)
 
 
 def repeatability_gate(fit: Fit) -> list[GateResult]:

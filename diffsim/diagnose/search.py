@@ -67,6 +67,7 @@ class Search:
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
+        num_late: Rivals that keep their linear evidence, as ``refit_seconds`` were over.
     """
 
     null: Null
@@ -76,6 +77,7 @@ class Search:
     linear: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
     failed: Mapping[Hypothesis, str] = field(default_factory=dict)
     borrowed: Mapping[Members, str] = field(default_factory=dict)
+    num_late: int = 0
 
     @property
     def wide(self) -> Problem:
@@ -158,20 +160,24 @@ def begin(null: Null, simulations: Simulations) -> Search:
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
+    until = process_time() + search.settings.refit_seconds
     center, search = _from_data_sheet(search)
     if center is search.plain:
         center, search = _scanned(search, search.plain)
         search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
         ranked, search = _promising(search, center)
-        for members in ranked[: search.settings.num_refits]:
-            search = refit(search, members, center)
+        for k, members in enumerate(ranked[: search.settings.num_refits]):
+            if k == 0 or process_time() < until:
+                search = refit(search, members, center)
         search = repaired(search)
         best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
         if best == center.members:
             break
         center, search = _center(search, best, center)
-    return _weigh_unknowns(repaired(_refit_rivals(search, center)), center)
+        if process_time() > until:
+            break
+    return _weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
 def _from_data_sheet(search: Search) -> tuple[Center, Search]:
@@ -347,11 +353,21 @@ def _promising(search: Search, center: Center) -> tuple[list[Members], Search]:
     return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s]), search
 
 
-def _refit_rivals(search: Search, center: Center) -> Search:
-    """Refit what could be a rival of the best set, or show that a member is not needed."""
+def _refit_rivals(search: Search, center: Center, until: float) -> Search:
+    """Refit what could be a rival of the best set, or show that a member is not needed.
+
+    Args:
+        search: Sets that were weighed so far.
+        center: The best set.
+        until: CPU time after which the rest keeps its linear evidence, subsets apart [s].
+    """
     slack = search.linear_slack(center.members)
     plain, best = search.nats(Hypothesis()), search.nats(Hypothesis(center.members))
-    for members in search.neighbors(center.members):
+    neighbors = search.neighbors(center.members)
+    if np.isfinite(until):  # what could decide most comes first
+        nats, search = _with_linear(search, center, neighbors)
+        neighbors.sort(key=lambda s: (not s < center.members, -nats[s]))
+    for members in neighbors:
         enough = best + KEEP_NATS if members > center.members else best - ALONE_NATS
         if members < center.members:
             enough = best - KEEP_NATS
@@ -359,6 +375,9 @@ def _refit_rivals(search: Search, center: Center) -> Search:
             enough = max(enough, plain + KEEP_NATS)
         nats, search = _with_linear(search, center, [members])
         if nats[members] > enough - slack:
+            if process_time() > until and not members < center.members:
+                search = replace(search, num_late=search.num_late + 1)
+                continue
             search = refit(search, members, center)
     return search
 

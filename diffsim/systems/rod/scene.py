@@ -66,6 +66,7 @@ class RodScene:
         with torch.no_grad():
             rod, count = rod_of(self.layout, self.numbers, self.command)
             found, slopes = self._found(rod, count, slopes_of_all=True)
+        assert slopes is not None
         return Poses(found[0], slopes[0])
 
     def _strains(self, rod: Rod, count: int) -> Tensor:
