@@ -1,6 +1,7 @@
 """The soft jumper beside the figures its authors published: time step, speed, learning curves.
 
 python -m benchmarks.soft_jumper                     # the same jump at smaller time steps; speed
+python -m benchmarks.soft_jumper --speed             # steps per CPU second by method
 python -m benchmarks.soft_jumper --curves rl/results/soft_jumper
 python -m benchmarks.soft_jumper --picture docs/images/soft_jumper
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from benchmarks.envs import Case, gradient_price
 from benchmarks.plot_style import legend_below, new_figure, save, style
 from diffsim.core import interruptible
 from diffsim.envs import TaskState
+from diffsim.envs.rollout import rollout_task
 from diffsim.envs.soft_named import SoftJumper
 from diffsim.learn.run import read_rows
 from diffsim.learn.setup import evaluate
@@ -31,6 +34,7 @@ from diffsim.viz.figures import CYCLE, SOFT
 PUBLISHED = {"sapo": 1820.5, "gradient": 956.6, "shac": 853.3, "ppo": 261.5}
 PUBLISHED_STEPS = 6_000_000
 LABELS = {"sapo": "SAPO", "shac": "SHAC", "gradient": "APG", "ppo": "PPO"}
+METHODS = ("newton_cholesky", "auto")  # linearly implicit steps refuse the floor
 SUBSTEPS = (1, 2, 4, 8, 16)
 SQUARE_WAVES = (2.0, 2.5, 3.0, 3.5, 4.0)  # [Hz]
 BY_HAND = 139.0  # return of the best of them, 3 Hz
@@ -99,6 +103,34 @@ def report_steps() -> None:
     )
 
 
+def report_speed() -> None:
+    """Steps per CPU second by the method of a time step, under random commands; best of two."""
+    print(
+        "| method | steps per CPU s | with gradient | 6 million with gradient |\n|---|---|---|---|"
+    )
+    for method in METHODS:
+        rates = {grad: max(rate(method, grad) for _ in range(2)) for grad in (False, True)}
+        hours = PUBLISHED_STEPS / rates[True] / 3600.0
+        cells = f"{rates[False]:.0f} | {rates[True]:.0f} | {hours:.0f} CPU hours"
+        print(f"| {method} | {cells} |", flush=True)
+
+
+def rate(method: str, differentiate: bool, batch: int = 8, steps: int = 16) -> float:
+    """Control steps per CPU second of episodes under random commands, held for four steps."""
+    task = SoftJumper()
+    task.robot.body.solver = replace(task.robot.body.solver, method=method)
+    rng = np.random.default_rng(0)
+    start = task.start(batch, rng)
+    shape = (steps // 4, batch, task.num_actions)
+    commands = torch.from_numpy(rng.uniform(-1.0, 1.0, shape)).requires_grad_(differentiate)
+    began = time.process_time()
+    with torch.set_grad_enabled(differentiate):
+        total = rollout_task(task, lambda _seen, k: commands[k // 4], start, steps).rewards.sum()
+    if differentiate:
+        total.backward()
+    return batch * steps / (time.process_time() - began)
+
+
 def draw_curves(records: Path, out: Path) -> None:
     """Returns against steps, to the published number of them, and against CPU seconds."""
     figure = new_figure(8.6, 3.9)
@@ -156,15 +188,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--speed", action="store_true", help="of the methods of a time step")
     parser.add_argument("--curves", type=Path, default=None, help="folder METHOD/seed_N of runs")
     parser.add_argument("--picture", type=Path, default=None, help="where to put one of a jump")
     parser.add_argument("--out", type=Path, default=Path("docs/images/learning_SoftJumper"))
     args = parser.parse_args()
+    if args.speed:
+        report_speed()
     if args.picture is not None:
         draw_jump(args.picture)
     if args.curves is not None:
         draw_curves(args.curves, args.out)
-    if args.curves is None and args.picture is None:
+    if not args.speed and args.curves is None and args.picture is None:
         report_steps()
         report_square_waves()
 

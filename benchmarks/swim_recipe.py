@@ -63,6 +63,7 @@ VARIANTS: dict[str, Variant] = {
     "quiet clock": Variant(setup={"balance_clock": False}),
     "gain 0.01": Variant(setup={"output_gain": 0.01}),
     "no decay": Variant(options={"last_rate": 1.0}),
+    "twice the steps": Variant(setup={"steps": 2_400, "evaluate_every": 400}),
     "sac": Variant("sac", _SAC, setup=_SAC_SETUP, seeds=2),
 }
 

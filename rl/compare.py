@@ -18,6 +18,8 @@ python rl/compare.py --preset coarse --report --out rl/results --images docs/ima
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +27,7 @@ from pathlib import Path
 import torch
 
 from diffsim.cli.arguments import add_executor
-from diffsim.core import interruptible, open_executor
+from diffsim.core import open_executor
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.learn import METHODS, PRESETS, Plan, comparison, preset
 from diffsim.viz.learning_figures import comparison_figure

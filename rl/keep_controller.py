@@ -8,6 +8,8 @@ The numbers are rounded first and rated afterwards; the rating is what `diffsim 
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import json
 from collections.abc import Sequence
@@ -57,4 +59,5 @@ def main(argv: Sequence[str] | None = None) -> Path:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -7,9 +7,10 @@ python rl/train_cma.py --quick
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from collections.abc import Sequence
 
-from diffsim.core import interruptible
 from diffsim.learn import CmaLearner, CmaOptions, Run, main_training
 
 QUICK = {"population": 4}

@@ -12,11 +12,12 @@ torchrun --nproc-per-node 2 rl/train_gradient.py --task CopterHover   # each bat
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import sys
 from collections.abc import Sequence
 from typing import Any
 
-from diffsim.core import interruptible
 from diffsim.learn import GradientLearner, GradientOptions, main_training, open_loop
 
 QUICK = {"batch": 8, "horizon": 0}

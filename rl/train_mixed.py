@@ -6,9 +6,10 @@ python rl/train_mixed.py --quick
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from collections.abc import Sequence
 
-from diffsim.core import interruptible
 from diffsim.learn import MixedLearner, MixedOptions, Run, main_training
 
 QUICK = {"batch": 8, "horizon": 0}

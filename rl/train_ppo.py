@@ -6,9 +6,10 @@ python rl/train_ppo.py --quick
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from collections.abc import Sequence
 
-from diffsim.core import interruptible
 from diffsim.learn import PpoLearner, PpoOptions, Run, main_training
 
 QUICK = {"envs": 8, "rollout": 10, "minibatch": 40, "epochs": 2}

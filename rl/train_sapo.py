@@ -6,9 +6,10 @@ python rl/train_sapo.py --quick
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from collections.abc import Sequence
 
-from diffsim.core import interruptible
 from diffsim.learn import Run, SapoLearner, SapoOptions, main_training
 
 QUICK = {"batch": 8, "window": 4, "critic_passes": 1}

@@ -6,9 +6,10 @@ python rl/train_tqc.py --quick
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from collections.abc import Sequence
 
-from diffsim.core import interruptible
 from diffsim.learn import Run, TqcLearner, TqcOptions, main_training
 
 QUICK = {"envs": 8, "rollout": 10, "passes": 2, "minibatch": 40, "first": 80, "keep": 1_000}

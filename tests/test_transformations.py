@@ -14,7 +14,7 @@ from diffsim.copter import hover, lqr
 from diffsim.linalg import polar3, svd3
 from diffsim.ode import Ode
 from tests.copter.flight_cases import all_effects, crooked_copter, tumbling
-from tests.soft.cases import deformed, irregular_mesh, noise, soft_body
+from tests.soft.cases import SHARP, deformed, irregular_mesh, noise, soft_body
 from tests.stokes.cases import small_flow, small_inputs
 
 pytestmark = pytest.mark.grad
@@ -26,6 +26,14 @@ def soft_step() -> tuple[Layer, Tensor]:
     body = soft_body(m, fixed=torch.tensor([0, 1]))
     x, v = deformed(m, 0.1), 0.2 * noise(m.num_nodes, 3, seed=2)
     return lambda u: body(soft.State(x, u)).x, v
+
+
+def linearly_implicit_step() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("hex", (1, 1, 1))
+    solver = soft.SolverOptions(method="linearly_implicit", **SHARP)
+    body = soft_body(m, fixed=torch.tensor([0, 1]), solver=solver)
+    v = 0.2 * noise(m.num_nodes, 3, seed=2)
+    return lambda x: body(soft.State(x, v)).x, deformed(m, 0.1)
 
 
 def soft_rollout() -> tuple[Layer, Tensor]:
@@ -134,7 +142,7 @@ def cut_cells() -> tuple[Layer, Tensor]:
 
 
 LAYERS = [
-    soft_step, soft_rollout, soft_statics, soft_contact, elastic_force,
+    soft_step, linearly_implicit_step, soft_rollout, soft_statics, soft_contact, elastic_force,
     flight, least_hover, gain, ode, decomposition, stokes_flow, cut_cells,
 ]  # fmt: skip
 

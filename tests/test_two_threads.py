@@ -36,12 +36,15 @@ def landing(friction: float | None) -> Callable[[], Answer]:
 
 
 def channel(
-    wall: str = "no_slip", solver: stokes.SolverOptions | None = None
+    wall: str = "no_slip",
+    solver: stokes.SolverOptions | None = None,
+    *,
+    incompressible: bool = False,
 ) -> Callable[[], Answer]:
     """A flow through a channel and its gradient to the height."""
     grid = stokes.Grid((12, 12), size=1.0)
     ends = (stokes.Inlet("x-"), stokes.Open("x+"))
-    flow = stokes.StokesFlow(grid, ends, wall=wall, solver=solver)
+    flow = stokes.StokesFlow(grid, ends, wall=wall, solver=solver, incompressible=incompressible)
     inflow = torch.tensor([1.0, 0.0], dtype=torch.float64)
 
     def run() -> Answer:
@@ -79,6 +82,7 @@ def at_once(work: Callable[[], Answer], threads: int = 2, rounds: int = 3) -> li
         pytest.param(lambda: landing(0.4), id="contact"),
         pytest.param(lambda: landing(math.inf), id="sticking"),
         pytest.param(channel, id="stokes"),
+        pytest.param(lambda: channel(incompressible=True), id="incompressible"),
     ],
 )
 def test_threads_share_a_prepared_solver(make):

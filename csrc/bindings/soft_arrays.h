@@ -61,6 +61,7 @@ struct SoftArrays {
     rates.force = in(force);
     rates.target = in(target);
     rates.inertia = in(inertia);
+    rates.guess = in(guess);
     rates.parameters.w_mu = in(w_mu);
     rates.parameters.w_vol = in(w_vol);
     rates.parameters.fiber_stiffness = in(fiber_stiffness);

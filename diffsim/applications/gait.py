@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -116,6 +117,47 @@ def sinusoid(dt: float, num_steps: int) -> Commands:
         return wave[:, None] * torch.stack([values[0], -values[1]])
 
     return commands
+
+
+def signal(first: Array) -> Parameters:
+    """Parameters of :func:`sinusoid` with bounds.
+
+    Args:
+        first: Where the search begins: front strength, back strength, frequency [Hz].
+    """
+    return Parameters(
+        names=("front strength", "back strength", "frequency Hz"),
+        lower=np.array([0.0, 0.0, 2.0]),
+        upper=np.array([1.0, 1.0, 9.0]),
+        first=first,
+    )
+
+
+def strong(
+    make: Callable[..., SoftRobot], dt: float, *, coarse: bool, refine: int, half: bool
+) -> SoftRobot:
+    """A legged robot stiff enough to push itself off the floor, whatever the time step.
+
+    With a robot's default of 0.1 MPa and a stroke of 0.3 the legs give way. A hop is a sequence of
+    impacts, which implicit Euler damps; a relaxation time of 20 ms leaves little to the time step.
+
+    Args:
+        make: ``quadruped`` or ``cow`` of :mod:`diffsim.systems.robots`.
+        dt: Time step [s].
+        coarse: Elements of twice the edge.
+        refine: Elements along each edge of one.
+        half: Left half alone, exact for a gait of :func:`sinusoid`.
+    """
+    return make(
+        coarse=coarse,
+        dt=dt,
+        youngs_modulus=3e5,
+        amplitude=0.5,
+        per_muscle=False,
+        damping=0.02,
+        refine=refine,
+        half=half,
+    )
 
 
 def lines_between_knots(num_knots: int, num_steps: int) -> Commands:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from diffsim import soft
 from diffsim.applications.application import SOLVERS, Application, solver_options
@@ -40,7 +41,8 @@ def main(
         doc: The script's docstring, for ``--help``.
         rtol: Relative tolerance of a time step's solution [-].
         max_evaluations: Largest number of evaluations of loss and gradient; ``--quick`` takes no
-            more than 8.
+            more than 8. With ``--evaluations 0`` nothing is optimized: numbers and pictures are
+            those of where the search begins.
         view: Elevation and azimuth of the picture [degrees].
         argv: Arguments; None: the process's.
 
@@ -57,11 +59,16 @@ def main(
     out = args.out or Path("runs/applications") / application.name
     size = "quick" if args.quick else "full"
     limit = min(8, args.evaluations) if args.quick else args.evaluations
-    steps = len(application.motion(application.parameters.first)) - 1
+    begun = application.motion(application.parameters.first)
+    steps = len(begun) - 1
     print(
         f"{application.name} ({application.source}): {application.body.mesh.num_elements} elements,"
         f" {application.num_dofs} DoF, {steps} steps of {1e3 * application.body.dt:g} ms"
     )
+    if limit == 0:
+        if not args.no_pictures:
+            _draw(application, {"first guess": begun}, out, f"{size}_first", view)
+        return _printed(application.numbers(application.parameters.first, begun))
     kept = out / f"{args.solver}_{size}.jsonl"
     drawn = out / f"random_{size}.jsonl"
     if args.fresh:
@@ -78,8 +85,7 @@ def main(
         numbers["random loss"] = random
         if application.oracle is not None:
             numbers["normalized loss"] = normalized(outcome.best.loss, random, application.oracle)
-    for name, value in numbers.items():
-        print(f"{name:36s} {value:.6g}")
+    _printed(numbers)
     print(f"ended: {outcome.message}")
     write_json_atomic(
         out / f"result_{args.solver}_{size}.json",
@@ -87,14 +93,31 @@ def main(
     )
     if not args.no_pictures:
         shown = {
-            "before": application.motion(application.parameters.first),
+            "before": begun,
             "optimized": application.motion(np.array(outcome.best.values)),
         }
         if application.oracle_parameters is not None:
             shown["target"] = application.motion(application.oracle_parameters)
-        print("picture:", motion_strip(application, shown, out / f"strip_{size}.png", view=view))
-        print("recording:", recording(application, shown, out / f"{application.name}_{size}.rrd"))
+        _draw(application, shown, out, size, view)
     return numbers
+
+
+def _printed(numbers: Mapping[str, float]) -> dict[str, float]:
+    for name, value in numbers.items():
+        print(f"{name:36s} {value:.6g}")
+    return dict(numbers)
+
+
+def _draw(
+    application: Application,
+    shown: Mapping[str, Tensor],
+    out: Path,
+    kind: str,
+    view: tuple[float, float],
+) -> None:
+    """Strip and recording of motions, by caption."""
+    print("picture:", motion_strip(application, shown, out / f"strip_{kind}.png", view=view))
+    print("recording:", recording(application, shown, out / f"{application.name}_{kind}.rrd"))
 
 
 def summary(application: Application, outcome: Outcome) -> dict[str, float]:
@@ -138,7 +161,13 @@ def _parser(doc: str, max_evaluations: int) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=doc.partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a coarse mesh, few evaluations")
     parser.add_argument("--solver", choices=tuple(SOLVERS), default="projective_dynamics")
-    parser.add_argument("--evaluations", type=int, default=max_evaluations, metavar="N")
+    parser.add_argument(
+        "--evaluations",
+        type=int,
+        default=max_evaluations,
+        metavar="N",
+        help="0: show where the search begins",
+    )
     parser.add_argument("--threads", type=int, default=1, metavar="N")
     parser.add_argument("--out", type=Path, help="default: runs/applications/NAME")
     parser.add_argument("--fresh", action="store_true", help="forget the evaluations on record")

@@ -29,8 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         nargs="?",
         type=Path,
-        metavar="OUT",
-        help=".csv, .parquet, .h5, .hdf5, .mat or .mcap; without it, parts and columns are shown",
+        metavar="OUT[#TOPIC]",
+        help=".csv, .parquet, .h5, .hdf5, .mat, .mcap, .ulg or .db3 (a ROS 2 bag, a folder of its "
+        "own); without it, parts and columns are shown",
     )
 
 
@@ -40,39 +41,28 @@ def command(args: argparse.Namespace) -> None:
     Raises:
         FileNotFoundError: no such file.
         ImportError: the format's library is not installed.
-        ValueError: the file cannot be read, or OUT has an ending that is not written.
+        ValueError: the file cannot be read, or OUT cannot be written so.
     """
-    from diffsim.data.formats import is_container, parts_of, split_part, write_columns
+    from diffsim.data.columns import Table
+    from diffsim.data.formats import is_container, parts_of, renamed, split_part, write_columns
 
     file, part = split_part(args.source)
     if args.out is None:
         for name in [part] if part or not is_container(file) else parts_of(file):
-            _show(f"{file}#{name}" if name else str(file))
+            source = Path(f"{file}#{name}" if name else file)
+            _show(source, Table(source, "table").columns())
         return
-    columns = _columns(args.source)
+    columns = Table(Path(args.source), "table").columns()
     if args.out.suffix.lower() == ".csv":
-        write_text_atomic(args.out, _as_csv(columns))
+        out = write_text_atomic(args.out, _as_csv(columns))
     else:
-        write_columns(args.out, columns)
-    print(f"wrote {args.out}: {len(next(iter(columns.values())))} rows, {len(columns)} columns")
+        out = write_columns(args.out, columns)
+    print(f"wrote {out}: {len(next(iter(columns.values())))} rows, {len(columns)} columns")
+    if new := renamed(args.out, columns):
+        print("renamed: " + ", ".join(f"{old} to {name}" for old, name in new.items()))
 
 
-def _columns(source: str) -> Columns:
-    from diffsim.data.columns import Table
-    from diffsim.data.formats import is_container, read_columns
-
-    if is_container(source):
-        return read_columns(source)
-
-    table = Table(Path(source), "table")
-    return {
-        name: table.numbers(name) if table.is_number[name] else np.array(table.texts(name))
-        for name in table.header
-    }
-
-
-def _show(source: str) -> None:
-    columns = _columns(source)
+def _show(source: Path, columns: Columns) -> None:
     print(f"{source}: {len(next(iter(columns.values())))} rows")
     for name, values in columns.items():
         if values.dtype.kind in "US":

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.contact.shapes import Shape
-from diffsim.contact.sweep import first_entry
+from diffsim.contact.sweep import first_entry, first_entry_in_graph
 from diffsim.core.check import require, require_number
 from diffsim.core.values import dot
 
@@ -94,8 +94,8 @@ def detect(
         paths = _Paths.of(many[0], moved[0], start, end)
         entry = paths.entry(many[0].shape, continuous)
         planes = _planes(0, many[0], moved[0], dt, paths, entry, push, member)
-    elif torch.compiler.is_compiling() and not any(one.shape.can_tunnel for one in many):
-        planes = _stacked_planes(many, moved, dt, start, end, push, member)
+    elif _is_one_graph(many):
+        planes = _stacked_planes(many, moved, dt, start, end, push, continuous, member)
     else:
         planes = _nearest_planes(many, moved, dt, start, end, push, continuous, member)
     return ContactPlanes(*(field.reshape(*shape, *field.shape[1:]) for field in planes))
@@ -121,8 +121,16 @@ class _Paths(NamedTuple):
         """Where in [0, 1] each path enters (inf: not used); None: no path does."""
         if not (continuous and shape.can_tunnel):
             return None
-        entry = first_entry(shape, *(t.detach() for t in self[2:]))
+        given = [t.detach() for t in self[2:]]
+        if torch.compiler.is_compiling() and shape.in_one_graph:
+            return first_entry_in_graph(*given, handle=shape.handle)
+        entry = first_entry(shape, *given)
         return entry if bool(entry.isfinite().any()) else None
+
+
+def _is_one_graph(obstacles: Sequence[Obstacle]) -> bool:
+    """Whether a graph of torch.compile is being made that can hold these obstacles."""
+    return torch.compiler.is_compiling() and all(one.shape.in_one_graph for one in obstacles)
 
 
 def _nearest_planes(
@@ -167,15 +175,19 @@ def _stacked_planes(
     start: Tensor,
     end: Tensor,
     push: float,
+    continuous: bool,
     member: Tensor,
 ) -> ContactPlanes:
-    """The same of half spaces in one graph: what a number decides is evaluated either way."""
-    parts, depths = [], []
+    """The same in one graph: what a number decides is evaluated either way."""
+    parts, depths, entries = [], [], []
     for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
         paths = _Paths.of(obstacle, later, start, end)
-        parts.append(_planes(k, obstacle, later, dt, paths, None, push, member))
+        entry = paths.entry(obstacle.shape, continuous)
+        parts.append(_planes(k, obstacle, later, dt, paths, entry, push, member))
         depths.append(paths.phi1.detach())
-    choice = torch.stack(depths).argmin(0)
+        entries.append(torch.full_like(depths[-1], math.inf) if entry is None else entry)
+    first, which = torch.stack(entries).min(0)
+    choice = torch.where(first.isfinite(), which, torch.stack(depths).argmin(0))
 
     def chosen(*fields: Tensor) -> Tensor:
         stacked = torch.stack(fields)

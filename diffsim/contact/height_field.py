@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.core.check import require
+from diffsim.core.custom_op import custom_op
 from diffsim.core.values import Vector, dot, scalar, vector
 
 # Catmull-Rom cubics of the four neighbors, by rising powers of t: interpolating, C1
@@ -60,7 +62,10 @@ class HeightField(Shape):
         p = x.reshape(-1, 3) - self.origin
         padded = _padded(self.heights)
         with torch.no_grad():
-            xy = self._closest(padded.detach(), p.detach())
+            if torch.compiler.is_compiling():
+                xy = closest_in_graph(padded.detach(), p.detach(), handle=self.handle)
+            else:
+                xy = self.closest(padded.detach(), p.detach())
             _, grad, hess = self._surface(padded.detach(), xy, p.detach())
             inverse = _safe_inverse(grad, hess)
         # implicit function theorem: one Newton step with the Jacobian held has the exact gradient
@@ -72,7 +77,7 @@ class HeightField(Shape):
         phi = dot(p - torch.cat([xy, h[:, None]], dim=1), normal)
         return phi.reshape(x.shape[:-1]), normal.reshape(x.shape)
 
-    def _closest(self, padded: Tensor, p: Tensor) -> Tensor:
+    def closest(self, padded: Tensor, p: Tensor) -> Tensor:
         """Minimize |p - (xy, h(xy))|^2 from the best of a few samples around the foot, (N, 2)."""
         drop = (p[:, 2] - self._value(padded, p[:, :2])).abs()
         line = torch.linspace(-1.0, 1.0, _SAMPLES, dtype=torch.float64)
@@ -148,6 +153,17 @@ class HeightField(Shape):
         near = (four[:, None] * (ny + 2) + four).flatten()
         patch = padded.reshape(-1)[first[..., None] + near].reshape(*first.shape, 4, 4)
         return patch, wu, wv
+
+
+@custom_op("diffsim::contact_closest_on_terrain")
+def closest_in_graph(padded: Tensor, p: Tensor, *, handle: int) -> Tensor:
+    """:meth:`HeightField.closest` of the shape with a handle, for graphs."""
+    return shape_of(handle, HeightField).closest(padded, p)
+
+
+@closest_in_graph.register_fake
+def _(padded, p, *, handle):
+    return p.new_empty(len(p), 2)
 
 
 def _weights(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

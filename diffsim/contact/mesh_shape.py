@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.contact.triangles import feature_distance
+from diffsim.core.custom_op import custom_op
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, to_trimesh
 from diffsim.mesh.closed_surface import SurfaceLike
 
@@ -33,14 +35,30 @@ class MeshShape(Shape):
         self.distance = SurfaceDistance(surface)
         self._corners = torch.from_numpy(self.distance.x[self.distance.faces])
 
+    def nearest(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Closest face, its feature, side and pseudonormal of points (N, 3) [m]; no gradient."""
+        near = self.distance.nearest(x.detach().numpy())
+        found = (near.face, near.feature, near.sign, near.normal)
+        face, feature, sign, normal = (torch.from_numpy(array) for array in found)
+        return face, feature, sign, normal
+
     def _solid(self, x: Tensor) -> Pair:
         flat = x.reshape(-1, 3)
-        near = self.distance.nearest(flat.detach().numpy())
-        phi, normal, _ = feature_distance(
-            flat,
-            self._corners[torch.from_numpy(near.face)],
-            torch.from_numpy(near.feature),
-            torch.from_numpy(near.sign),
-            torch.from_numpy(near.normal),
-        )
+        if torch.compiler.is_compiling():
+            face, *near = nearest_in_graph(flat.detach(), handle=self.handle)
+        else:
+            face, *near = self.nearest(flat)
+        phi, normal, _ = feature_distance(flat, self._corners[face], *near)
         return phi.reshape(x.shape[:-1]), normal.reshape(x.shape)
+
+
+@custom_op("diffsim::contact_nearest")
+def nearest_in_graph(x: Tensor, *, handle: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """:meth:`MeshShape.nearest` of the shape with a handle, for graphs."""
+    return shape_of(handle, MeshShape).nearest(x)
+
+
+@nearest_in_graph.register_fake
+def _(x, *, handle):
+    index = x.new_empty(len(x), dtype=torch.int64)
+    return index, torch.empty_like(index), x.new_empty(len(x)), torch.empty_like(x)

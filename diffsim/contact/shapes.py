@@ -6,10 +6,14 @@ kink (medial axis, on an edge) one of the adjoining normals is returned, and its
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
+from diffsim.contact.handles import new_handle
 from diffsim.core.check import require
+from diffsim.core.custom_op import outside_of_graphs
 from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
 from diffsim.mesh import primitive
 from diffsim.mesh.sdf import Sdf
@@ -27,10 +31,20 @@ class Shape:
 
     can_tunnel = True
     """Whether a straight path can enter and come out on another side (False for a half space)."""
+    in_one_graph = True
+    """Whether ``torch.compile(fullgraph=True)`` can hold distance and normal."""
     _solid_is_convex = False
 
     def __init__(self, inside_out: bool = False):
         self.inside_out = bool(inside_out)
+        self.handle = new_handle(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "handle"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.handle = new_handle(self)  # a copy is another shape
 
     @property
     def convex(self) -> bool:
@@ -218,6 +232,8 @@ class Custom(Shape):
             almost everywhere; tensors that it holds get gradients.
     """
 
+    in_one_graph = False  # its normal is a gradient, of which a graph has no second one
+
     def __init__(self, sdf: Sdf, *, inside_out: bool = False):
         super().__init__(inside_out)
         if not callable(sdf):
@@ -225,6 +241,9 @@ class Custom(Shape):
         self.sdf = sdf
 
     def _solid(self, x: Tensor) -> Pair:
+        return outside_of_graphs(self._by_gradient)(x)
+
+    def _by_gradient(self, x: Tensor) -> Pair:
         flat = x.reshape(-1, 3)
         keep = torch.is_grad_enabled()
         with torch.enable_grad():

@@ -7,7 +7,9 @@ import math
 import torch
 from torch import Tensor
 
+from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Shape
+from diffsim.core.custom_op import custom_op
 from diffsim.core.values import dot
 
 _NEAR = 1.0 / 32.0
@@ -70,3 +72,23 @@ def first_entry(
             go_on &= fall > 0
         rows, t = rows[go_on], t[go_on]
     return entry
+
+
+@custom_op("diffsim::contact_first_entry")
+def first_entry_in_graph(
+    y0: Tensor,
+    y1: Tensor,
+    start_distance: Tensor,
+    end_distance: Tensor,
+    end_normal: Tensor,
+    *,
+    handle: int,
+) -> Tensor:
+    """:func:`first_entry` of the shape with a handle: a graph holds no search by values."""
+    shape = shape_of(handle, Shape)
+    return first_entry(shape, y0, y1, start_distance, end_distance, end_normal)
+
+
+@first_entry_in_graph.register_fake
+def _(y0, y1, start_distance, end_distance, end_normal, *, handle):
+    return torch.empty_like(end_distance)

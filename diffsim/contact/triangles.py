@@ -57,7 +57,7 @@ def feature_distance(
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     face = torch.linalg.cross(e, f)
     face = face / face.norm(dim=1, keepdim=True)
-    size = float(corners.detach().abs().max()) if len(p) else 1.0
+    size = corners.detach().abs().max() if len(p) else corners.new_ones(())
     away = p - (weights[:, :, None] * corners).sum(1)
     fallback = (sign[:, None] * pseudonormal).detach()
     length, outwards = direction(away, fallback, tiny=1e-12 * size)

@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from diffsim.core.schema import Part, number
-
-if TYPE_CHECKING:
-    Kilograms: TypeAlias = float
-    Meters: TypeAlias = float
-    Newtons: TypeAlias = float
-    Seconds: TypeAlias = float
-    Volts: TypeAlias = float
-    Rate: TypeAlias = float
-    MilliampHours: TypeAlias = float
-    Ohms: TypeAlias = float
-else:
-    Kilograms = number("kg")
-    Meters = number("m")
-    Newtons = number("N")
-    Seconds = number("s")
-    Volts = number("V")
-    Rate = number("rad/s")
-    MilliampHours = number("mA h")
-    Ohms = number("ohm")
+from diffsim.core.schema import Part
+from diffsim.core.schema_numbers import (
+    Kilograms,
+    Meters,
+    MilliampHours,
+    Newtons,
+    Ohms,
+    Rate,
+    Seconds,
+)
 
 Point = tuple[Meters, Meters, Meters]
 

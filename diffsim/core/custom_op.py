@@ -1,4 +1,4 @@
-"""Torch custom ops whose first call does not import torch's compiler."""
+"""Torch custom ops, and what stays outside of graphs, without importing torch's compiler."""
 
 from __future__ import annotations
 
@@ -34,3 +34,11 @@ def custom_op(name: str) -> Callable[[Callable[..., Any]], Any]:
         return op
 
     return made
+
+
+def outside_of_graphs(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that ``torch.compile`` leaves alone, with all that it calls.
+
+    As ``torch.compiler.disable``, which imports the compiler; where nobody has, nobody compiles.
+    """
+    return torch.compiler.disable(function) if "torch._dynamo" in sys.modules else function

@@ -38,6 +38,13 @@ def interruptible(hint: str = "") -> Iterator[None]:
         SystemExit: it was interrupted.
     """
     terminate_as_interrupt()
+    with ending_in_one_line(hint):
+        yield
+
+
+@contextmanager
+def ending_in_one_line(hint: str = "") -> Iterator[None]:
+    """As ``interruptible``, but SIGTERM is left as it is: for what an import does."""
     try:
         yield
     except KeyboardInterrupt:

@@ -96,13 +96,15 @@ def matrix_from_rotation_vector(rotation_vector: Tensor) -> Tensor:
     """R = I + sin(a)/a K + (1 - cos a)/a^2 K K (Rodrigues), smooth through zero.
 
     Args:
-        rotation_vector: Rotation axis times angle, (3,) [rad].
+        rotation_vector: Rotation axis times angle, (..., 3) [rad].
 
     Returns:
-        (3, 3).
+        (..., 3, 3).
     """
+    first, second = sinc_terms(rotation_vector.square().sum(-1))
+    cross = skew(rotation_vector)
     unit = torch.eye(3, dtype=rotation_vector.dtype)
-    return unit + rotation_offset(rotation_vector, unit).T  # rows: images of the unit vectors
+    return unit + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
 
 
 # Quaternions.

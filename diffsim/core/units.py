@@ -147,12 +147,13 @@ def in_si(
     return si.factor * float(matched.group(1)) + (0.0 if difference else si.offset), si.unit
 
 
-def in_unit(value: float | int | str, unit: str) -> float:
+def in_unit(value: float | int | str, unit: str, *, difference: bool = False) -> float:
     """A number, or a number with a unit as text, in a given unit.
 
     Args:
         value: 0.003, or "3 mm".
         unit: Unit of a bare number, and of the result.
+        difference: Whether it is one, such as a standard deviation: 2 degC are 2 K then.
 
     Raises:
         ValueError: not a number, an unknown unit, or one of another quantity.
@@ -165,4 +166,8 @@ def in_unit(value: float | int | str, unit: str) -> float:
     if matched is None:
         raise ValueError(f"must be a number in {unit}, or one with its unit, got {value!r}")
     number, own = matched.groups()
-    return float(number) * (factor(own, unit) if own else 1.0)
+    if not own:
+        return float(number)
+    scale, ours, theirs = factor(own, unit), to_si(own), to_si(unit)
+    shift = 0.0 if difference else (ours.offset - theirs.offset) / theirs.factor
+    return float(number) * scale + shift

@@ -93,7 +93,7 @@ def friction_coefficient(value: Number) -> Tensor:
     return mu
 
 
-def direction(v: Tensor, fallback: Tensor, tiny: float = 1e-150) -> tuple[Tensor, Tensor]:
+def direction(v: Tensor, fallback: Tensor, tiny: float | Tensor = 1e-150) -> tuple[Tensor, Tensor]:
     """Length and unit vector of v (..., 3); where shorter than ``tiny``: 0 and ``fallback``.
 
     There, both are constants: their gradients are zero, never NaN.

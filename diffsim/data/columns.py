@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime, time
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +109,17 @@ class Table:
             self._numbers[name] = values
         self.used.add(name)
         return self._numbers[name]
+
+    def values(self, name: str) -> NDArray[Any]:
+        """A column as it is: numbers, (num_rows,), or text."""
+        if self._is_array(name):
+            self.used.add(name)
+            return self._arrays[name]
+        return self.numbers(name) if self.is_number[name] else np.array(self.texts(name))
+
+    def columns(self) -> Columns:
+        """All columns by name, each (num_rows,): numbers, or text."""
+        return {name: self.values(name) for name in self.header}
 
     @cached_property
     def is_number(self) -> dict[str, bool]:

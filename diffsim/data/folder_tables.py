@@ -220,7 +220,7 @@ def _recording(one: Found, further: Sequence[str], found: Sequence[Found]) -> Re
 
 def _joined(main: Table, others: Sequence[Table]) -> Table:
     """Columns of all tables at the clock of the first, as a study reads them."""
-    columns = {name: _cells(main, name) for name in main.header}
+    columns = main.columns()
     clock = main.numbers("time_s")
     for other in others:
         at = other.numbers("time_s")
@@ -228,10 +228,6 @@ def _joined(main: Table, others: Sequence[Table]) -> Table:
             if name not in columns and other.is_number[name]:
                 columns[name] = np.interp(clock, at, other.numbers(name), np.nan, np.nan)
     return Table.of_columns(main.path, columns)
-
-
-def _cells(table: Table, name: str) -> Any:
-    return table.numbers(name) if table.is_number[name] else np.array(table.texts(name))
 
 
 def _bare(name: str) -> str:

@@ -34,7 +34,7 @@ _COMMAND = re.compile(
     r"(^|_)(cmd|command|commanded|set|setpoint|desired|des|ref|reference|target|input|pwm|duty|"
     r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction|soll|"
     r"sollwert|consigne)(_|\d|$)"
-    r"|^u\d*$|^(m|mot|motor|rotor|servo|rc|out)_?\d+$",
+    r"|^u\d*$|^(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
     re.I,
 )
 _QUATERNION = re.compile(r"(^|_)(q|quat|quaternion)_?[wxyz0-3]$", re.I)  # has no unit

@@ -34,6 +34,7 @@ from diffsim.data.study_types import (
     UseOfBlocks,
     UseOfRuns,
     ZeroTime,
+    in_own_unit,
     read_number,
 )
 
@@ -141,7 +142,8 @@ class ChannelEntry(Source):
     )
     sd: Positive | None = Field(
         None,
-        description="Standard deviation of the sensor's noise, in `unit`; default: from repeats",
+        description="Standard deviation of the sensor's noise, in `unit` or with its own, such as "
+        "2 mm; default: from repeats",
     )
     zero_s: tuple[Number, Number] | None = Field(
         None,
@@ -153,6 +155,11 @@ class ChannelEntry(Source):
         description="Unit in which reports show errors; default: `unit`, for degC kelvins",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _with_units(cls, given: Any) -> Any:
+        return in_own_unit(given, {"sd": "difference", "offset": "difference"})
+
 
 class CommandEntry(Source):
     """A commanded quantity."""
@@ -161,7 +168,9 @@ class CommandEntry(Source):
     unit: Unit | None = Field(
         None, description="Unit of the files; default: SI, as the name should end (`force_N`)"
     )
-    lower: Number | None = Field(None, description="Least value that can be commanded, in `unit`")
+    lower: Number | None = Field(
+        None, description="Least value that can be commanded, in `unit`, or as 5 N"
+    )
     upper: Number | None = Field(None, description="Largest value that can be commanded, in `unit`")
     rate: Positive | None = Field(None, description="Fastest change, in `unit` per second")
     fill: FillValue | None = Field(
@@ -177,6 +186,12 @@ class CommandEntry(Source):
         description="Whether it was measured (the output of a controller): it then differs "
         "between repeats, and nobody can command it",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_units(cls, given: Any) -> Any:
+        values = {"lower": "value", "upper": "value", "fill": "value"}
+        return in_own_unit(given, {**values, "offset": "difference", "rate": "rate"})
 
     @model_validator(mode="after")
     def _ordered(self) -> CommandEntry:

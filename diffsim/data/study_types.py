@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
 from diffsim.core.schema import Said
-from diffsim.core.units import to_si
+from diffsim.core.units import in_unit, to_si
 from diffsim.data.formula import quoted_names
 from diffsim.data.study import USES
 
@@ -30,6 +30,40 @@ def read_number(given: Any) -> float:
     if value != value or value in (float("inf"), float("-inf")):
         raise ValueError(f"must be a finite number, got {given!r}")
     return value
+
+
+def in_own_unit(entry: Any, keys: Mapping[str, str]) -> Any:
+    """An entry of the file whose numbers may be texts with a unit, such as 2 mm, in its ``unit``.
+
+    Args:
+        entry: What stands in the file; all but mappings is passed on.
+        keys: What each of these keys is: a value, a difference of values, or a rate.
+    """
+    if not isinstance(entry, Mapping):
+        return entry
+    texts = {k: v for k, v in entry.items() if k in keys and isinstance(v, str) and _has_unit(v)}
+    own = str(entry.get("unit", ""))
+    if texts and not own:
+        key, value = next(iter(texts.items()))
+        raise ValueError(f"{key} is {value!r}; state `unit`, the unit of the file, as well")
+    per_second = "1/s" if own == "-" else f"({own})/s"
+    units = {k: per_second if keys[k] == "rate" else own for k in texts}
+    return {**entry, **{k: _read_in(v, k, units[k], keys[k]) for k, v in texts.items()}}
+
+
+def _read_in(given: str, key: str, unit: str, what: str) -> float:
+    try:
+        return in_unit(given, unit, difference=what != "value")
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from None
+
+
+def _has_unit(given: str) -> bool:
+    try:
+        float(given)
+    except ValueError:
+        return any(letter.isdigit() for letter in given)
+    return False
 
 
 def read_texts(given: Any) -> tuple[str, ...]:

@@ -123,7 +123,8 @@ def column_of(name: str, unit_cell: str = "") -> Column:
         base = name.removesuffix(f"_{ending}")
         if base != name and re.search(after, base, re.IGNORECASE):
             return Column(name, _word(base), unit, False)
-    return Column(name, _word(name), "rpm" if name.lower() == "rpm" else None, False)
+    is_speed = re.fullmatch(r"rpm_?\d*", name, re.IGNORECASE)  # of the first motor: rpm1
+    return Column(name, _word(name), "rpm" if is_speed else None, False)
 
 
 def tables_in(folder: Path) -> list[Path]:

@@ -28,9 +28,10 @@ from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.outside import spans_of
 from diffsim.diagnose.records import BaseRow, CauseRow
 from diffsim.diagnose.referee import Referee
+from diffsim.diagnose.refine import SetNumerics
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen
-from diffsim.diagnose.search import Search, refit
+from diffsim.diagnose.search import Search, refit, with_numerics
 from diffsim.diagnose.simulations import NONE, Center
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
 from diffsim.diagnose.unseen import on_unseen
@@ -61,6 +62,24 @@ class Checks:
         """Whether numerical settings move the record by more than their limit."""
         return any(not g.passed for g in self.gates if g.name in NUMERICS_GATES)
 
+    @property
+    def unrefined(self) -> dict[str, Array]:
+        """Changes by refining settings for which the gate failed."""
+        failed = [g.name for g in self.gates if g.name in NUMERICS_GATES and not g.passed]
+        return {name: self.changes[name] for name in failed if name in self.changes}
+
+    def at_set(self, found: SetNumerics | None) -> Checks:
+        """The checks with numerical settings as they are at the fit of a set of causes.
+
+        Args:
+            found: What was found there; None: nothing was checked.
+        """
+        if found is None:
+            return self
+        now = {g.name: g for g in found.gates}
+        gates = tuple(now.get(g.name, g) for g in self.gates)
+        return replace(self, gates=gates, changes=found.changes)
+
     def joined(self, more: Sequence[GateResult]) -> Checks:
         """The checks with further gates."""
         return replace(self, gates=(*self.gates, *more))
@@ -86,14 +105,21 @@ def report_of(
         bank: Runs that could be recorded next.
         referee: What names were held against.
     """
-    case, gates = null.case, checks.gates
+    case = null.case
     search, effects = judgment.search, case.effects
     if search is not None and judgment.decision.best:
-        judgment = _with_forms(judgment, search)
+        search = with_numerics(search, judgment.decision.best)
+        checks = checks.at_set(search.numerics.get(judgment.decision.best))
+        judgment = _with_forms(judgment, search, checks.unrefined)
         search = judgment.search
     decision = judgment.decision
     members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
     best = null.fit if search is None or not members else search.fit_of(members)
+    if search is not None:
+        search = with_numerics(search, members)
+        judgment = replace(judgment, search=search)
+        checks = checks.at_set(search.numerics.get(members))
+    gates = checks.gates
     if members and not best.converged:
         why = f"of the extended model: its sizes are not to be trusted ({best.message})"
         gates = (*gates, GateResult("fit_converged", False, 0.0, 1.0, why))
@@ -236,9 +262,9 @@ def _verdict(
     return decision.verdict, decision.best if decision.verdict == "named" else NONE
 
 
-def _with_forms(judgment: Judgment, search: Search) -> Judgment:
+def _with_forms(judgment: Judgment, search: Search, unrefined: Mapping[str, Array]) -> Judgment:
     """The judgment, what may be another cause's form left open; the set without it is fitted."""
-    decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best))
+    decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best), unrefined)
     if decision.forms:  # of several forms, the search need not have come by
         search = refit(search, decision.best - set(decision.forms))
     return replace(judgment, decision=decision, search=search)

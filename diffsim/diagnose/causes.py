@@ -245,8 +245,8 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
 def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
     """Causes that act in the place of an effect in rival sets."""
     names: dict[str, None] = {}
-    if (first := decision.forms.get(i)) is not None:
-        names[f"another form of {told.effects[first].name}"] = None
+    if i in decision.forms:
+        names[decision.forms[i]] = None
     for h in told.rivals:
         if i in h.effects and i in decision.best:
             continue

@@ -31,10 +31,10 @@ from diffsim.diagnose.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.judge import Decision, Judgment, decision_of, judge
 from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.referee import Referee, referee_of
-from diffsim.diagnose.refine import Refined, checked_numerics
+from diffsim.diagnose.refine import Refined, checked_numerics, under
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen, screen
-from diffsim.diagnose.search import Search, begin, search_sets
+from diffsim.diagnose.search import Search, begin, search_sets, with_numerics
 from diffsim.diagnose.simulations import NONE, Center, Simulations
 from diffsim.diagnose.store import Store, key_of
 from diffsim.identify.effect import Effect
@@ -47,6 +47,7 @@ from diffsim.identify.unknown import Unknown, drifts
 Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' time, where simulations are dear
 MAX_TOLD = 3  # times that finer simulations are made at an answer
+MAX_SEARCHES = 3  # each may end at a set that needs finer numerical settings
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -100,8 +101,8 @@ def diagnose(
         screened = _screened(checks.center)
         frozen = report_of(null, checks, Judgment(decision), screened, seed, bank)
         return tested(frozen, study, seed)
-    search, told = settled(search_rounds(null, simulations))
-    checks = checks.joined(told)
+    search, told = _told_again(search_rounds(null, simulations))
+    checks, null = checks.joined(told), search.null
     screened = _screened(search.plain)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
@@ -121,8 +122,8 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
     was simulated before."""
     case = null.case
     for round_ in range(case.settings.noise_rounds):
-        search = search_sets(begin(null, simulations))
-        simulations = search.simulations
+        search = _settled(null, simulations)
+        null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
         after = noise_floor(case.study.fit_runs, case.study.channels, residuals)
@@ -136,7 +137,7 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
     return replace(search, null=replace(null, noise=after))
 
 
-def settled(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
+def _told_again(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
     """The search under a correction that holds at its answer, where coarse simulations have one.
 
     Returns:
@@ -159,6 +160,30 @@ def settled(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
         null = Null(case, null.noise, *ended, null.num_spikes)
         search = search_rounds(null, search.simulations.moved(null, change, case.store))
     return search, (coarse_gate(size, search.null.fit.problem),)
+
+
+def _settled(null: Null, simulations: Simulations) -> Search:
+    """Search under numerical settings that are fine enough for the best set, as far as the budget
+    allows; simulations under coarser ones do not serve."""
+    for _ in range(MAX_SEARCHES):
+        search = search_sets(begin(null, simulations))
+        best = decision_of(search).best
+        search = with_numerics(search, best)
+        checked = search.numerics.get(best)
+        if checked is None or checked.finer is None:
+            break
+        null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
+        null = _stored_anew(under(null, checked.finer), simulations)
+        simulations = Simulations(null.wide, null.case.store).under(null)
+    return search
+
+
+def _stored_anew(null: Null, before: Simulations) -> Null:
+    """With a store of its own: what is kept there holds for one choice of numerical settings."""
+    if before.store is None:
+        return null
+    store = Store(before.store.folder.parent, _key(null.case))
+    return replace(null, case=replace(null.case, store=store))
 
 
 def _case(

@@ -42,7 +42,7 @@ class Decision:
         share: Share of the misfit, chi2_null - N, that the best set explains.
         beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
             more before the best set although that explains enough; its lead is ``lead`` [nats].
-        forms: Effects that may be the form of another one of the set, each with that other.
+        forms: Effects that may be the form of another one of the set, each with what they may be.
     """
 
     verdict: str
@@ -52,7 +52,7 @@ class Decision:
     share: float
     beside: Hypothesis | None = None
     lead: float = 0.0
-    forms: Mapping[int, int] = field(default_factory=dict)
+    forms: Mapping[int, str] = field(default_factory=dict)
 
 
 def decide(

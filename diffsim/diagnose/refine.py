@@ -3,6 +3,10 @@
 A diagnosis with coarse settings would name causes for what the solver does wrong. So each setting
 that moves the record by more than its limit is refined, as long as one simulation costs less than
 ``DiagnosisSettings.refine_budget`` times what it did. All that follows uses the refined settings.
+
+Steps that follow the plain model may be too coarse for a cause, such as friction that fades within
+a fraction of the usual velocity, and another cause would be named for the rest. So the gate is
+asked again at the best set of a search (``numerics_of``).
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from diffsim.diagnose.fit import Null
 from diffsim.diagnose.gates import GateResult, numerics_changes, numerics_gate
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import noise_floor
-from diffsim.identify import Problem
+from diffsim.identify import Fit, Problem
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
@@ -47,6 +51,44 @@ class Refined:
     gates: tuple[GateResult, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class SetNumerics:
+    """Numerical settings at the fit of a set of causes.
+
+    Attributes:
+        changes: Change of the record by refining each setting, by its name, (N,) each.
+        gates: The numerics gate there.
+        finer: Settings from which it passes, or the finest within the budget; None: it passes, or
+            none finer are allowed.
+    """
+
+    changes: dict[str, Array]
+    gates: tuple[GateResult, ...]
+    finer: Numerics | None
+
+
+def numerics_of(null: Null, fit: Fit, record: Array) -> SetNumerics:
+    """Check the settings at the fit of a set of causes.
+
+    Args:
+        null: The plain model under the settings in use.
+        fit: Fit of the set.
+        record: Its prediction, (N,).
+    """
+    here = Linearization(fit.x, record, (), np.zeros((len(record), 0)))
+    changes = numerics_changes(fit.problem, here)
+    gates = tuple(numerics_gate(fit, changes))
+    settings, used = null.case.settings, fit.problem.numerics or Numerics()
+    finer, paid = used, 1.0
+    if not settings.accept_numerics and settings.refine_budget > 1.0 and _failing(gates):
+        own = replace(fit.problem, numerics=None)
+        once = min(_timed(own, fit.x)[1] for _ in range(TIMINGS))
+        finer, _, _, paid = _refined(fit, settings.refine_budget, changes, gates, once)
+    noted = _noted(gates, fit.problem.numerics, paid, settings.refine_budget)
+    noted = tuple(replace(g, note=f"{g.note}; with the named causes") for g in noted)
+    return SetNumerics(changes, noted, None if finer == used else finer)
+
+
 def checked_numerics(null: Null) -> Refined:
     """Check the settings at the null fit; refine and fit again where the gate fails.
 
@@ -63,11 +105,13 @@ def checked_numerics(null: Null) -> Refined:
     paid = 1.0
     for _ in range(MAX_REFITS):
         null.case.progress("null fit", 0.1, f"refining {', '.join(_failing(gates))}")
-        numerics, changes, gates, ratio = _refined(null, changes, gates, once)
+        numerics, changes, gates, ratio = _refined(
+            null.fit, settings.refine_budget, changes, gates, once
+        )
         paid = max(paid, ratio)
         if numerics == (null.fit.problem.numerics or Numerics()):
             break  # the budget allows no finer ones
-        null = _under(null, numerics)
+        null = under(null, numerics)
         changes = numerics_changes(null.fit.problem, null.at)
         gates = tuple(numerics_gate(null.fit, changes))
         if not _failing(gates):
@@ -78,14 +122,18 @@ def checked_numerics(null: Null) -> Refined:
 
 
 def _refined(
-    null: Null, changes: dict[str, Array], gates: tuple[GateResult, ...], once: float
+    fit: Fit,
+    budget: float,
+    changes: dict[str, Array],
+    gates: tuple[GateResult, ...],
+    once: float,
 ) -> tuple[Numerics, dict[str, Array], tuple[GateResult, ...], float]:
     """Settings from which the gate passes at the same parameters, within the budget.
 
     Returns:
         The settings, the changes and gates there, and the cost of a simulation over the plain one.
     """
-    problem, x, paid = null.fit.problem, null.at.x, 1.0
+    problem, x, paid = fit.problem, fit.x, 1.0
     numerics = problem.numerics or Numerics()
     dear: set[str] = set()  # beyond the budget: what is left of it goes to the others
     while failing := [name for name in _failing(gates) if name not in dear]:
@@ -93,7 +141,7 @@ def _refined(
         for name in failing:
             finer = numerics.refined(REFINEMENTS[name])
             tried, seconds = _timed(replace(problem, numerics=finer), x)
-            if seconds > null.case.settings.refine_budget * once:
+            if seconds > budget * once:
                 dear.add(name)
             else:
                 numerics, paid, record = finer, seconds / once, tried
@@ -105,11 +153,11 @@ def _refined(
             **changes,
             **numerics_changes(replace(problem, numerics=numerics), there, failing),
         }
-        gates = tuple(numerics_gate(null.fit, changes))
+        gates = tuple(numerics_gate(fit, changes))
     return numerics, changes, gates, paid
 
 
-def _under(null: Null, numerics: Numerics) -> Null:
+def under(null: Null, numerics: Numerics) -> Null:
     """The plain model fitted again under other settings, with the noise of what it leaves."""
     case = replace(null.case, numerics=numerics)
     problem = case.problem(null.noise.whitener)

@@ -34,6 +34,7 @@ from diffsim.diagnose.from_sheet import (
     has_left,
     promising_sets,
 )
+from diffsim.diagnose.refine import SetNumerics, numerics_of
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -50,6 +51,7 @@ from diffsim.identify.unknown import Unknown
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
+FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
 LONG_STEP = 0.3  # prior sd: a last step is simulated
 STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
@@ -68,6 +70,7 @@ class Search:
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
         num_late: Rivals that keep their linear evidence, as ``refit_seconds`` were over.
+        numerics: Numerical settings at sets where they were checked.
     """
 
     null: Null
@@ -78,6 +81,7 @@ class Search:
     failed: Mapping[Hypothesis, str] = field(default_factory=dict)
     borrowed: Mapping[Members, str] = field(default_factory=dict)
     num_late: int = 0
+    numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
 
     @property
     def wide(self) -> Problem:
@@ -180,6 +184,18 @@ def search_sets(search: Search) -> Search:
     return _weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
+def with_numerics(search: Search, members: Members) -> Search:
+    """Check the numerical settings at the fit of a set, once; at that of the plain model they were
+    checked before; those of corrected simulations are checked by their correction."""
+    case = search.null.case
+    accepted = case.settings.accept_numerics or case.correction is not None
+    if accepted or members == NONE or members in search.numerics:
+        return search
+    record = search.simulations.fitted[members].record
+    found = numerics_of(search.null, search.fit_of(members), record)
+    return replace(search, numerics={**search.numerics, members: found})
+
+
 def _from_data_sheet(search: Search) -> tuple[Center, Search]:
     """The plain model; or the best set that was fitted from the data sheet, if its fit has left
     that."""
@@ -189,7 +205,9 @@ def _from_data_sheet(search: Search) -> tuple[Center, Search]:
     search = replace(search, simulations=made)
     if sheet is not None:
         ranked = promising_sets(sheet, search.settings.max_effects)
-        until = process_time() + search.settings.scan_seconds
+        settings = search.settings
+        seconds = min(settings.scan_seconds, FROM_SHEET * settings.refit_seconds)
+        until = process_time() + seconds
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
             if process_time() < until:
                 search = refit(search, members, sheet, begin=cooled)

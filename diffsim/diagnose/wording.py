@@ -271,7 +271,7 @@ def sentences(
         for g in answer.gates
         if g.applies
         and not g.passed
-        and g.name not in NUMERICS_GATES
+        and (g.name not in NUMERICS_GATES or answer.verdict != "numerical")
         and not g.name.startswith(REPEATS)
     ]
     first = (FIRST_ANSWER, COARSE, LATE)

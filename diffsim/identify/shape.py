@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+_ROUND = 2  # times that a ball's icosahedron is refined: 320 triangles
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingShape:
@@ -23,6 +25,26 @@ class MovingShape:
     triangles: NDArray[np.int64]
     nodes_m: NDArray[np.float64]
     closed: bool = False
+
+    @classmethod
+    def of_balls(cls, places_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> MovingShape:
+        """Balls, which look the same however they are turned.
+
+        Args:
+            places_m: Their centers, z up, (num_samples, num_balls, 3) [m].
+            radii_m: (num_balls,) [m].
+        """
+        import trimesh  # takes longer to load than all of this room
+
+        ball = trimesh.creation.icosphere(subdivisions=_ROUND)
+        points, faces = np.array(ball.vertices), np.array(ball.faces, dtype=np.int64)
+        nodes = places_m[:, :, None] + radii_m[:, None, None] * points
+        first = len(points) * np.arange(len(radii_m))[:, None, None]
+        return cls(
+            triangles=(first + faces).reshape(-1, 3),
+            nodes_m=nodes.reshape(len(places_m), -1, 3),
+            closed=True,
+        )
 
 
 __all__ = ["MovingShape"]

@@ -7,6 +7,7 @@ and what the tendons do lies a servo; what is known of it decides what a control
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -26,9 +27,17 @@ from diffsim.systems.starfish.body import TENDON
 
 DT = 1.0 / RATE_HZ  # of simulation and camera [s]
 HOLD = 6  # samples that an action is held: quicker ones shake the robot, as no servo can
-SETTLE_S = 1.0  # rewards count from here on, as the laboratory's speed does
-CLOCK_HZ = (0.5, 1.0)  # the recipe's of diffsim.learn.recipes
-YOUNGS_MODULUS, AXIAL_STIFFNESS = 5e5, 600.0  # as from data sheets [Pa], [N]
+CONTROL_S = HOLD * DT  # a control step [s]
+STROKE_S = 0.55  # the real robot opens and closes in 0.547 s
+CLOCK_HZ = (0.5 / STROKE_S, 1.0 / STROKE_S)  # a stroke and half of it, as diffsim.learn.recipes
+SETTLE_S = 2.0 * STROKE_S  # rewards count from here on, as the laboratory's speed does
+# what is known of body and water before anything is recorded, by the names of ``table_5_1``
+DATA_SHEET: Mapping[str, float] = {
+    "youngs_modulus": 5e5,  # [Pa]
+    "axial_stiffness": 600.0,  # of a tendon [N]
+    **{f"drag_{i}": c for i, c in enumerate(DRAG_COEFFICIENTS, 1)},
+    **{f"thrust_{i}": c for i, c in enumerate(THRUST_COEFFICIENTS, 1)},
+}
 RAIL_FRICTION_N, CREEP_M_S = 2e-3, 1e-3  # of the whole robot; below this speed it is viscous
 UNIT_M_S = 0.01  # of the reward
 FAST_M_S = 0.1  # of a leg; scales what is sensed
@@ -52,6 +61,22 @@ class Servo:
         """Lag and limited speed."""
         return soft.ActuatorDynamics(self.lag_s or None, self.rate_m_s)
 
+    def pull(self, arm: Tensor) -> Tensor:
+        """What the tendons are shortened by where the servo's arm is [m]."""
+        return (arm - self.slack_m).clamp(min=0.0)
+
+    def pulls(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What the tendons are shortened by under a command at ``RATE_HZ``, (num_samples,) [m].
+
+        The arm begins at the command's first value.
+        """
+        dynamics, out = self.dynamics(), []
+        arm = torch.full((1, 1), float(command[0]), dtype=torch.float64)
+        for asked in torch.from_numpy(np.asarray(command, dtype=float)):
+            arm, _ = dynamics(asked[None, None], dynamics.initial_state(arm), DT)
+            out.append(float(self.pull(arm)))
+        return np.array(out)
+
 
 class TendonSwim(Task):
     """Swim along -x on the rail; the action is the contraction of all four tendons.
@@ -65,25 +90,37 @@ class TendonSwim(Task):
         servo: What lies between command and tendon.
         seconds: Length of an episode [s].
         limits: What may be commanded.
+        body: Parameters of body and water, named as ``diffsim.sim_to_real.table_5_1`` has them;
+            None: ``DATA_SHEET``.
     """
 
     name = "TendonSwim"
 
-    def __init__(self, servo: Servo, seconds: float = 4.0, limits: Limits | None = None):
+    def __init__(
+        self,
+        servo: Servo,
+        seconds: float = 4.0,
+        limits: Limits | None = None,
+        body: Mapping[str, float] | None = None,
+    ):
         super().__init__()
+        known = dict(DATA_SHEET if body is None else body)
         self.servo, self.limits = servo, limits or Limits()
         self.dynamics = servo.dynamics()
-        self.dt, self.max_steps = HOLD * DT, round(seconds / (HOLD * DT))
+        self.dt, self.max_steps = CONTROL_S, round(seconds / CONTROL_S)
         self.model = Starfish()
         self.body = self.model.quarter.body
         self.physics = self.body.physics(
-            youngs_modulus=torch.tensor(YOUNGS_MODULUS).double(),
+            youngs_modulus=torch.tensor(known["youngs_modulus"]).double(),
             # half a tendon in a quarter of the body
-            fiber_stiffness=torch.full((2,), 0.5 * AXIAL_STIFFNESS).double(),
+            fiber_stiffness=torch.full((2,), 0.5 * known["axial_stiffness"]).double(),
             rayleigh_beta=torch.tensor(self.model.rayleigh_beta).double(),
             added_mass=1000.0 * self.model.added_mass * self.body.nodal_volume,
         )
-        drag, thrust = (torch.tensor(c).double() for c in (DRAG_COEFFICIENTS, THRUST_COEFFICIENTS))
+        drag, thrust = (
+            torch.tensor([known[f"{name}_{i}"] for i in range(1, 5)]).double()
+            for name in ("drag", "thrust")
+        )
         self.water = water_of(self.body.mesh, drag, thrust)
         self.actions = (Entry("contraction", -1.0, 1.0),)
         sensed = [f"{place} {way}" for place in ("tip", "middle") for way in ("x", "closing")]
@@ -111,15 +148,7 @@ class TendonSwim(Task):
         asked, arm, now = state["asked"], state["arm"], soft.State(state["x"], state["v"])
         for _ in range(HOLD):
             asked = self.ask(action, asked)
-            arm, _ = self.dynamics(asked, self.dynamics.initial_state(arm), DT)
-            pull = (arm - self.servo.slack_m).clamp(min=0.0)
-            now = soft.step(
-                self.body,
-                soft.State(now.x, now.v),
-                external_force=self.water(now.x, now.v) + self.on_rail(now.v),
-                activation=(1.0 - pull / TENDON).expand(-1, 2),
-                physics=self.physics,
-            )
+            now, arm = self.pulled(now, arm, asked)
         return {
             "x": now.x,
             "v": now.v,
@@ -128,6 +157,25 @@ class TendonSwim(Task):
             "asked": asked,
             "arm": arm,
         }
+
+    def pulled(self, now: soft.State, arm: Tensor, asked: Tensor) -> tuple[soft.State, Tensor]:
+        """Body and servo arm a sample later.
+
+        Args:
+            now: The body.
+            arm: Where the servo's arm is, (batch, 1) [m].
+            asked: The command, (batch, 1) [m].
+        """
+        arm, _ = self.dynamics(asked, self.dynamics.initial_state(arm), DT)
+        pull = self.servo.pull(arm)
+        after = soft.step(
+            self.body,
+            soft.State(now.x, now.v),
+            external_force=self.water(now.x, now.v) + self.on_rail(now.v),
+            activation=(1.0 - pull / TENDON).expand(-1, 2),
+            physics=self.physics,
+        )
+        return after, arm
 
     def on_rail(self, v: Tensor) -> Tensor:
         """Dry friction of the rail on a quarter of the robot, shape of v [N].
@@ -176,20 +224,27 @@ class TendonSwim(Task):
 class SwimSetup(Setup):
     """A training run of ``TendonSwim``; see ``diffsim.learn.Setup``.
 
-    Its ``task_options`` hold servo, seconds and limits, so that a run is not resumed with others.
+    Its ``task_options`` hold servo, seconds, limits and body, so that a run is not resumed with
+    others.
     """
 
     def make_task(self) -> TendonSwim:
         """The task."""
         options = self.task_options
         return TendonSwim(
-            Servo(**options["servo"]), options["seconds"], Limits(**options["limits"])
+            Servo(**options["servo"]),
+            options["seconds"],
+            Limits(**options["limits"]),
+            options["body"],
         )
 
 
-def swim_options(servo: Servo, seconds: float, limits: Limits) -> dict[str, Any]:
+def swim_options(
+    servo: Servo, seconds: float, limits: Limits, body: Mapping[str, float] | None = None
+) -> dict[str, Any]:
     """``task_options`` of a :class:`SwimSetup`."""
-    return {"servo": asdict(servo), "seconds": seconds, "limits": asdict(limits)}
+    known = dict(DATA_SHEET if body is None else body)
+    return {"servo": asdict(servo), "seconds": seconds, "limits": asdict(limits), "body": known}
 
 
 class Steering:

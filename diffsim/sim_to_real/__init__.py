@@ -1,6 +1,6 @@
 """Sim-to-real: identify a simulated robot from hardware, optimize its command, execute, repeat."""
 
-from diffsim.sim_to_real.command import Command, Limits, followed, sinusoid
+from diffsim.sim_to_real.command import Command, Limits, followed, open_close, sinusoid
 from diffsim.sim_to_real.hardware import (
     AwaitingRecordingError,
     FileHardware,
@@ -35,6 +35,7 @@ __all__ = [
     "followed",
     "identify",
     "on_real_recording",
+    "open_close",
     "optimize",
     "sim_to_real",
     "sinusoid",

@@ -94,6 +94,28 @@ def sinusoid(
     return command
 
 
+def open_close(
+    *,
+    period_s: float = 0.55,
+    low_m: float = 0.0,
+    high_m: float = 0.018,
+    closed: float = 0.5,
+    limits: Limits,
+) -> Command:
+    """Strokes of the real robot (``horizontal_cyclic1``): closed, then open, as fast as allowed.
+
+    Args:
+        period_s: Of one stroke [s].
+        low_m, high_m: Contraction while open and while closed [m].
+        closed: Share of the period that asks for ``high_m``.
+        limits: Limits of the servo, which the command respects.
+    """
+    closed = require_number("closed", closed, above=0.0, below=1.0)
+    n = round(period_s * RATE_HZ)
+    wish = np.where(np.arange(n) < round(closed * n), high_m, low_m)
+    return Command(followed(torch.from_numpy(wish), limits).numpy())
+
+
 def followed(contraction: Tensor, limits: Limits) -> Tensor:
     """A period within bounds and rate: the nearest that a servo can follow causally.
 

@@ -62,15 +62,6 @@ def require_step(ctx: SoftContext, inputs: list[Tensor], batch: int, **nodal: Te
     return arrays
 
 
-def require_forward_mode(method: str) -> None:
-    """Refuse a method whose steps have no tangents."""
-    if method == LINEAR:
-        raise NotImplementedError(
-            f"steps of method={LINEAR!r} have no forward-mode derivative; use reverse mode "
-            "(backward, torch.func.grad, vjp, jacrev) or method='auto'"
-        )
-
-
 def new_stats(batch: int) -> Tensor:
     """Room for ``STATS`` of each item."""
     return torch.zeros(batch, len(STATS), dtype=torch.float64)
@@ -216,7 +207,6 @@ def step_tangents(
     Returns:
         (K, V, 3).
     """
-    require_forward_mode(method)
     ctx = context(handle)
     arrays = require_step(ctx, inputs.tensors(), 1, x=x)
     count = next(iter(directions.values())).shape[0]
@@ -266,7 +256,6 @@ def soft_step_jvp(
     Returns:
         (batch, num_nodes, 3).
     """
-    require_forward_mode(method)
     ctx = context(handle)
     x = x.contiguous()
     arrays = require_step(ctx, inputs, x.shape[0], x=x)

@@ -59,6 +59,8 @@ def stage_rates(
         "inertia": d_total[:, None] * physics.mass + total * changing.mass,
     }
     rates |= load_rates(problem, moved, changing)
+    if body.solver.method == _ops_step.LINEAR:  # its steps are linearized at the old positions
+        rates["guess"] = moving.x
     if stage.midpoint:  # its unknown is in the middle of the step
         rates["target"] = 0.5 * (moving.x + rates.get("target", torch.zeros_like(moving.x)))
     if physics.rayleigh_beta is not None:

@@ -7,23 +7,20 @@ the ops take and return them.
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
-from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.core.layer import directions_of, make_first_order, make_layer
-from diffsim.core.record import Solve, announce, is_recording, verdict, warn
+from diffsim.stokes._ended import STATS, finish
 from diffsim.stokes._systems import StokesContext, context
 from diffsim.stokes.boundary import refuse_net_inflow
 
 FlowSolver = core.FlowSolver
 MAX_DIRECT_NODES: int = core.STOKES_MAX_DIRECT_NODES
-STATS = ("num_iters", "divergence", "converged", "net_inflow", "residual")
 LOADS = ("wall_velocity", "body_force", "traction")
 SIZES = (1e-100, 1e100)
 """Of a level set: its slopes are squared, for which float64 has no room beyond."""
@@ -62,7 +59,7 @@ class FlowOutputs(NamedTuple):
         velocity: (cases, num_nodes, dim) [m/s].
         pressure: (cases, num_cells) [Pa].
         fraction: Fluid share of every cell, (num_cells,) [-].
-        stats: ``STATS`` of every case, (cases, 5); no gradient.
+        stats: ``STATS`` of every case, (cases, len(STATS)); no gradient.
     """
 
     velocity: Tensor
@@ -119,7 +116,7 @@ def stokes_flow(
         )
     net_inflow = outputs.stats[:, STATS.index("net_inflow")]
     refuse_net_inflow(float(net_inflow.max()) if cases else 0.0)
-    _finish(outputs.stats, "Stokes solve", ctx, system.report.iterative, on_failure)
+    finish(outputs.stats, "Stokes solve", ctx, system.report.iterative, on_failure)
     return outputs
 
 
@@ -184,7 +181,7 @@ def stokes_flow_vjp(
             stats=stats.data_ptr(),
             num_threads=num_threads,
         )
-    _finish(stats, "adjoint of the Stokes solve", ctx, system.report.iterative, on_failure)
+    finish(stats, "adjoint of the Stokes solve", ctx, system.report.iterative, on_failure)
     return grads
 
 
@@ -239,7 +236,7 @@ def stokes_flow_jvp(
             stats=stats.data_ptr(),
             num_threads=num_threads,
         )
-    _finish(stats, "tangent of the Stokes solve", ctx, system.report.iterative, on_failure)
+    finish(stats, "tangent of the Stokes solve", ctx, system.report.iterative, on_failure)
     return rates
 
 
@@ -328,72 +325,3 @@ def _arrays(ctx: StokesContext, inputs: FlowInputs, viscosity: float) -> object:
             setattr(arrays, name, load.data_ptr())
             setattr(arrays, f"{name}_stride", ctx.num_nodes * ctx.dim if many > 1 else 0)
     return arrays
-
-
-def solve_of(stats: Tensor, what: str, options: Any, iterative: bool) -> Solve:
-    """Why the cases of a flow ended, from their ``STATS``.
-
-    Args:
-        stats: (cases, len(STATS)).
-        what: Name of the equations.
-        options: The kernel's options.
-        iterative: Whether the iterative solver was taken.
-    """
-    rows = [dict(zip(STATS, row, strict=True)) for row in stats.tolist()]
-    measures = [_measure(row, options, iterative) for row in rows]
-    reached = tuple(m.reached for m in measures)
-    count = tuple(int(row["num_iters"]) for row in rows)
-    return Solve(
-        solver=what,
-        ended=verdict([row["converged"] for row in rows], reached, count, options.max_iters),
-        residual=reached,
-        tolerance=tuple(m.tolerance for m in measures),
-        num_iters=count,
-        details=dict(zip(STATS, stats.unbind(-1), strict=True)),
-    )
-
-
-class _Measure(NamedTuple):
-    """What decides whether a case has converged, how far it came, and what helps."""
-
-    name: str
-    reached: float
-    tolerance: float
-    remedy: str
-
-
-def _measure(row: dict[str, float], options: Any, iterative: bool) -> _Measure:
-    """Relative residual of the iterative solver, then the divergence where incompressible.
-
-    A direct solve of a nearly incompressible flow has no tolerance to meet.
-    """
-    if iterative and (not row["residual"] <= options.rtol or not options.incompressible):
-        remedy = 'raise max_iters, loosen rtol, or choose method="direct"'
-        return _Measure("relative residual", row["residual"], options.rtol, remedy)
-    tolerance = options.tolerance if options.incompressible else math.nan
-    remedy = "raise max_iters or bulk_ratio, or loosen tolerance"
-    return _Measure("relative divergence", row["divergence"], tolerance, remedy)
-
-
-def _finish(stats: Tensor, what: str, ctx: StokesContext, iterative: bool, on_failure: str) -> None:
-    """Tell the records; warn or raise where a case did not converge."""
-    if is_recording():
-        announce(solve_of(stats.clone(), what, ctx.options, iterative))
-    failed = stats[:, STATS.index("converged")] == 0
-    if not bool(failed.any()):
-        return
-    first = dict(zip(STATS, stats[failed][0].tolist(), strict=True))
-    measure = _measure(first, ctx.options, iterative)
-    message = (
-        f"{what} stopped after {first['num_iters']:.0f} iterations at {measure.name} "
-        f"{measure.reached:.3e}, needed {measure.tolerance:.3e}; {measure.remedy}"
-    )
-    if on_failure == "warn" and math.isfinite(measure.reached):
-        warn(message, ConvergenceWarning, stacklevel=2)
-        return
-    raise ConvergenceError(
-        message,
-        residual_norm=measure.reached,
-        tolerance=measure.tolerance,
-        num_iters=int(first["num_iters"]),
-    )

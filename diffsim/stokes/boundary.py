@@ -12,6 +12,8 @@ from diffsim.core.check import require, require_choice
 from diffsim.stokes.grid import Grid
 
 WALLS = ("no_slip", "slip")
+WALL_KINDS = ("no_slip", "no_separation")
+"""Of the embedded wall."""
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,13 @@ class FlowField:
         volume_fraction: Fluid share of every cell, (*shape) [-].
         stats: Figures per case: "num_iters", "divergence" (root mean square dilatation of cells
             relative to max speed / longest side of the box), "converged", "net_inflow" (net over
-            gross flux of the worst part of the fluid without an open face), "residual" (of the
-            iterative solver, relative; zero for the direct one), "imbalance" (``mass_report``).
-        solve: Why every case ended: relative residual of the iterative solver; divergence where a
-            direct flow is incompressible, and elsewhere without a tolerance.
+            gross flux of the worst part of the fluid without an open face), "residual" (of momentum
+            and continuity, relative to what drives the flow), "pressure_error" (estimated root
+            mean square, relative; of a direct solver's incompressible flow, else zero),
+            "imbalance" (``mass_report``).
+        solve: Why every case ended, with the relative residual, or with the divergence or the error
+            of the pressures where that was too large.
+        wall: Kind of the embedded wall, which decides how it cuts the cells.
     """
 
     grid: Grid
@@ -41,9 +44,14 @@ class FlowField:
     volume_fraction: Tensor
     stats: dict[str, Tensor]
     solve: Solve | None = None
+    wall: str = "no_slip"
 
     def flux(self, axis: int, index: int) -> Tensor:
         """Volume flow through the fluid part of a grid plane, positive along the axis.
+
+        For slip walls in 2D it is what the flow's equations conserve: the same through every plane
+        between inlet and outlet, up to the divergence. Elsewhere cells on both sides of a plane
+        take a little different parts of it as fluid, and this is the mean.
 
         Args:
             axis: The plane's normal.
@@ -63,6 +71,7 @@ class FlowField:
             velocity=self.velocity.reshape(cases, -1, self.grid.dim),
             cells=list(self.grid.shape),
             spacing=list(self.grid.spacing),
+            slip=self.wall == "no_separation",
             axis=axis,
             index=index % count,
         )

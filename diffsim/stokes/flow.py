@@ -10,8 +10,9 @@ from torch import Tensor, nn
 from diffsim.core.check import has_values, require, require_choice, require_number
 from diffsim.core.record import Solve, warn
 from diffsim.stokes import _ops_flow
+from diffsim.stokes._ended import STATS, solve_of
 from diffsim.stokes._systems import StokesContext
-from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
+from diffsim.stokes.boundary import WALL_KINDS, Boundary, Inlet, Open, Wall
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 from diffsim.stokes.options import SolverOptions
@@ -19,7 +20,6 @@ from diffsim.stokes.problem import flow_inputs
 
 MAX_DIRECT_NODES: int = _ops_flow.MAX_DIRECT_NODES
 """What the method "auto" solves directly in three dimensions: at most so many nodes with fluid."""
-WALL_KINDS = ("no_slip", "no_separation")
 
 
 class StokesFlow(nn.Module):
@@ -165,8 +165,9 @@ class StokesFlow(nn.Module):
             velocity=outputs.velocity.reshape(cases, *grid.node_shape, grid.dim),
             pressure=outputs.pressure.reshape(cases, *grid.shape),
             volume_fraction=outputs.fraction.reshape(grid.shape),
-            stats=dict(zip(_ops_flow.STATS, outputs.stats.unbind(-1), strict=True)),
+            stats=dict(zip(STATS, outputs.stats.unbind(-1), strict=True)),
             solve=self._solve_of(inputs.phi, outputs.stats),
+            wall=self.wall,
         ).with_imbalance()
 
     def inlet_positions(self, name: str | None = None) -> Tensor:
@@ -198,7 +199,7 @@ class StokesFlow(nn.Module):
             return None
         with self._context.lock:
             iterative = self._context.system(phi.detach(), self.num_threads).report.iterative
-        return _ops_flow.solve_of(stats.detach(), "Stokes solve", self._context.options, iterative)
+        return solve_of(stats.detach(), "Stokes solve", self._context.options, iterative)
 
     def _inspect(self, report, phi: Tensor) -> None:
         """Warn about what a new geometry will not resolve."""

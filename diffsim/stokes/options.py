@@ -21,11 +21,13 @@ class SolverOptions:
             dimensions beyond ``MAX_DIRECT_NODES`` nodes with fluid, about where both take the same
             time, and where incompressible; where that does not converge, direct.
             ``StokesFlow.report`` says which was taken.
-        rtol: Tolerance of the iterative solver: norm of the residual over that of the right-hand
-            side, both with momentum and continuity scaled by powers of the cell size; the adjoint
-            too. Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to
-            1e4 times larger [-].
-        tolerance: Largest relative divergence that an incompressible flow may keep, see
+        rtol: Largest norm of the residual over that of the right-hand side, both with momentum and
+            continuity scaled by powers of the cell size; the adjoint and the tangent too. The
+            iterative solver goes on until then; the direct one corrects its answer by the residual,
+            and ends at what rounding leaves (1e-12). Pressures that alternate from cell to cell are
+            held weakly: by the iterative solver, errors there are 1e2 to 1e4 times larger [-].
+        tolerance: Largest relative divergence that an incompressible flow may keep, and, of the
+            direct solver, largest estimated relative error of its pressures; see
             ``FlowField.stats`` [-].
         max_iters: Largest number of incompressible iterations, and of the iterative solver's [-].
         num_kept: Factorized systems to keep; one is enough where every forward pass is followed by

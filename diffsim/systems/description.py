@@ -94,7 +94,11 @@ def quantity(unit: str) -> Any:
             return Quantity(value=in_unit(given, unit), unit=unit)
         own = str(given.get("unit", unit))
         numbers = {
-            k: in_unit(f"{v} {own}" if isinstance(v, (int, float)) and own != "-" else v, unit)
+            k: in_unit(
+                f"{v} {own}" if isinstance(v, (int, float)) and own != "-" else v,
+                unit,
+                difference=k == "sd",
+            )
             for k, v in given.items()
             if k in _IN_UNIT
         }

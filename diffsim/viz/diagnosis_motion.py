@@ -61,11 +61,11 @@ def _shapes(report: Report, run: PredictedRun) -> dict[str, MovingShape]:
 def _simulated(
     fit: Fit, run: PredictedRun, channels: Array, at: Array | None
 ) -> MovingShape | None:
-    """By the predicted channels, else by one more simulation."""
-    shape = fit.problem.model.shape_of(run, torch.from_numpy(channels))
-    if shape is not None or at is None:
+    """By one more simulation where that tells more than channels, else by the predicted ones."""
+    shape = None if at is None else fit.problem.shape_at(run, torch.as_tensor(at))
+    if shape is not None:
         return shape
-    return fit.problem.shape_at(run, torch.as_tensor(at))
+    return fit.problem.model.shape_of(run, torch.from_numpy(channels))
 
 
 def _view(run: PredictedRun, shapes: dict[str, MovingShape]) -> Moving | None:

@@ -13,6 +13,8 @@ the whole motion. Expected of --quick: E = 2.09 MPa, nu = 0.34 after 8 evaluatio
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import math
 from dataclasses import replace
 
@@ -23,7 +25,6 @@ from diffsim import contact, mesh, soft
 from diffsim.applications import Application
 from diffsim.applications.identification import TRUTH_RTOL, identification
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40
 TRUTH = (2e6, 0.4)  # Young's modulus [Pa], Poisson's ratio

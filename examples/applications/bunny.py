@@ -12,6 +12,8 @@ The first guess is thrown away from it. How near other throws come: `benchmarks.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import math
 from collections.abc import Mapping
 
@@ -22,7 +24,6 @@ from torch import Tensor
 from diffsim import contact, mesh, soft
 from diffsim.applications import Application, Parameters
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 from diffsim.mesh.sdf import ellipsoid, rotate, smooth_union, translate
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40

@@ -11,19 +11,19 @@ search begins at the signal that came farthest of some dozen.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import numpy as np
 
 from diffsim import soft
-from diffsim.applications import Application, Parameters
-from diffsim.applications.gait import gait, sinusoid
+from diffsim.applications import Application
+from diffsim.applications.gait import gait, signal, sinusoid, strong
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
 DT, STEPS = 0.002, 300  # [s]
 RISE_WEIGHT = 0.3
-DAMPING = 0.02  # of the material [s]
 
 
 def build(
@@ -41,25 +41,10 @@ def build(
     dt, steps = DT / refine, STEPS * refine
     if quick:
         dt, steps = 2.0 * dt, steps // 2
-    robot = robots.cow(
-        coarse=quick,
-        dt=dt,
-        youngs_modulus=3e5,
-        amplitude=0.5,
-        per_muscle=False,
-        damping=DAMPING,
-        refine=cells,
-        half=half,
-    )
     return gait(
-        robot,
+        strong(robots.cow, dt, coarse=quick, refine=cells, half=half),
         solver,
-        Parameters(
-            names=("front strength", "back strength", "frequency Hz"),
-            lower=np.array([0.0, 0.0, 2.0]),
-            upper=np.array([1.0, 1.0, 9.0]),
-            first=np.array([0.7, 0.1, 6.8]),
-        ),
+        signal(np.array([0.7, 0.1, 6.8])),
         sinusoid(dt, steps),
         title="A cow with a heavy head comes far, upright",
         source="thesis Fig. 4-15",

@@ -12,6 +12,8 @@ after 8 evaluations.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import math
 from dataclasses import replace
 
@@ -22,7 +24,6 @@ from diffsim import mesh, soft
 from diffsim.applications import Application
 from diffsim.applications.identification import TRUTH_RTOL, identification
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 
 RTOL, MAX_EVALUATIONS = 1e-4, 30
 TRUTH = (1e6, 0.4)  # Young's modulus [Pa], Poisson's ratio

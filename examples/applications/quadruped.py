@@ -15,18 +15,18 @@ farthest at 2.5 and 0.625 ms of some twenty.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import numpy as np
 
 from diffsim import soft
-from diffsim.applications import Application, Parameters
-from diffsim.applications.gait import gait, sinusoid
+from diffsim.applications import Application
+from diffsim.applications.gait import gait, signal, sinusoid, strong
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-4, 25
 DT, STEPS = 0.0025, 400  # [s]
-DAMPING = 0.02  # of the material [s]
 
 
 def build(
@@ -38,43 +38,24 @@ def build(
 ) -> Application:
     """The quadruped of 1 cm cubes (quick: 1.8 cm), stiffer and with a longer stroke than elsewhere.
 
-    With the robot's default of 0.1 MPa and a stroke of 0.3 the legs give way before they push it
-    off the floor. ``refine`` time steps are made of one, and ``cells`` elements along each edge of
+    ``refine`` time steps are made of one, and ``cells`` elements along each edge of
     one, to see what they do. ``half`` takes the left half alone, exact for this gait.
     """
     dt, steps = DT / refine, STEPS * refine
-    robot, also = body(dt, quick, cells, half), []
+    robot, also = strong(robots.quadruped, dt, coarse=quick, refine=cells, half=half), []
     if not quick:
-        also = [(body(0.5 * dt, quick, cells, True), sinusoid(0.5 * dt, 2 * steps))]
+        finer = strong(robots.quadruped, 0.5 * dt, coarse=False, refine=cells, half=True)
+        also = [(finer, sinusoid(0.5 * dt, 2 * steps))]
     return gait(
         robot,
         solver,
-        Parameters(
-            names=("front strength", "back strength", "frequency Hz"),
-            lower=np.array([0.0, 0.0, 2.0]),
-            upper=np.array([1.0, 1.0, 9.0]),
-            first=np.array([0.5, 0.4, 6.0] if quick else [0.9, 0.1, 6.8]),
-        ),
+        signal(np.array([0.5, 0.4, 6.0] if quick else [0.9, 0.1, 6.8])),
         sinusoid(dt, steps),
         title="A soft slab on four legs comes far",
         source="thesis Fig. 4-14",
         scale=10.0,
         num_starts=8 if quick else 1,  # most random signals go nowhere, or backward
         also=also,
-    )
-
-
-def body(dt: float, quick: bool, cells: int, half: bool) -> robots.SoftRobot:
-    """The robot in steps of ``dt``; see ``build``."""
-    return robots.quadruped(
-        coarse=quick,
-        dt=dt,
-        youngs_modulus=3e5,
-        amplitude=0.5,
-        per_muscle=False,
-        damping=DAMPING,
-        refine=cells,
-        half=half,
     )
 
 

@@ -10,6 +10,8 @@ target, a point made by no known contraction.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,7 +21,6 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.applications import Application, Parameters
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 
 RTOL, MAX_EVALUATIONS = 1e-4, 60
 SIDE, HEIGHT, DT, STEPS = 0.04, 0.16, 0.01, 100  # [m], [m], [s]

@@ -9,13 +9,14 @@ our own ring (the thesis's has 568).
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import numpy as np
 
 from diffsim import soft
 from diffsim.applications import Application, Parameters
 from diffsim.applications.gait import gait, lines_between_knots
 from diffsim.cli.application import main
-from diffsim.core import interruptible
 from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance

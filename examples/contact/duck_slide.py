@@ -19,6 +19,8 @@ of its two gradients 16 CPU seconds (from 20 steps of 200).
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import math
 from collections.abc import Sequence
@@ -42,7 +44,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
-from diffsim.core import interruptible
 
 RADIUS = 0.8  # of the slide [m]
 HIGH, LIP = math.radians(60.0), math.radians(20.0)  # ends of its arc, before and after the bottom

@@ -16,6 +16,8 @@ they are many. Running time: 55 CPU seconds.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import math
 import time
@@ -27,7 +29,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
-from diffsim.core import interruptible
 
 SIDE, THICK, GAP, DT = 0.3, 0.006, 0.002, 0.01  # [m], [m], [m], [s]
 RADII = (0.065, 0.165, 0.30, 2.0)  # of the ball [m]

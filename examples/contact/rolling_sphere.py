@@ -19,6 +19,8 @@ simulation takes 3 CPU seconds, its backward pass 1; the whole story 40.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import math
 
@@ -39,7 +41,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
-from diffsim.core import interruptible
 
 RADIUS, SPIN, DT = 0.2, 10.0, 0.005  # [m], [rad/s], [s]
 FLOORS = {"sticking": math.inf, "friction 0.3": 0.3}

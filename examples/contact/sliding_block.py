@@ -10,10 +10,11 @@ Expected: 0.2007 m, slope -0.5101 m; the closed form has 0.2039 m and -0.5098 m.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import torch
 
 from diffsim import contact, mesh, soft
-from diffsim.core import interruptible
 
 SPEED, FRICTION, GRAVITY = 1.265, 0.4, 9.81  # [m/s], [-], [m/s^2]
 

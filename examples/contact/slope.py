@@ -23,6 +23,8 @@ two slopes gave 2.9 mm and 0.362 m with complementarity, 0.126 m and 0.479 m wit
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import math
 
@@ -48,7 +50,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
-from diffsim.core import interruptible
 
 ANGLE = math.radians(10.0)
 DOWN = torch.tensor([math.cos(ANGLE), 0.0, -math.sin(ANGLE)], dtype=torch.float64)

@@ -19,6 +19,8 @@ limit on width, where the largest propellers surpass all others.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import math
 from collections.abc import Sequence
@@ -41,7 +43,7 @@ from diffsim.copter.codesign import (
 )
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.task import Task
-from diffsim.core import interruptible, open_executor
+from diffsim.core import open_executor
 from diffsim.core.files import write_json_atomic
 
 ROTOR_MASS = {0.0635: 0.038, 0.127: 0.161, 0.1778: 0.172}  # by radius of the propeller [kg], [m]

@@ -20,6 +20,8 @@ seconds, with pictures 15.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +51,6 @@ from diffsim.copter import (
     rotor_names,
     shipped_designs,
 )
-from diffsim.core import interruptible
 
 DT = 0.005  # [s]
 TARGET = (2.0, 1.0, -1.5)  # north, east, down [m]

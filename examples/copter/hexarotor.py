@@ -14,6 +14,8 @@ controller alone gets to 0.77 m, and both to 0.74 m (python -m benchmarks.hexaro
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import time
 from collections.abc import Sequence
@@ -23,7 +25,7 @@ import numpy as np
 
 from diffsim import optim
 from diffsim.copter.waypoints import WaypointTask
-from diffsim.core import DiffsimError, interruptible
+from diffsim.core import DiffsimError
 
 
 def improved(task: WaypointTask, evaluations: int, *, airframe: bool) -> np.ndarray:

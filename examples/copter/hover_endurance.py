@@ -19,6 +19,8 @@ at constant current, as the kernel does, 0.516 and 0.561. Running time: 0.09 CPU
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import time
 from collections.abc import Sequence
@@ -41,7 +43,6 @@ from diffsim.copter import (
     motor_lag,
 )
 from diffsim.copter.simulator import LqrController, MotorOutputs, flight_rotors
-from diffsim.core import interruptible
 
 STANDARD, OPTIMIZED = "quadcopter", "quadcopter_flight_time"
 RATE = 100.0  # of control [Hz]

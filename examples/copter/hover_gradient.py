@@ -12,11 +12,12 @@ step: 1.0009. Running time: 1 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import torch
 from torch import Tensor
 
 from diffsim import copter
-from diffsim.core import interruptible
 
 
 def main(step: float = 1e-4) -> dict[str, float]:

@@ -23,6 +23,8 @@ measured 11.1 %. Running time: 40 CPU seconds.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +41,6 @@ from diffsim.copter.simulator import (
     load_mission,
     payload_limit,
 )
-from diffsim.core import interruptible
 
 FLAT, OPTIMIZED = "pentacopter", "pentacopter_payload"
 LOADS = {FLAT: 1.047, OPTIMIZED: 1.392}  # thesis Table 3.1 [kg]

@@ -10,9 +10,10 @@ Expected: 1.4 cm off its place in both, at most 19.1 A bare and 22.8 A with 300 
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 from diffsim.copter import load_design
 from diffsim.copter.simulator import FlightSimulator, load_mission
-from diffsim.core import interruptible
 
 
 def main(seconds: float = 5.0, payload: float = 0.3) -> dict[str, float]:

@@ -13,6 +13,8 @@ every executor. Running time: 14 CPU seconds.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +22,7 @@ from pathlib import Path
 from diffsim.cli.arguments import add_executor
 from diffsim.copter import load_design
 from diffsim.copter.codesign import Demands, SearchOptions, codesign
-from diffsim.core import interruptible, open_executor, run_kept
+from diffsim.core import open_executor, run_kept
 
 TORQUES = (0.0, 0.25, 0.5, 1.0, 2.0)  # about roll and pitch [N m]
 

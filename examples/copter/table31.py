@@ -29,6 +29,8 @@ Running time: 12 CPU seconds.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from pathlib import Path
 
@@ -36,7 +38,6 @@ import torch
 
 from diffsim.copter import GRAVITY, Multicopter, load_design, max_hover_weight, rotor_model
 from diffsim.copter.codesign import Demands, Limits, SearchOptions, codesign
-from diffsim.core import interruptible
 
 #: size x, y [mm]; weight, payload, overall weight [g]; largest motor angle [deg]
 THESIS = {

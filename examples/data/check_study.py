@@ -10,10 +10,11 @@ Expected: no error in the first, at least one in the second. Running time: 2 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import tempfile
 from dataclasses import replace
 
-from diffsim.core import interruptible
 from diffsim.data import Problem, check_study, load_study, save_study
 from diffsim.data.labs import LABS
 

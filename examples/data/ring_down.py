@@ -10,10 +10,11 @@ Expected of the measured beam: 7.7 Hz without the weight, 4.3 Hz with it. Runnin
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import tempfile
 from pathlib import Path
 
-from diffsim.core import interruptible
 from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study, write_beam_study
 
 

@@ -13,6 +13,8 @@ Running time: 10 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import tempfile
 from dataclasses import replace
@@ -20,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of

@@ -13,6 +13,8 @@ Expected: "added_spring_at_hinge", 0.60 N m/rad within its interval. Running tim
 
 from __future__ import annotations
 
+from diffsim.core.script import ask_for, interruptible
+
 import argparse
 import tempfile
 from pathlib import Path
@@ -20,7 +22,6 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of
@@ -95,6 +96,7 @@ def record(folder: Path, cable: float) -> None:
 
 def main(folder: Path, cable: float = 0.6) -> Report:
     """Write the folder, read it back, diagnose."""
+    ask_for(["mujoco"], purpose="this example")
     folder.mkdir(parents=True, exist_ok=True)
     record(folder, cable)
     (folder / "pendulum.xml").write_text(MODEL, encoding="utf-8")

@@ -12,6 +12,8 @@ Expected: "dry_friction_at_rail", 0.30 N within its interval. Running time: 10 s
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import tempfile
 from pathlib import Path
@@ -19,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of

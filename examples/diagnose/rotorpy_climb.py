@@ -12,13 +12,14 @@ Expected: "delay", 0.040 s within its interval. Running time: 30 s. Needs ``pip 
 
 from __future__ import annotations
 
+from diffsim.core.script import ask_for, interruptible
+
 import argparse
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of
@@ -101,6 +102,7 @@ def record(folder: Path, late_s: float) -> None:
 
 def main(folder: Path, late_s: float = 0.04) -> Report:
     """Write the folder, read it back, diagnose."""
+    ask_for(["rotorpy"], purpose="this example")
     folder.mkdir(parents=True, exist_ok=True)
     record(folder, late_s)
     (folder / "climb.py").write_text(SIMULATOR, encoding="utf-8")

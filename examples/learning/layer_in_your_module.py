@@ -7,12 +7,13 @@ Expected: the mean distance falls from 37 mm to 1 mm for wishes it has never see
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 # %% The body: 10 x 2 x 4 hexahedra, a muscle above and one below
 import torch
 from torch import Tensor, nn
 
 from diffsim import mesh, soft
-from diffsim.core import interruptible
 
 STEPS, F64 = 20, torch.float64
 

@@ -8,13 +8,14 @@ before (it crashes after two seconds) to above 110 after 60,000 steps, all of th
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
-from diffsim.core import interruptible
 from diffsim.envs import Sb3VecEnv, make_vector
 
 

@@ -10,6 +10,8 @@ end of an episode only starts the next one, so that its transition is left out o
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 
 import gymnasium
@@ -119,9 +121,10 @@ def learn(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=60_000)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    for name, value in main(args.steps, seed=args.seed).items():
-        print(f"mean return, {name} fifth of the episodes: {value:.1f}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--steps", type=int, default=60_000)
+        parser.add_argument("--seed", type=int, default=0)
+        args = parser.parse_args()
+        for name, value in main(args.steps, seed=args.seed).items():
+            print(f"mean return, {name} fifth of the episodes: {value:.1f}")

@@ -6,6 +6,8 @@ policy, 400 frames of CopterHover. Expected: the shape of the data and a mean re
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import gymnasium
 import torch
 from torchrl.envs import GymWrapper, RewardSum, StepCounter, TransformedEnv
@@ -36,5 +38,6 @@ def main(frames: int = 400) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name}: {value}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name}: {value}")

@@ -11,12 +11,13 @@ values take less than half of it. Running time: 1 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import time
 
 import numpy as np
 import scipy.sparse as sp
 
-from diffsim.core import interruptible
 from diffsim.linalg import SparseCholesky
 
 

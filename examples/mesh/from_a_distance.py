@@ -10,10 +10,11 @@ Expected: tetrahedra miss 4.4 % of the volume at 25 mm, 0.8 % at 12.5 mm. Runnin
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import math
 
 from diffsim import mesh
-from diffsim.core import interruptible
 
 RADIUS, HOLE = 0.1, 0.04  # [m]
 

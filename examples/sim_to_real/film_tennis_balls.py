@@ -10,13 +10,14 @@ FILE_corners.csv (eight points as if clicked) and FILE_truth.json. Running time:
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from diffsim.data import Run, Study
 from diffsim.systems.balls import SoftBallModel

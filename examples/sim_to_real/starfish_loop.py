@@ -16,12 +16,13 @@ experiment is saved at once; after an interruption ``--resume`` goes on without 
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
 
-from diffsim.core import interruptible
 from diffsim.data import import_study
 from diffsim.sim_to_real import (
     AwaitingRecordingError,

@@ -22,6 +22,8 @@ those of facets.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import json
 import time
@@ -35,7 +37,6 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_study

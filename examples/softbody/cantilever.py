@@ -10,10 +10,11 @@ Expected: sag 6.32 mm, relative slope -0.995: the bar is nearly linear. Running 
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import torch
 
 from diffsim import mesh, soft
-from diffsim.core import interruptible
 
 
 def main(cells: tuple[int, int, int] = (20, 4, 4), modulus: float = 2.6e5) -> dict[str, float]:

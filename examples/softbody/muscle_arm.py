@@ -13,6 +13,8 @@ of motion the arm still swings within 1 mm of it. Running time: about 6 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from pathlib import Path
 
@@ -20,7 +22,6 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.core import interruptible
 
 LENGTH, SIDE = 0.2, 0.03  # [m]
 

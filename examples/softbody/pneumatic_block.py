@@ -10,11 +10,12 @@ Expected: the top rises 1.13 mm at 20 kPa; predicted over true change 1.0. Runni
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.core import interruptible
 
 
 def main(pressure: float = 2e4, step: float = 1.0) -> dict[str, float]:

@@ -10,12 +10,13 @@ Expected: 300 kPa again, from 200 kPa, after 8 evaluations. Running time: 2 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim import mesh, optim, soft
-from diffsim.core import interruptible
 
 TRUTH, START, STEPS = 3e5, 2e5, 40  # [Pa], [Pa], steps of 5 ms
 

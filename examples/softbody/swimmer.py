@@ -17,6 +17,8 @@ robot's. Running time: about 15 s.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 from pathlib import Path
 
@@ -25,7 +27,6 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.core import interruptible
 
 REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half center, flat to top [m]
 PULL = 0.018  # longest pull of the servo [m]

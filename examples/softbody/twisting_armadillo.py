@@ -17,6 +17,8 @@ CPU with --compare, seconds with --small.
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import math
 import time
@@ -26,7 +28,6 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.core import interruptible
 
 HEIGHT = 0.6  # [m]
 FEET, SHOULDERS, REACH = 0.09, 0.74, 0.16  # parts of the height: clamped below, turned above

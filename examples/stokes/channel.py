@@ -10,10 +10,11 @@ Expected: 1.006 and 0.997 times the closed form on 48 x 40 cells. Running time: 
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import torch
 
 from diffsim import stokes
-from diffsim.core import interruptible
 
 LENGTH, HEIGHT, RATE, VISCOSITY = 1.2, 0.63, 0.1, 2.0  # [m], [m], [m^2/s], [Pa s]
 

@@ -23,10 +23,11 @@ time in CPU minutes of one thread: averager and gate 1/2, funnel 6, twister 8, s
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import sys
 
 from diffsim.cli import main
-from diffsim.core import interruptible
 
 if __name__ == "__main__":
     with interruptible():

@@ -366,3 +366,14 @@ def test_a_file_that_cannot_be_read_is_told(steps, capsys):
     (steps / "broken.mat").write_bytes(b"no MAT file at all")
     assert init(steps) == 0
     assert "not read: " in (out := capsys.readouterr().out) and "broken.mat" in out
+
+
+def test_speeds_of_motors_are_commands_in_rpm(tmp_path):
+    rng = np.random.default_rng(0)
+    speeds = [4000.0 + 300.0 * rng.normal(size=60) for _ in range(2)]
+    for run in ("a", "b"):
+        write(tmp_path / f"{run}.csv", "time,height,rpm1,rpm2", [T, noisy(3), *speeds])
+    assert init(tmp_path, "--system", "multicopter") == 0
+    said = (tmp_path / "study.yaml").read_text()
+    for name in ("rpm1", "rpm2"):
+        assert f"- {{name: {name}, unit: rpm, " in said.split("\ncommands:")[1]

@@ -4,13 +4,17 @@ Statuses must not change within the differences of 1e-6: scenes are generic, and
 which statuses it has. Tolerances as in tests/soft/test_step_gradients.py.
 """
 
+import copy
 import math
+import pickle
 from dataclasses import replace
 
 import pytest
 import torch
+import trimesh
 
 from diffsim import contact, soft
+from diffsim.contact.handles import shape_of
 from diffsim.soft import _ops_contact
 from diffsim.soft._arrays import ContactArrays, StepArrays
 from tests.helpers import check_layer
@@ -243,11 +247,7 @@ def _detached(value, name):
 
 
 def test_contract_of_the_op(monkeypatch):
-    """opcheck, gradcheck and torch.compile of the layer under the step.
-
-    Detection chooses rows by value (which obstacle, which entry), so the step as a whole breaks the
-    graph of torch.compile; the op below it compiles.
-    """
+    """opcheck, gradcheck and torch.compile of the layer under the step."""
     m = irregular("tet")
     body = soft_body(m, dt=0.05)
     inputs = {k: leaf(v) for k, v in inputs_of(m, "mixed").items()}
@@ -314,3 +314,78 @@ def test_steps_on_half_spaces_are_one_graph():
     assert torch.equal(results[0][0], results[1][0])
     for one, other in zip(*results, strict=True):  # sums of gradients run in another order
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+
+
+def terrain() -> contact.HeightField:
+    heights = 0.1 * torch.rand(12, 12, generator=torch.Generator().manual_seed(0)).double()
+    return contact.HeightField(heights, 0.5, (-2.0, -2.0, -0.15))
+
+
+SHAPES = {  # each with its place below a body whose lower face is at z = 0
+    "ball": (lambda: contact.Sphere(3.0), (1.0, 0.5, -3.0)),
+    "container": (lambda: contact.Sphere(3.0, inside_out=True), (1.0, 0.5, 2.7)),
+    "trough": (lambda: contact.Trough(3.0, 3.0, start=(1.0, 0.0, 0.0)), (1.0, 0.0, 2.7)),
+    "sheet that a step would jump": (lambda: contact.Box((6.0, 6.0, 0.004)), (1.0, 0.5, -0.1)),
+    "terrain": (terrain, (0.0, 0.0, 0.0)),
+    "surface": (lambda: contact.MeshShape(trimesh.creation.box((6.0, 6.0, 0.2))), (1.0, 0.5, -0.1)),
+}
+
+
+SLOW = ("container", "trough", "terrain", "surface")  # to compile
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in SHAPES]
+)
+def test_steps_on_every_shape_are_one_graph(name):
+    """Alone and beside a floor, with fullgraph=True: the bits of the step, and its gradients."""
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m)
+    x = m.x_rest - torch.tensor([0.0, 0.0, 1.0]) * (m.x_rest[:, 2].min() - 0.02)
+    v = leaf(torch.tensor([-0.8, 0.3, -8.0]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
+    made, place = SHAPES[name]
+    friction = leaf(0.2)
+    obstacle = contact.Obstacle(made(), position=place, friction=friction)
+    for obstacles in ([obstacle], [contact.floor(-4.0), obstacle]):
+        torch.compiler.reset()  # or too many graphs of one function
+
+        def layer(v, obstacles=obstacles):
+            end = soft.step(body, soft.State(x, v), obstacles=obstacles)
+            return torch.cat([end.x, end.v, end.contact_force])
+
+        whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
+        results = []
+        for function in (layer, whole):
+            out = function(v)
+            results.append((out, *torch.autograd.grad(out, (v, friction), noise(*out.shape))))
+        assert int((results[0][0][-m.num_nodes :] != 0.0).any(1).sum()) > 1
+        assert torch.equal(results[0][0], results[1][0])
+        for one, other in zip(*results, strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+
+
+def test_a_distance_function_breaks_the_graph_and_stays_right():
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m)
+    floor = contact.Obstacle(contact.Custom(lambda x: x[:, 2] + 0.3 * torch.sin(x[:, 0])))
+    x = m.x_rest - torch.tensor([0.0, 0.0, 1.0]) * (m.x_rest[:, 2].min() - 0.02)
+    v = leaf(torch.tensor([-0.8, 0.3, -8.0]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
+
+    def layer(v):
+        return soft.step(body, soft.State(x, v), obstacles=floor).x
+
+    whole = torch.compile(layer, backend="aot_eager")
+    plain, compiled = (torch.autograd.grad(f(v).square().sum(), v)[0] for f in (layer, whole))
+    torch.testing.assert_close(plain, compiled, rtol=1e-12, atol=1e-12)
+    torch.compiler.reset()
+    with pytest.raises(torch._dynamo.exc.Unsupported):
+        torch.compile(layer, fullgraph=True, backend="aot_eager")(v)
+
+
+def test_a_copied_shape_is_another_one():
+    ball = contact.Sphere(1.0)
+    for other in (copy.deepcopy(ball), pickle.loads(pickle.dumps(ball))):
+        assert other.handle != ball.handle
+        assert shape_of(other.handle, contact.Sphere) is other
+    with pytest.raises(RuntimeError, match="keep obstacles alive"):
+        shape_of(ball.handle, contact.Box)

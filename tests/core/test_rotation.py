@@ -48,6 +48,14 @@ def test_rotation_vectors(angle):
     torch.testing.assert_close(offset, r @ matrix.T - r, rtol=0.0, atol=4e-15)
 
 
+def test_many_rotation_vectors_at_once():
+    vectors = numbers(5, 2, 3, seed=4)
+    turns = Rotation.from_rotvec(vectors.reshape(-1, 3).numpy()).as_matrix().reshape(5, 2, 3, 3)
+    found = rot.matrix_from_rotation_vector(vectors)
+    torch.testing.assert_close(found, torch.from_numpy(turns), **CLOSE)
+    assert torch.equal(found[3, 1], rot.matrix_from_rotation_vector(vectors[3, 1]))
+
+
 def test_offset_of_a_tiny_rotation_has_no_cancellation():
     vector = torch.tensor([0.0, 0.0, 1e-12], dtype=torch.float64)
     r = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)

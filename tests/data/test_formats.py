@@ -53,7 +53,7 @@ def test_a_table_goes_to_mcap_and_back(tmp_path):
     ("columns", "message"),
     [
         ({"force_N": [1.0]}, "needs a clock: a column time_s, t or time"),
-        ({"t": [0.0, -1.0]}, "column t, the clock of the MCAP file, must be finite and ascend"),
+        ({"t": [0.0, -1.0]}, "column t, the clock of an MCAP file, must be finite and ascend"),
     ],
 )
 def test_mcap_needs_a_clock(tmp_path, columns, message):

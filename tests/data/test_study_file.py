@@ -7,9 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 import diffsim.data.study_save as study_save
 from diffsim.data import Channel, Run, Study, load_study, save_study
+from diffsim.data.study_schema import ChannelEntry, CommandEntry
+from diffsim.systems.description import quantity
 
 
 def make_study() -> Study:
@@ -181,3 +184,37 @@ def test_a_missing_recording_of_a_set_with_a_maker_says_how_it_is_made(folder):
     (folder / "b.csv").unlink()
     with pytest.raises(ValueError, match=r"made by `python .*make_csv\.py`"):
         load_study(folder)
+
+
+@pytest.mark.parametrize(
+    ("entry", "key", "given", "read"),
+    [
+        ({"name": "x", "unit": "mm"}, "sd", "0.2 cm", 2.0),
+        ({"name": "T", "unit": "degC"}, "sd", "0.5 K", 0.5),
+        ({"name": "x", "unit": "mm"}, "sd", "3e-1", 0.3),
+        ({"name": "F", "unit": "N"}, "lower", "-0.005 kN", -5.0),
+        ({"name": "T", "unit": "degC"}, "upper", "300 K", 26.85),
+        ({"name": "F", "unit": "N"}, "rate", "2 kN/s", 2000.0),
+    ],
+)
+def test_numbers_of_entries_may_have_a_unit_of_their_own(entry, key, given, read):
+    kind = ChannelEntry if key == "sd" else CommandEntry
+    assert getattr(kind.model_validate({**entry, key: given}), key) == pytest.approx(read)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"name": "x", "unit": "mm", "lower": "2 deg"}, "lower: unit 'deg' is no unit"),
+        ({"name": "x", "lower": "2 mm"}, "lower is '2 mm'; state `unit`"),
+        ({"name": "x", "unit": "mm", "lower": "low"}, "must be a number, got 'low'"),
+    ],
+)
+def test_units_that_do_not_fit_are_refused(entry, message):
+    with pytest.raises(ValueError, match=message):
+        CommandEntry.model_validate(entry)
+
+
+def test_a_temperature_of_a_description_is_one_and_its_width_a_difference():
+    room = TypeAdapter(quantity("K")).validate_python({"value": "22 degC", "sd": "2 degC"})
+    assert (room.value, room.sd) == (pytest.approx(295.15), 2.0)

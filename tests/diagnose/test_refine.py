@@ -1,18 +1,21 @@
 """Coarse settings are refined within a budget, and everything goes on with the refined ones."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import process_time
 
 import numpy as np
 import pytest
 
+from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gates import effort_gate, numerics_changes
+from diffsim.diagnose.records import LIKELY
 from diffsim.diagnose.refine import checked_numerics
-from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
+from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
 from diffsim.identify.effort import FIT_RTOL
-from tests.diagnose import toy
+from diffsim.identify.linearization import Linearization, record_at
+from tests.diagnose import linear, toy
 
 QUICK = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2))
 
@@ -133,3 +136,70 @@ def test_a_first_answer_begins_coarse_and_says_what_it_left_out():
     assert any("first answer" in s and "1% of their misfit" in s for s in report.sentences)
     full = replace(settings, first_step=1.0, fit_rtol=FIT_RTOL)
     assert effort_gate(full) == ()
+
+
+@dataclass
+class Meshy(linear.LinearScene):
+    """A scene with a cause that a coarse mesh draws as if another acted beside it."""
+
+    mesh: float = 1.0
+
+
+def kink():
+    def apply(scene, size, run):
+        seen = linear.shapes("kink", run) + 0.5 * scene.mesh * linear.shapes("other", run)
+        return replace(scene, record=scene.record + seen @ size)
+
+    return Effect(name="kink", family="kink", kind="force", unit="N", typical=4.0, apply=apply)
+
+
+def diagnosed_kink(budget):
+    plain, kinked = linear.model(), kink()
+
+    def build(values, run, numerics):
+        return Meshy(plain.build(values, run, numerics).record, numerics.mesh)
+
+    def recorded(name, seed):
+        run = linear.run(name, seed)
+        return replace(
+            run, measured=run.measured + 6.0 * linear.shapes("kink", run)[..., 0].numpy()
+        )
+
+    runs = tuple(recorded(f"r{k}", k) for k in range(4))
+    study = Study("kink", "copter", linear.CHANNELS, runs)
+    model = SimModel(build, plain.base, "meshy")
+    settings = replace(QUICK, refine_budget=budget)
+    return diagnose(study, model, (kinked, linear.line("other")), seed=0, settings=settings)
+
+
+def test_settings_are_fine_enough_for_the_named_cause():
+    """The plain model passes the gate; what names the cause does not."""
+    report = diagnosed_kink(budget=1e9)
+    assert report.named == ("kink",)
+    assert report.settings["numerics"]["mesh"] <= 0.25
+    gate = next(g for g in report.gates if g.name == "mesh")
+    assert gate.passed and "with the named causes" in gate.note
+    assert report.best.problem.numerics == Numerics(**report.settings["numerics"])
+
+
+def test_what_a_coarse_mesh_explains_is_not_certain():
+    report = diagnosed_kink(budget=1.0)
+    assert report.named == ("kink",)
+    other = next(row for row in report.causes if row.name == "other")
+    assert other.status == LIKELY and "too coarse a mesh" in other.rivals
+    assert any(s.startswith("mesh: ") for s in report.sentences)
+
+
+def test_a_step_that_is_no_coarser_in_effect_is_refined_beyond_the_models_own():
+    """Steps end at samples at the latest: half of twice the step was the same, and passed."""
+    plain = linear.model()
+
+    def build(values, run, numerics):
+        scene = plain.build(values, run, numerics)
+        return replace(scene, record=scene.record + 9.0 * min(numerics.time_step, 1.0))
+
+    model = SimModel(build, plain.base, "stepped")
+    problem = replace(linear.problem(), model=model, numerics=Numerics(time_step=2.0))
+    x = np.zeros(len(problem.names))
+    at = Linearization(x, record_at(problem, x), (), np.zeros((len(x), 0)))
+    np.testing.assert_allclose(numerics_changes(problem, at)["time_step"], -4.5)

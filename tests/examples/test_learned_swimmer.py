@@ -7,9 +7,11 @@ import pytest
 import torch
 import yaml
 
+from diffsim import soft
 from diffsim.core.errors import DiffsimError
 from diffsim.envs.rollout import rollout_task
 from diffsim.learn import GradientLearner, GradientOptions, train
+from diffsim.sim_to_real import open_close
 from tests.examples.stories import load_story
 
 pytest.importorskip("gymnasium", reason="tasks need the extra 'rl'")
@@ -54,6 +56,40 @@ def test_command_respects_the_limits_of_the_servos_sheet():
     first = task.ask(one, 0.0 * one)
     assert float(first) == pytest.approx(LIMITS.rate_m_s / 60.0)
     assert float(task.ask(one, LIMITS.contraction_m * one)) == pytest.approx(LIMITS.contraction_m)
+
+
+def test_pulls_of_a_command_are_those_of_the_tasks_servo():
+    task = task_of(lag_s=0.04, rate_m_s=0.11, slack_m=0.0074)
+    command = story.STROKES["strokes"].during(1.2)
+    found = task.servo.pulls(command)
+    state = task.start(1, np.random.default_rng(0))
+    now, expected = soft.State(state["x"], state["v"]), []
+    arm = torch.tensor([[command[0]]])  # the laboratory waits there
+    for asked in torch.from_numpy(command):
+        now, arm = task.pulled(now, arm, asked[None, None])
+        expected.append(max(float(arm) - 0.0074, 0.0))
+    assert found == pytest.approx(expected, abs=1e-15)
+    assert 0.009 < found.max() <= 0.018 - 0.0074  # a stroke is just long enough
+
+
+def test_what_was_identified_is_what_is_trained_on():
+    weak = {**story.DATA_SHEET, "axial_stiffness": 60.0}
+    options = story.swim_options(story.Servo(), 0.5, LIMITS, weak)
+    task = story.SwimSetup("TendonSwim", options, warm_up=1).make_task()
+    bent = [float((pulled(t, 1.0)["x"] - t.body.x_rest).abs().max()) for t in (task, task_of())]
+    assert bent[0] < 0.7 * bent[1]
+
+
+def test_strokes_are_the_real_robots():
+    """As logged in horizontal_cyclic1: 0.3 m/s up, 0.55 s, 18 mm, half of it closed."""
+    period = story.STROKES["strokes"].contraction_m
+    assert len(period) == 33
+    assert period.max() == 0.018
+    assert period.min() == 0.0
+    assert np.abs(np.diff(period)).max() == pytest.approx(LIMITS.rate_m_s / 60.0)
+    assert (period > 0.009).mean() == pytest.approx(0.5, abs=0.05)
+    with pytest.raises(ValueError, match="closed"):
+        open_close(closed=1.0, limits=LIMITS)
 
 
 def test_the_rail_stops_a_push():
@@ -136,10 +172,13 @@ def test_interval_is_students():
 def test_whole_chain_at_its_small_size(tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra viz")
     numbers = story.main(str(tmp_path), seeds=(0,), effort=story.QUICK)
-    assert {"before_cm_s", "after_cm_s"} == set(numbers)
+    assert {"before_cm_s", "after_cm_s", "off_before_cm_s", "off_after_cm_s"} < set(numbers)
     kept = json.loads((tmp_path / "seed_0/numbers.json").read_text())
     assert "slack" in kept["named"]
     assert kept["servo"]["slack_m"] == pytest.approx(story.HIDDEN.slack_m, rel=0.1)
+    assert kept["servo"]["rate_m_s"] == pytest.approx(story.HIDDEN.rate_m_s, rel=0.1)
+    plain, extended = kept["misfit_mm"]
+    assert extended < 0.5 * plain
     assert (tmp_path / "learned_swimmer.png").stat().st_size > 10_000
     again = story.main(str(tmp_path), seeds=(0,), effort=story.QUICK, plot=False)
     assert again == numbers

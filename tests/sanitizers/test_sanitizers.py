@@ -20,11 +20,16 @@ POOL = Path(__file__).with_name("pool.cpp")
 KERNEL_TESTS = (
     "tests/linalg",
     "tests/ode",
+    "tests/contact/test_contact_gradients.py::test_every_method",
+    "tests/contact/test_contact_robustness.py::test_all_nodes_in_contact",
     "tests/contact/test_detect.py",
     "tests/copter/test_ops.py",
     "tests/soft/test_input_checks.py",
     "tests/soft/test_step_order.py",
     "tests/stokes/test_cut_cells.py",
+    "tests/stokes/test_equations.py",
+    "tests/stokes/test_flow_tangents.py",
+    "tests/stokes/test_iterative.py::test_gradcheck",
     "tests/test_fuzz.py",
 )
 BUILD_WALL_S, TEST_WALL_S = 3600.0, 3600.0
@@ -114,11 +119,8 @@ def test_kernels_are_clean_under_asan_and_ubsan():
     env = sanitized("address,undefined", place)
     env["ASAN_OPTIONS"] = "detect_leaks=0"  # Python's own allocations live until the end
     env["UBSAN_OPTIONS"] = "print_stacktrace=1:halt_on_error=1"
-    ran(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *KERNEL_TESTS],
-        place,
-        env,
-    )
+    words = "-m", "pytest", "-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"
+    ran([sys.executable, *words, *KERNEL_TESTS], place, env)
 
 
 @pytest.fixture(scope="module")

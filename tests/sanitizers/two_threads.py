@@ -27,6 +27,10 @@ WORK: dict[str, Callable[[], Callable[[], Answer]]] = {
     "stokes": channel,
     "stokes, slip": lambda: channel("no_separation"),
     "stokes, iterative": lambda: channel(solver=stokes.SolverOptions(method="iterative")),
+    "stokes, incompressible": lambda: channel(incompressible=True),
+    "stokes, incompressible, iterative": lambda: channel(
+        incompressible=True, solver=stokes.SolverOptions(method="iterative")
+    ),
 }
 
 
@@ -39,7 +43,7 @@ def shared_memory() -> Callable[[], Answer]:
 
     def run() -> Answer:
         places = {name: each.data_ptr() for name, each in out.items()}
-        core.cut_cells(shape=shape, phi=phi.data_ptr(), num_threads=1, **places)
+        core.cut_cells(shape=shape, phi=phi.data_ptr(), slip=True, num_threads=1, **places)
         return []
 
     return run

@@ -18,6 +18,7 @@ from tests.soft.cases import (
     two_muscles,
 )
 
+NOMINAL = {"youngs_modulus": 30.0, "density": 1.5}
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 
 
@@ -62,6 +63,24 @@ def leaves_of(m, *more) -> list[Tensor]:
     return [leaf(value) for value in (*start, *more)]
 
 
+def require_transposes(loss, leaves: list[Tensor]) -> None:
+    """Forward mode along one direction of all leaves against the gradient."""
+    ways = [noise(*x.shape, seed=40 + k) if x.ndim else x / 7 for k, x in enumerate(leaves)]
+    forward = torch.func.jvp(loss, tuple(leaves), tuple(ways))[1]
+    grads = torch.autograd.grad(loss(*leaves), leaves)
+    parts = torch.stack([(g * w).sum() for g, w in zip(grads, ways, strict=True)])
+    assert (parts.abs() > 1e-6 * parts.abs().max()).all()  # every input takes part
+    torch.testing.assert_close(forward, parts.sum(), rtol=0, atol=1e-8 * float(parts.abs().sum()))
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("material", MATERIALS)
+def test_forward_mode_of_every_material_is_the_transpose_of_the_gradient(material, kind):
+    m = irregular_mesh(kind)
+    body = linear_body(m, material=material, fixed=rail_mask(m))
+    require_transposes(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
+
+
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 @pytest.mark.parametrize("material", MATERIALS)
 def test_gradients_of_every_material_are_those_of_differences(material, kind):
@@ -86,6 +105,7 @@ def test_gradients_with_muscles_damping_and_moving_targets(integrator, precondit
     target = m.x_rest + 0.1 * noise(m.num_nodes, 3, seed=8)
     loss = two_steps(body, noise(m.num_nodes, 3, seed=5), activation=None, dirichlet_target=None)
     require_differences(loss, leaves_of(m, [0.9, 0.2], target))
+    require_transposes(loss, leaves_of(m, [0.9, 0.2], target))
 
 
 def test_gradients_at_rest_where_all_stretches_are_equal():
@@ -106,6 +126,7 @@ def test_gradients_with_a_pressure_chamber():
     leaves[0] = leaf(shell.x_rest + 0.05 * noise(shell.num_nodes, 3, seed=1))
     loss = two_steps(body, noise(shell.num_nodes, 3, seed=5), pressure=None)
     require_differences(loss, leaves)
+    require_transposes(loss, leaves)
 
 
 def test_step_and_gradient_are_those_of_torch_on_the_energy_written_out():
@@ -209,18 +230,32 @@ def test_what_has_no_linearly_implicit_step_is_refused():
     floor = contact.plane((0.0, 0.0, 1.0), -5.0)
     with pytest.raises(ValueError, match="need a solver that iterates"):
         body(body.rest_state(), obstacles=floor)
-    with pytest.raises(NotImplementedError, match="no forward-mode derivative"):
-        torch.func.jvp(
-            lambda v: body(soft.State(m.x_rest, v)).x,
-            (torch.zeros_like(m.x_rest),),
-            (torch.ones_like(m.x_rest),),
-        )
     x = leaf(m.x_rest)
     grad = torch.autograd.grad(
         body(soft.State(x, torch.zeros_like(x))).x.square().sum(), x, create_graph=True
     )[0]
     with pytest.raises(NotImplementedError, match="second order"):
         grad.sum().backward()
+
+
+@pytest.mark.parametrize("integrator", ["implicit_euler", "implicit_midpoint"])
+def test_many_directions_of_a_rollout_are_those_of_forward_mode(integrator):
+    m = irregular_mesh("hex")
+    body = linear_body(m, fixed=rail_mask(m), integrator=integrator, rayleigh_beta=0.05)
+    start = soft.State(deformed(m, 0.1), noise(m.num_nodes, 3, seed=2))
+
+    def end(E: Tensor, rho: Tensor) -> Tensor:
+        physics = body.physics(youngs_modulus=E, density=rho)
+        return soft.rollout(body, start, 4, physics=physics).x[-1]
+
+    values = {name: torch.tensor(value).double() for name, value in NOMINAL.items()}
+    one_by_one = torch.stack(torch.func.jacfwd(end, argnums=(0, 1))(*values.values()))
+    units = torch.eye(2, dtype=torch.float64)
+    ways = dict(zip(values, units, strict=True))
+    moving = soft.Directions(physics=soft.physics_directions(body, values, ways))
+    together = soft.rollout_tangents(body, start, 4, 2, moving, physics=body.physics(**values))
+    tolerance = 1e-8 * float(one_by_one.abs().max())
+    torch.testing.assert_close(together.tangent[-1], one_by_one, rtol=0, atol=tolerance)
 
 
 def test_statics_of_such_a_body_are_those_of_auto():

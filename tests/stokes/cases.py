@@ -101,6 +101,21 @@ def pipe(n: int, wall: str, radius: float = 0.3) -> Exact:
     return Exact(grid, radius - distance(grid.nodes), velocity, wall=wall)
 
 
+def bubble(n: int, radius: float = 0.23) -> Exact:
+    """Flow past a sphere that slips (Hadamard 1911, without viscosity inside)."""
+    grid = stokes.Grid((n, n, n), size=1.0)
+    center, along = tensor(0.503, 0.497, 0.508), tensor(1.0, 0.0, 0.0)
+
+    def velocity(x: Tensor) -> Tensor:
+        r = (x - center).norm(dim=-1, keepdim=True).clamp(min=0.05)
+        normal = (x - center) / r
+        near = radius / (2.0 * r)
+        return (1.0 - near) * along - near * (normal @ along)[..., None] * normal
+
+    distance = (grid.nodes - center).norm(dim=-1)
+    return Exact(grid, distance - radius, velocity, wall="no_separation")
+
+
 def small_flow(dim: int, **options) -> stokes.StokesFlow:
     """A box of a few cells with an inlet and an open face."""
     shape, spacing = ((5, 4), (0.2, 0.25)) if dim == 2 else ((4, 3, 3), (0.2, 0.25, 0.22))

@@ -111,21 +111,24 @@ def test_finite_differences(dim, wall):
     assert float((change - moved).norm()) < 1e-6 * float(moved.norm())
 
 
+@pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_cut_cells(dim):
+def test_cut_cells(dim, wall):
     flow = small_flow(dim)
     phi = small_inputs(flow)["phi"].detach()
 
     def layer(phi: Tensor) -> Tensor:
-        return torch.cat([part.flatten() for part in stokes.cut_cells(flow.grid, phi)])
+        cells = stokes.cut_cells(flow.grid, phi, wall=wall)
+        return torch.cat([part.flatten() for part in cells])
 
     assert_transposed(layer, (phi,), 1e-12)
     torch.testing.assert_close(jacfwd(layer)(phi), jacrev(layer)(phi))
 
 
+@pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_fluxes(dim):
-    flow = small_flow(dim)
+def test_fluxes(dim, wall):
+    flow = small_flow(dim, wall=wall)
     inputs = small_inputs(flow)
     field = flow(inputs["phi"].detach(), inputs["inlet"].detach())
 

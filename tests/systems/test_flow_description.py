@@ -137,6 +137,77 @@ def test_causes_act_by_their_formulas():
     assert np.log2(thin[1] / thin[0]) == pytest.approx(0.8, abs=0.002)
 
 
+R = {"supply": 1e11, "link": 0.6e11, "one": 2e11, "two": 1.5e11, "three": 3e11}
+JOINTED = {
+    **ONE,
+    "channels": [
+        {"name": name, "from": start, "to": end, "resistance": {"value": R[name], "percent": 0.5}}
+        for name, start, end in (
+            ("supply", "in", "a"),
+            ("link", "a", "b"),
+            ("one", "a", "out1"),
+            ("two", "b", "out2"),
+            ("three", "b", "out3"),
+        )
+    ],
+    "sources": [
+        {"node": "in", "flow": "pump"},
+        *({"node": f"out{k}", "pressure": 0} for k in (1, 2, 3)),
+    ],
+    "meters": [
+        {"channel": "q1", "flow_in": "one"},
+        {"channel": "q2", "flow_in": "two"},
+        {"channel": "q3", "flow_in": "three"},
+        {"channel": "p", "pressure_at": "in"},
+    ],
+}
+
+
+def of_resistors(pumped, leak: float) -> np.ndarray:
+    """Readings by Ohm's law: a leak at joint b is one more resistor to the ground."""
+    right = 1 / R["two"] + 1 / R["three"] + leak
+    branch = R["link"] + 1 / right
+    a = pumped / (1 / R["one"] + 1 / branch)
+    b = a / branch / right
+    return np.stack([a / R["one"], b / R["two"], b / R["three"], a + R["supply"] * pumped], 1)
+
+
+def test_a_leak_at_a_joint_is_a_resistor_to_the_ground():
+    pumped = np.array([1e-9, 3e-9])
+    s = study(JOINTED, ["q1", "q2", "q3", "p"], pump=pumped)
+    names = [e.name for e in setup_of(s).effects]
+    assert [n for n in names if "leak" in n] == ["leak", "leak_at_a", "leak_at_b"]
+    np.testing.assert_allclose(predict(s, leak_at_b=1e-12), of_resistors(pumped, 1e-12), rtol=1e-9)
+
+
+def test_the_joint_that_leaks_is_named():
+    rng = np.random.default_rng(4)
+    time, sd = np.arange(16.0), np.array([2e-12, 2e-12, 2e-12, 0.3])
+    channels = tuple(
+        Channel(n, u, k, float(x))
+        for n, u, k, x in zip(
+            ("q1", "q2", "q3", "p"),
+            ("m^3/s",) * 3 + ("Pa",),
+            ("flow",) * 3 + ("pressure",),
+            sd,
+            strict=True,
+        )
+    )
+
+    def run(name, most, use="fit"):
+        pumped = np.repeat(np.linspace(0.2 * most, most, 8), 2)
+        seen = of_resistors(pumped, 1e-12) + sd * rng.normal(size=(16, 4))
+        return Run(name, time, seen, {"pump": pumped}, name, use=use)
+
+    runs = (run("low", 2e-9), run("high", 6e-9), run("middle", 4e-9), run("test", 8e-9, "test"))
+    s = Study("joints", "flow_network", channels, runs, model=JOINTED)
+    setup = setup_of(s)
+    report = diagnose(s, setup.model, setup.effects, seed=0, settings=setup.settings)
+    assert report.named == ("leak_at_b",)
+    size = next(row for row in report.causes if row.name == "leak_at_b").size["size"]
+    assert size.low < 1e-12 < size.high
+
+
 def test_gradients_are_those_of_differences():
     s = described(3, "thinning")
     setup = setup_of(s)

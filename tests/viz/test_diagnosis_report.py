@@ -436,6 +436,24 @@ def test_what_moves_is_shown_measured_before_and_after():
         np.testing.assert_allclose(heights, record[kept, 0] + heights[0] - record[kept[0], 0])
 
 
+def test_models_that_show_more_than_channels_are_simulated():
+    """Of a rod only markers are measured; the fits are drawn with its skin."""
+    skin = np.array([[0, 1, 2], [0, 2, 3]])
+
+    report = moving_example()
+    for fit in (report.null, report.best):
+        fit.problem.shape_at = lambda run, x: MovingShape(
+            triangles=skin, nodes_m=np.zeros((len(run.time_s), 4, 3))
+        )
+    at = {"null_at": report.null.x, "extended_at": report.best.x}
+    view = moving_runs(report, [replace(RUNS[1], **at)])
+    assert view is not None
+    measured, before, after = view.views["b"].parts
+    assert len(measured.triangles) > 2
+    np.testing.assert_array_equal(before.triangles, skin)
+    np.testing.assert_array_equal(after.triangles, skin)
+
+
 def test_a_model_that_shows_nothing_has_no_view():
     assert moving_runs(example(), RUNS) is None
 

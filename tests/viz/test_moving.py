@@ -129,6 +129,37 @@ def test_what_faces_away_is_not_drawn(tmp_path):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+@pytest.mark.parametrize("sides", [(0.02, 0.02, 0.6), (0.6, 0.02, 0.02), (0.3, 0.3, 0.3)])
+def test_all_that_moves_is_in_the_view_and_fills_it(tmp_path, sides):
+    solid = mesh.hex_box((1, 1, 1), sides)
+    faces = mesh.surface_triangles(solid).faces.numpy()
+    nodes = solid.nodes.numpy()[None]
+    body = Deforming(name="pole", color="#d00000", triangles=faces, nodes_m=nodes, closed=True)
+    content = [Moving(time_s=np.zeros(1), parts=[body], caption="")]
+    section = report.Section(title="See", content=content)
+    page = report.Report(title="p", subtitle="", verdict=[], sections=[section])
+    red = """(() => {
+      const canvas = document.querySelector(".moving canvas"), w = canvas.width, h = canvas.height;
+      const dots = canvas.getContext("2d").getImageData(0, 0, w, h).data;
+      let [left, right, top, bottom] = [1, 0, 1, 0];
+      for (let y = 0; y < h; y++) for (let x = 0; x < w; x++) {
+        const k = 4 * (y * w + x);
+        if (dots[k + 3] < 200 || dots[k] < dots[k + 1] + 40) continue;
+        left = Math.min(left, x / w); right = Math.max(right, x / w);
+        top = Math.min(top, y / h); bottom = Math.max(bottom, y / h);
+      }
+      return [left, right, top, bottom];
+    })()"""
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(report.write(page, tmp_path / "pole.html"))
+        browser.until("document.querySelector('.moving').dataset.drawn")
+        left, right, top, bottom = browser.js(red)
+        assert browser.complaints == []
+    assert min(left, 1.0 - right, top, 1.0 - bottom) > 0.02
+    assert max(right - left, bottom - top) > 0.7
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
 def test_a_browser_turns_plays_toggles_and_zooms(tmp_path):
     page = report.Report(
         title="A page",

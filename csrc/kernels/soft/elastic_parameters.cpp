@@ -118,13 +118,6 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
   if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
 }
 
-/// Item k of a (count, size) array at a part of a group; zero for null.
-template <typename Group>
-Native direction_value(const ElementBlock& block, Index g, int part, const double* values,
-                       Index k) {
-  return values ? Group::part_value(block, g, part, values + k * block.num_elements) : Native{};
-}
-
 /// Deformation gradients of item k of a (count, num_nodes, 3) array; zero for null.
 template <typename Group>
 void direction_gradient(const SoftModel& model, Index g, const double* values, Index k,

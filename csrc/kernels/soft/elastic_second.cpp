@@ -17,10 +17,59 @@ void into_frame(const PrincipalFrame<T>& frame, const T A[9], T out[9]) {
   transpose_times(frame.U, AV, out);
 }
 
+/// What one part of a group of the solid gives: its laws along two directions, in the principal
+/// frame of F.
+struct SolidJets {
+  Native first[9];            // the first direction
+  Jet<Native> mu[9], vol[9];  // stresses of the laws that w_mu and w_vol weigh
+};
+
+/// Calls use(group, jets of its parts, their stresses to fill), stresses in principal frames, and
+/// leaves what these do to nodes in the vectors buffer.
+template <typename Group, typename M, typename Use>
+void for_solid_jets(const SoftModel& model, const double* x, const double* first,
+                    const double* second, ElasticityScratch& scratch, ThreadPool& pool, Use&& use) {
+  const ElementBlock& solid = model.solid;
+  const KeptFrames kept = kept_frames(scratch, model, x);
+  for_stages(solid, pool, [&](Index begin, int count) {
+    const Stage<Group> stage(solid, begin, count, x, kept, false);
+    for (int n = 0; n < count; ++n) {
+      const Index g = begin + n;
+      Native A[kParts][9], B[kParts][9], stress[kParts][9], P[kParts][9];
+      deformation_gradient<Group>(solid, g, first, A);
+      deformation_gradient<Group>(solid, g, second, B);
+      SolidJets jets[kParts];
+      for (int part = 0; part < kParts; ++part) {
+        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
+        const typename M::template Sample<Native> sample(frame);
+        SolidJets& own = jets[part];
+        Native Bp[9];
+        into_frame(frame, A[part], own.first);
+        into_frame(frame, B[part], Bp);
+        Jet<Native> F[9];
+        for (int i = 0; i < 9; ++i)
+          F[i] = {i % 4 == 0 ? frame.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
+        stress_jets(M{}, sample, F, own.mu, own.vol);
+      }
+      use(g, jets, stress);
+      for (int part = 0; part < kParts; ++part) {
+        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
+        Native turned[9];
+        times(frame.U, stress[part], turned);
+        for (int i = 0; i < 3; ++i)
+          for (int j = 0; j < 3; ++j)
+            P[part][3 * i + j] = turned[3 * i] * frame.V[3 * j] +
+                                 turned[3 * i + 1] * frame.V[3 * j + 1] +
+                                 turned[3 * i + 2] * frame.V[3 * j + 2];
+      }
+      scatter_stress(Group::shape(solid, g), P, scratch.vectors.data() + g * solid.vectors_size());
+    }
+  });
+}
+
 /// Z : (P + dP[D]) of a law of unit weight, and its d^2P[Z, D] added with a weight.
-template <class T>
-T take(const Jet<T> P[9], const T Z[9], const T& weight, T mixed[9]) {
-  T total = broadcast<T>(0.0);
+Native take(const Jet<Native> P[9], const Native Z[9], const Native& weight, Native mixed[9]) {
+  Native total = broadcast<Native>(0.0);
   for (int i = 0; i < 9; ++i) {
     total += Z[i] * (P[i].v + P[i].b);
     mixed[i] += weight * P[i].ab;
@@ -33,39 +82,97 @@ void solid_adjoint(const SoftModel& model, const SoftParameters& p, const double
                    const double* d, const double* z, const ParameterAdjoint& out,
                    ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const KeptFrames kept = kept_frames(scratch, model, x);
-  for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group> stage(solid, first, count, x, kept, false);
-    for (int n = 0; n < count; ++n) {
-      const Index g = first + n;
-      Native Z[kParts][9], D[kParts][9], P[kParts][9], by_mu[kParts], by_vol[kParts];
-      deformation_gradient<Group>(solid, g, z, Z);
-      deformation_gradient<Group>(solid, g, d, D);
-      const auto& shape = Group::shape(solid, g);
-      for (int part = 0; part < kParts; ++part) {
-        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
-        const typename M::template Sample<Native> sample(frame);
-        Native Zp[9], Dp[9], mixed[9] = {}, turned[9];
-        into_frame(frame, Z[part], Zp);
-        into_frame(frame, D[part], Dp);
-        Jet<Native> F[9], mu[9], vol[9];
-        for (int i = 0; i < 9; ++i)
-          F[i] = {i % 4 == 0 ? frame.s[i / 4] : Native{}, Zp[i], Dp[i], Native{}};
-        stress_jets(M{}, sample, F, mu, vol);
-        const Native weight = split(shape.weight, part);
-        by_mu[part] = weight * take(mu, Zp, Group::part_value(solid, g, part, p.w_mu), mixed);
-        by_vol[part] = weight * take(vol, Zp, Group::part_value(solid, g, part, p.w_vol), mixed);
-        times(frame.U, mixed, turned);
-        for (int i = 0; i < 3; ++i)
-          for (int j = 0; j < 3; ++j)
-            P[part][3 * i + j] = turned[3 * i] * frame.V[3 * j] +
-                                 turned[3 * i + 1] * frame.V[3 * j + 1] +
-                                 turned[3 * i + 2] * frame.V[3 * j + 2];
+  for_solid_jets<Group, M>(
+      model, x, z, d, scratch, pool,
+      [&](Index g, const SolidJets(&jets)[kParts], Native(&stress)[kParts][9]) {
+        Native by_mu[kParts], by_vol[kParts];
+        for (int part = 0; part < kParts; ++part) {
+          const SolidJets& own = jets[part];
+          const Native weight = split(Group::shape(solid, g).weight, part);
+          std::fill(stress[part], stress[part] + 9, Native{});
+          by_mu[part] = weight * take(own.mu, own.first, Group::part_value(solid, g, part, p.w_mu),
+                                      stress[part]);
+          by_vol[part] = weight * take(own.vol, own.first,
+                                       Group::part_value(solid, g, part, p.w_vol), stress[part]);
+        }
+        Group::add_element_value(solid, g, by_mu, out.w_mu);
+        Group::add_element_value(solid, g, by_vol, out.w_vol);
+      });
+}
+
+template <typename Group, typename M>
+void solid_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
+                   const double* d, const double* dx, const ParameterDirections& along, Index k,
+                   ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  for_solid_jets<Group, M>(
+      model, x, dx, d, scratch, pool,
+      [&](Index g, const SolidJets(&jets)[kParts], Native(&stress)[kParts][9]) {
+        for (int part = 0; part < kParts; ++part) {
+          const Native mu = Group::part_value(solid, g, part, p.w_mu);
+          const Native vol = Group::part_value(solid, g, part, p.w_vol);
+          const Native d_mu = direction_value<Group>(solid, g, part, along.w_mu, k);
+          const Native d_vol = direction_value<Group>(solid, g, part, along.w_vol, k);
+          for (int i = 0; i < 9; ++i) {
+            const Jet<Native>&by_mu = jets[part].mu[i], &by_vol = jets[part].vol[i];
+            stress[part][i] = mu * by_mu.ab + vol * by_vol.ab + d_mu * (by_mu.v + by_mu.b) +
+                              d_vol * (by_vol.v + by_vol.b);
+          }
+        }
+      });
+}
+
+/// What one part of a group of fibers gives, along two directions.
+struct FiberJets {
+  Native first[3];                 // the first direction of l = F m
+  Jet<Native> unit[3], pulled[3];  // l/|l|, and l - activation l/|l|
+  Native stiffness, taut;          // of the pull, and one where it pulls
+};
+
+/// As for_solid_jets; stresses are `pull` times the fiber's direction.
+template <typename Group, typename Use>
+void for_fiber_jets(const SoftModel& model, const SoftParameters& p, const double* x,
+                    const double* first, const double* second, ElasticityScratch& scratch,
+                    ThreadPool& pool, Use&& use) {
+  const ElementBlock& fiber = model.fiber;
+  for_groups(fiber, pool, [&](Index g) {
+    Native F[kParts][9], A[kParts][9], B[kParts][9], P[kParts][9], pull[kParts][3];
+    Native direction[kParts][3];
+    deformation_gradient<Group>(fiber, g, x, F);
+    deformation_gradient<Group>(fiber, g, first, A);
+    deformation_gradient<Group>(fiber, g, second, B);
+    FiberJets jets[kParts];
+    for (int part = 0; part < kParts; ++part) {
+      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
+      const Native* m = f.state.direction;
+      const Native activation = Group::part_value(fiber, g, part, p.activation);
+      FiberJets& own = jets[part];
+      own.stiffness = f.pull.stiffness;
+      own.taut = select(less(broadcast<Native>(0.0), abs(f.pull.stiffness)), broadcast<Native>(1.0),
+                        Native{});
+      Jet<Native> l[3];
+      for (int i = 0; i < 3; ++i) {
+        own.first[i] =
+            A[part][3 * i] * m[0] + A[part][3 * i + 1] * m[1] + A[part][3 * i + 2] * m[2];
+        const Native Bm =
+            B[part][3 * i] * m[0] + B[part][3 * i + 1] * m[1] + B[part][3 * i + 2] * m[2];
+        l[i] = {f.state.unit[i] * f.state.length, own.first[i], Bm, Native{}};
+        direction[part][i] = m[i];
       }
-      Group::add_element_value(solid, g, by_mu, out.w_mu);
-      Group::add_element_value(solid, g, by_vol, out.w_vol);
-      scatter_stress(shape, P, scratch.vectors.data() + g * solid.vectors_size());
+      const Jet<Native> over = inverse(square_root(l[0] * l[0] + l[1] * l[1] + l[2] * l[2]));
+      for (int i = 0; i < 3; ++i) {
+        const Jet<Native> unit = over * l[i];
+        const Jet<Native> scaled{activation * unit.v, activation * unit.a, activation * unit.b,
+                                 activation * unit.ab};
+        own.unit[i] = unit;
+        own.pulled[i] = l[i] - scaled;
+      }
     }
+    use(g, jets, pull);
+    for (int part = 0; part < kParts; ++part)
+      for (int i = 0; i < 9; ++i) P[part][i] = pull[part][i / 3] * direction[part][i % 3];
+    scatter_stress(Group::shape(fiber, g), P,
+                   scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
   });
 }
 
@@ -74,47 +181,47 @@ void fiber_adjoint(const SoftModel& model, const SoftParameters& p, const double
                    const double* d, const double* z, const ParameterAdjoint& out,
                    ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& fiber = model.fiber;
-  for_groups(fiber, pool, [&](Index g) {
-    Native F[kParts][9], Z[kParts][9], D[kParts][9], P[kParts][9];
-    Native by_stiffness[kParts], by_activation[kParts];
-    deformation_gradient<Group>(fiber, g, x, F);
-    deformation_gradient<Group>(fiber, g, z, Z);
-    deformation_gradient<Group>(fiber, g, d, D);
-    const auto& shape = Group::shape(fiber, g);
-    for (int part = 0; part < kParts; ++part) {
-      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
-      const Native* m = f.state.direction;
-      const Native activation = Group::part_value(fiber, g, part, p.activation);
-      const Native taut = select(less(broadcast<Native>(0.0), abs(f.pull.stiffness)),
-                                 broadcast<Native>(1.0), Native{});
-      Jet<Native> l[3];
-      Native Zm[3];
-      for (int i = 0; i < 3; ++i) {
-        Zm[i] = Z[part][3 * i] * m[0] + Z[part][3 * i + 1] * m[1] + Z[part][3 * i + 2] * m[2];
-        const Native Dm =
-            D[part][3 * i] * m[0] + D[part][3 * i + 1] * m[1] + D[part][3 * i + 2] * m[2];
-        l[i] = {f.state.unit[i] * f.state.length, Zm[i], Dm, Native{}};
-      }
-      const Jet<Native> over = inverse(square_root(l[0] * l[0] + l[1] * l[1] + l[2] * l[2]));
-      Native stretched{}, pulled{};  // Z : (P + dP[D]) per unit stiffness, and of l/|l| m^T
-      const Native weight = split(shape.weight, part);
-      for (int i = 0; i < 3; ++i) {
-        const Jet<Native> unit = over * l[i];
-        const Jet<Native> scaled{activation * unit.v, activation * unit.a, activation * unit.b,
-                                 activation * unit.ab};
-        const Jet<Native> force = l[i] - scaled;
-        stretched += Zm[i] * (force.v + force.b);
-        pulled += Zm[i] * (unit.v + unit.b);
-        for (int j = 0; j < 3; ++j) P[part][3 * i + j] = f.pull.stiffness * force.ab * m[j];
-      }
-      by_stiffness[part] = weight * taut * stretched;
-      by_activation[part] = -weight * f.pull.stiffness * pulled;
-    }
-    Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
-    Group::add_element_value(fiber, g, by_activation, out.activation);
-    scatter_stress(shape, P,
-                   scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
-  });
+  for_fiber_jets<Group>(model, p, x, z, d, scratch, pool,
+                        [&](Index g, const FiberJets(&jets)[kParts], Native(&pull)[kParts][3]) {
+                          Native by_stiffness[kParts], by_activation[kParts];
+                          for (int part = 0; part < kParts; ++part) {
+                            const FiberJets& own = jets[part];
+                            // Z : (P + dP[D]) per unit stiffness, and of l/|l| m^T
+                            Native stretched{}, turned{};
+                            for (int i = 0; i < 3; ++i) {
+                              stretched += own.first[i] * (own.pulled[i].v + own.pulled[i].b);
+                              turned += own.first[i] * (own.unit[i].v + own.unit[i].b);
+                              pull[part][i] = own.stiffness * own.pulled[i].ab;
+                            }
+                            const Native weight = split(Group::shape(fiber, g).weight, part);
+                            by_stiffness[part] = weight * own.taut * stretched;
+                            by_activation[part] = -weight * own.stiffness * turned;
+                          }
+                          Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
+                          Group::add_element_value(fiber, g, by_activation, out.activation);
+                        });
+}
+
+template <typename Group>
+void fiber_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
+                   const double* d, const double* dx, const ParameterDirections& along, Index k,
+                   ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& fiber = model.fiber;
+  for_fiber_jets<Group>(
+      model, p, x, dx, d, scratch, pool,
+      [&](Index g, const FiberJets(&jets)[kParts], Native(&pull)[kParts][3]) {
+        for (int part = 0; part < kParts; ++part) {
+          const FiberJets& own = jets[part];
+          const Native by_stiffness =
+              own.taut * direction_value<Group>(fiber, g, part, along.fiber_stiffness, k);
+          const Native by_activation =
+              own.stiffness * direction_value<Group>(fiber, g, part, along.activation, k);
+          for (int i = 0; i < 3; ++i)
+            pull[part][i] = own.stiffness * own.pulled[i].ab +
+                            by_stiffness * (own.pulled[i].v + own.pulled[i].b) -
+                            by_activation * (own.unit[i].v + own.unit[i].b);
+        }
+      });
 }
 
 }  // namespace
@@ -132,6 +239,18 @@ void linearized_adjoint(const SoftModel& model, const SoftParameters& p, const d
     using Group = decltype(group);
     solid_adjoint<Group, decltype(material)>(model, p, x, d, z, out, scratch, pool);
     fiber_adjoint<Group>(model, p, x, d, z, out, scratch, pool);
+  });
+  gather_vectors(model, scratch.vectors.data(), force, pool);
+}
+
+void linearized_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
+                        const double* d, const double* dx, const ParameterDirections& along,
+                        Index k, double* force, ElasticityScratch& scratch, ThreadPool& pool) {
+  scratch.vectors.resize(at(model.vectors_size));
+  with_types(model, [&](auto group, auto material) {
+    using Group = decltype(group);
+    solid_tangent<Group, decltype(material)>(model, p, x, d, dx, along, k, scratch, pool);
+    fiber_tangent<Group>(model, p, x, d, dx, along, k, scratch, pool);
   });
   gather_vectors(model, scratch.vectors.data(), force, pool);
 }

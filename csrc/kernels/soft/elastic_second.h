@@ -1,4 +1,4 @@
-// What the adjoint of a linearly implicit step needs: derivatives of the linearized elastic force.
+// What derivatives of a linearly implicit step need: those of the linearized elastic force.
 #pragma once
 
 #include "kernels/soft/elasticity.h"
@@ -14,5 +14,14 @@ namespace diffsim {
 void linearized_adjoint(const SoftModel& model, const SoftParameters& parameters, const double* x,
                         const double* d, const double* z, double* force,
                         const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
+
+/// The transpose: d(grad E(x) + K(x) d) along a direction dx of x, with x + d held fixed, and along
+/// item k of directions in the parameters (damping's and pressures are not read).
+/// @param[in]  d, dx  (num_nodes, 3)
+/// @param[out] force  (num_nodes, 3), overwritten
+void linearized_tangent(const SoftModel& model, const SoftParameters& parameters, const double* x,
+                        const double* d, const double* dx, const ParameterDirections& along,
+                        std::int64_t k, double* force, ElasticityScratch& scratch,
+                        ThreadPool& pool);
 
 }  // namespace diffsim

@@ -102,6 +102,13 @@ DIFFSIM_INLINE Native contract(const Native A[9], const Native B[9]) {
   return total;
 }
 
+/// Item k of a (count, size) array at a part of a group; zero for null.
+template <typename Group>
+Native direction_value(const ElementBlock& block, Index g, int part, const double* values,
+                       Index k) {
+  return values ? Group::part_value(block, g, part, values + k * block.num_elements) : Native{};
+}
+
 /// State and pull of the fibers in one part of a group, at their deformation gradients.
 struct FiberPart {
   FiberState<Native> state;

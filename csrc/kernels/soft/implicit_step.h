@@ -87,11 +87,14 @@ struct StepDirections {
   const double* force = nullptr;    // (count, num_nodes, 3)
   const double* target = nullptr;   // (count, num_nodes, 3), read at fixed unknowns
   const double* inertia = nullptr;  // (count, num_nodes)
+  const double* guess = nullptr;    // (count, num_nodes, 3), of linearly implicit steps only
   ParameterDirections parameters;
 };
 
 /// The answer's derivatives along many directions, all with one factor of H:
-///   H dx = -d(grad g)/dp dp on free unknowns, dx = dtarget on fixed ones.
+///   H dx = -d(grad g)/dp dp on free unknowns, dx = dtarget on fixed ones;
+/// of a linearly implicit step H is that of its guess, and its right-hand side that of
+/// linear_step.h.
 /// @param[in]  x   (num_nodes, 3) answer of the forward step [m]
 /// @param[out] dx  (count, num_nodes, 3)
 /// @return of the worst direction; residual_norm and tolerance are relative to its right-hand side

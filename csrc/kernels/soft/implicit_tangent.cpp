@@ -8,10 +8,13 @@ using Index = std::int64_t;
 /// -d(grad g)/dp dp and, for fixed unknowns that move, -H dtarget: (count, size), fixed entries
 /// zero.
 Vector right_hand_sides(StepProblem& problem, const ConstantSystem& system, const Vector& x,
-                        const StepDirections& d) {
+                        const StepDirections& d, bool is_linear) {
   const Index size = static_cast<Index>(problem.size());
   Vector rhs(static_cast<std::size_t>(d.count * size));
-  problem.load_tangents(x, d, rhs.data());
+  if (is_linear)
+    problem.linear_load_tangents(x, d, rhs.data());
+  else
+    problem.load_tangents(x, d, rhs.data());
   Vector pushed(problem.size()), moved(problem.size());
   for (Index k = 0; k < d.count; ++k) {
     double* b = rhs.data() + k * size;
@@ -41,9 +44,11 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
                                 const StepDirections& d, double* dx, ThreadPool& pool) {
   StepProblem problem(system, inputs, pool, uses_multigrid(system, options.method));
   const Index size = static_cast<Index>(problem.size());
+  const bool is_linear = options.method == StepMethod::kLinearlyImplicit;
   const Vector x(x_in, x_in + size);
-  problem.assemble(x, false);
-  const Vector rhs = right_hand_sides(problem, system, x, d);
+  const Vector point = is_linear ? Vector(inputs.guess, inputs.guess + size) : x;
+  problem.assemble(point, false);
+  const Vector rhs = right_hand_sides(problem, system, x, d, is_linear);
 
   // Many right-hand sides repay a factor wherever memory allows one; multigrid may do a few sooner.
   const SolverPlan& plan = system.plan();
@@ -58,7 +63,7 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
     transpose(size, d.count, columns.data(), dx);
   }
 
-  LinearizedSolver solver(problem, plan, x);
+  LinearizedSolver solver(problem, plan, point);
   Vector b(problem.size()), z(problem.size()), residual;
   StepStats worst;
   worst.converged = 1.0;

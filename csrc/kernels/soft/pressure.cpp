@@ -207,4 +207,15 @@ void linearized_pressure_adjoint(const SoftModel& model, const double* pressure,
   for (std::size_t k = 0; k < count; ++k) out[k] -= rest[k];
 }
 
+void add_linearized_pressure(const SoftModel& model, const double* pressure, const double* x,
+                             const double* d, double* force, ThreadPool& pool) {
+  // G(x + d) - G(d), as above.
+  const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
+  std::vector<double> end(size), taken(size, 0.0);
+  for (std::size_t i = 0; i < size; ++i) end[i] = x[i] + d[i];
+  add_pressure_gradient(model, pressure, end.data(), force, pool);
+  add_pressure_gradient(model, pressure, d, taken.data(), pool);
+  for (std::size_t i = 0; i < size; ++i) force[i] -= taken[i];
+}
+
 }  // namespace diffsim

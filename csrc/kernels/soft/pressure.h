@@ -33,4 +33,8 @@ void linearized_pressure_adjoint(const SoftModel& model, const double* pressure,
                                  const double* d, const double* z, double* force, double* out,
                                  ThreadPool& pool);
 
+/// Adds gradient(x) + H(x) d of the pressures given [N].
+void add_linearized_pressure(const SoftModel& model, const double* pressure, const double* x,
+                             const double* d, double* force, ThreadPool& pool);
+
 }  // namespace diffsim

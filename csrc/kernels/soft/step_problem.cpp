@@ -160,6 +160,32 @@ void StepProblem::load_tangents(const Vector& x, const StepDirections& d, double
   }
 }
 
+void StepProblem::linear_load_tangents(const Vector& x, const StepDirections& directions,
+                                       double* out) {
+  // Inertia, loads and damping are linear in x already: theirs are those of a step that ends in x.
+  StepDirections linear = directions;
+  ParameterDirections& rest = linear.parameters;
+  rest.w_mu = rest.w_vol = rest.fiber_stiffness = rest.activation = rest.pressure = nullptr;
+  load_tangents(x, linear, out);
+  const SoftModel& model = system_.model();
+  const Vector q(in_.guess, in_.guess + size_), still(size_, 0.0);
+  Vector d(x), force(size_);
+  for (std::size_t i = 0; i < size_; ++i) d[i] -= q[i];
+  for (std::int64_t k = 0; k < directions.count; ++k) {
+    const std::size_t begin = at(k) * size_;
+    const double* dq = directions.guess ? directions.guess + begin : still.data();
+    linearized_tangent(model, in_.parameters, q.data(), d.data(), dq, directions.parameters, k,
+                       force.data(), memory_->elastic, pool_);
+    linearized_pressure_adjoint(model, in_.parameters.pressure, q.data(), d.data(), dq,
+                                force.data(), nullptr, pool_);
+    if (directions.parameters.pressure)
+      add_linearized_pressure(model,
+                              directions.parameters.pressure + k * model.chambers.num_chambers,
+                              q.data(), d.data(), force.data(), pool_);
+    for (std::size_t i = 0; i < size_; ++i) out[begin + i] -= force[i];
+  }
+}
+
 void StepProblem::prepare_multigrid() {
   if (!memory_->multigrid)
     memory_->multigrid = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());

@@ -66,6 +66,9 @@ class StepProblem {
   /// @param[out] out  (count, size())
   void load_tangents(const Vector& x, const StepDirections& directions, double* out);
 
+  /// The same of a linearly implicit step that led from the guess to x; see linear_step.h.
+  void linear_load_tangents(const Vector& x, const StepDirections& directions, double* out);
+
   /// z = A^-1 r.
   void solve_constant(const Vector& r, Vector& z);
   /// z = P^-1 r, P the constant system, or a multigrid cycle on the tangent that was assembled last

@@ -4,13 +4,16 @@
 // symmetric gradient, n the normal out of the fluid, w = v - g, test function z:
 //   e(v, z) = int 2 eta D(v):D(z) - f.z
 //           - int_wall (2 eta D(v) n).z + (2 eta D(z) n).w - (beta eta / h) w.z     (no-slip)
-//   C(v, g) = int div v - int_wall w.n          (outflow through the rest of the cell's boundary)
+//   C(v, g) = int div v - int_wall w.m          (outflow through the rest of the cell's boundary)
 //   R(z)    = e(v, z) - p C(z, 0)               p: one pressure per cell
 // (symmetric Nitsche terms; Freund, Stenberg 1995). With a slip wall only normal components count,
 // and of these the means over the cell's facet, of area S:
 //           - S (<2 n.D(v) n> <z.n> + <2 n.D(z) n> <w.n> - (beta / h) <w.n> <z.n>) eta.
 // Holding w.n point by point would make facets of a curved wall resist sliding: v tangential to the
 // wall is not tangential to its facets, which costs one order.
+// m is n, but with a slip wall in 2D the normal of the facet itself (FlowGeometry::facet_normal):
+// then C is the flow through the cell's faces and what the wall gives, neighbors agree about their
+// faces, and a constant pressure does no work.
 // Every integrand is of degree two per axis, so the weights of CutCell integrate it exactly.
 #pragma once
 
@@ -23,7 +26,8 @@ template <typename T>
 struct CellWeightsOf {
   const T* volume = nullptr;  // (3^D,) [m^D]
   const T* area = nullptr;    // (3^D,) [m^(D-1)]
-  const T* normal = nullptr;  // (D,)
+  const T* normal = nullptr;  // (D,) of the wall
+  const T* facet = nullptr;   // (D,) that of what stands for it, for C
 };
 using CellWeights = CellWeightsOf<double>;
 
@@ -44,7 +48,7 @@ class CellForm {
         double sum = 0.0;
         for (int q = 0; q < kPoints; ++q) {
           sum += cell.volume[q] * basis_.dN[q][a][i];
-          if (cell.area) sum -= cell.area[q] * basis_.N[q][i] * cell.normal[a];
+          if (cell.area) sum -= cell.area[q] * basis_.N[q][i] * cell.facet[a];
         }
         c[i][a] = sum;
       }
@@ -60,7 +64,7 @@ class CellForm {
       for (int i = 0; i < kCorners; ++i)
         for (int a = 0; a < D; ++a) {
           div += basis_.dN[q][a][i] * v[i][a];
-          if (cell.area) wall += basis_.N[q][i] * (v[i][a] - (g ? g[i][a] : 0.0)) * cell.normal[a];
+          if (cell.area) wall += basis_.N[q][i] * (v[i][a] - (g ? g[i][a] : 0.0)) * cell.facet[a];
         }
       sum += cell.volume[q] * div;
       if (cell.area) sum -= cell.area[q] * wall;
@@ -145,7 +149,7 @@ class CellForm {
           } else {
             s[a] += S * eta * (penalty_ * w[a] - t[a]);
           }
-          s[a] += S * pressure * n[a];
+          s[a] += S * pressure * cell.facet[a];
           for (int b = 0; b < D; ++b)
             F[a][b] -=
                 S * eta * (slip_ ? 2.0 * mean.normal * n[a] * n[b] : w[a] * n[b] + n[a] * w[b]);
@@ -161,12 +165,13 @@ class CellForm {
   }
 
   /// Derivatives of e(v, z) - p C(z, 0) + pi C(v, g) by the cell's weights.
-  /// @param[out] by_volume (3^D,), by_area (3^D,), by_normal (D,); the latter two if there is a
-  /// wall
+  /// @param[out] by_volume (3^D,), by_area (3^D,), by_normal (D,), by_facet (D,); all but the first
+  /// if there is a wall
   void weight_gradient(const CellWeights& cell, const Corner v, const Corner z,
                        const double (*g)[D], const double (*f)[D], double p, double pi, double eta,
-                       double* by_volume, double* by_area, double* by_normal) const {
-    for (int a = 0; a < D && cell.area; ++a) by_normal[a] = 0.0;
+                       double* by_volume, double* by_area, double* by_normal,
+                       double* by_facet) const {
+    for (int a = 0; a < D && cell.area; ++a) by_normal[a] = by_facet[a] = 0.0;
     FacetValues<double> mean_v, mean_z;
     if (cell.area && slip_) {
       mean_v = facet_values(cell, v, g);
@@ -193,7 +198,12 @@ class CellForm {
       subtract(q, g, x.value, w);
       wall_values(n, x, w, t, tn, wn);
       wall_values(n, y, y.value, u, un, zn);
-      double area = p * zn - pi * wn;
+      double area = 0.0;
+      for (int a = 0; a < D; ++a) {
+        const double through = p * y.value[a] - pi * w[a];
+        area += through * cell.facet[a];
+        by_facet[a] += S * through;
+      }
       if (slip_) {
         // d(S <x><y>) = x <y> + <x> y - <x><y> per area.
         const double W = mean_v.normal, T = mean_v.stress, Z = mean_z.normal, U = mean_z.stress;
@@ -205,7 +215,7 @@ class CellForm {
       }
       by_area[q] = area;
       for (int a = 0; a < D; ++a) {
-        double normal = p * y.value[a] - pi * w[a];
+        double normal = 0.0;
         if (slip_) {  // d(n.(G + G')n) = 2 (G + G') n . dn
           normal += eta * (penalty_ * (w[a] * mean_z.normal + mean_v.normal * y.value[a]) -
                            2.0 * (t[a] * mean_z.normal + u[a] * mean_v.normal) -
@@ -232,8 +242,9 @@ class CellForm {
       wall_values(cell.normal, y, y.value, u, un, zn);
       for (int a = 0; a < D; ++a) {
         const double n = cell.normal[a];
-        const double by_g = slip_ ? eta * (mean.stress - penalty_ * mean.normal) * n + pi * n
-                                  : eta * (u[a] - penalty_ * y.value[a]) + pi * n;
+        const double by_g =
+            pi * cell.facet[a] + eta * (slip_ ? (mean.stress - penalty_ * mean.normal) * n
+                                              : u[a] - penalty_ * y.value[a]);
         for (int i = 0; i < kCorners; ++i) grad_g[i][a] += cell.area[q] * by_g * basis_.N[q][i];
       }
     }

@@ -148,8 +148,31 @@ struct ChordPatch {
   }
 };
 
+/// Takes corners of the cell that are zero up to rounding for zero, whose derivative stays: a wall
+/// along a line of the grid would else be open where rounding leaves its nodes in the fluid. The
+/// measure is that of the node's neighbors, so that all its cells agree.
+template <typename T>
+void settle_corners(const ChordPatch& patch, T* phi) {
+  double size[4];
+  for (int i = 0; i < 4; ++i) {
+    const int at[2] = {patch.at[0] + (i >> 1), patch.at[1] + (i & 1)};
+    size[i] = 0.0;
+    for (int a = 0; a < 2; ++a)
+      for (int step = -1; step <= 1; step += 2) {
+        int next[2] = {at[0], at[1]};
+        next[a] += step;
+        if (next[a] >= 0 && next[a] < patch.count[a])
+          size[i] = std::max(size[i], std::abs(value_of(phi[4 * next[0] + next[1]])));
+      }
+  }
+  for (int i = 0; i < 4; ++i) {
+    T& corner = phi[4 * (patch.at[0] + (i >> 1)) + patch.at[1] + (i & 1)];
+    if (std::abs(value_of(corner)) <= kOnFace * size[i]) corner -= value_of(corner);
+  }
+}
+
 /// The chord in a cell, as a plane.
-/// @param phi (16,) by ChordPatch
+/// @param phi (16,) by ChordPatch, corners settled
 template <typename T>
 CellPlane<2, T> chord_plane(const ChordPatch& patch, const T* phi, CellKind& kind) {
   const auto node = [&](int i) -> const T& {  // corner of the cell

@@ -14,9 +14,11 @@ template <int D>
 struct CutCell {
   static constexpr int kPoints = pow3(D), kParameters = D + 1;
   static constexpr int kVolume = 0, kArea = kPoints, kNormal = 2 * kPoints;
-  static constexpr int kAperture = kNormal + D, kSize = kAperture + 2 * D;
+  static constexpr int kFacet = kNormal + D, kAperture = kFacet + D, kSize = kAperture + 2 * D;
 
-  double value[kSize];  // volume [m^D], area [m^(D-1)], normal out of the fluid, apertures [-]
+  // Volume [m^D], area [m^(D-1)], normal out of the fluid (of the wall and of the plane, which
+  // FlowGeometry tells apart), apertures [-].
+  double value[kSize];
   double jacobian[kSize][kParameters];
 
   const double* volume() const { return value + kVolume; }
@@ -41,7 +43,7 @@ struct CutCell {
       out[kVolume + q] *= cell_volume;
       out[kArea + q] = out[kArea + q] * scale;
     }
-    for (int a = 0; a < D; ++a) out[kNormal + a] = -g[a] * (1.0 / h[a]) / norm;
+    for (int a = 0; a < D; ++a) out[kNormal + a] = out[kFacet + a] = -g[a] * (1.0 / h[a]) / norm;
     for (int a = 0; a < D; ++a)
       for (int side = 0; side < 2; ++side) {
         T moments[pow3(D - 1)];

@@ -15,7 +15,7 @@ FlowDivergence<D>::FlowDivergence(const FlowOperator<D>& op, const std::vector<s
     op.form().divergence(weights, c);
     for (int i = 0; i < kCorners * D; ++i) out[i] = scale * (&c[0][0])[i];
   };
-  scaled({op.form().basis().weight, nullptr, nullptr}, full_);
+  scaled({op.form().basis().weight, nullptr, nullptr, nullptr}, full_);
   for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
     if (!geometry.active(cell)) continue;
     number_[u(cell)] = static_cast<std::int32_t>(cells_.size());

@@ -7,6 +7,16 @@
 
 namespace diffsim {
 
+/// Which components of the active nodes are prescribed, (num_active_nodes, D).
+/// @param fixed (num_grid_nodes, D)
+template <int D>
+std::vector<std::uint8_t> active_fixed(const FlowOperator<D>& op, const std::uint8_t* fixed) {
+  std::vector<std::uint8_t> active;
+  for (std::int64_t node : op.geometry().active_nodes())
+    active.insert(active.end(), fixed + node * D, fixed + (node + 1) * D);
+  return active;
+}
+
 template <int D>
 class FlowDivergence {
  public:
@@ -32,6 +42,7 @@ class FlowDivergence {
     return index < 0 ? full_ : cut_.data() + static_cast<std::int64_t>(index) * kCorners * D;
   }
   bool cut(std::int64_t cell) const { return cut_index_[u(cell)] >= 0; }
+  bool fixed(std::int64_t component) const { return fixed_[u(component)]; }
   /// Whether all velocities of a cell are prescribed: no equation, and a pressure of zero.
   bool rigid(std::int64_t cell) const;
 

@@ -57,6 +57,7 @@ CellPlane<D, T> FlowGeometry<D>::plane(std::int64_t cell, Field&& phi, CellKind&
       T value[ChordPatch::kNodes];
       patch.for_nodes(grid_,
                       [&](std::int64_t node, int index) { value[index] = phi(node, index); });
+      settle_corners(patch, value);
       return chord_plane(patch, value, kind);
     }
   }
@@ -122,6 +123,10 @@ void FlowGeometry<D>::cut_vjp(std::int64_t cell, const double* phi, double sign,
   using Cut = CutCell<D>;
   const Cut& c = *cut(cell);
   if (curved_) {
+    for (int a = 0; a < D && D == 3; ++a) {  // one normal
+      by_value[Cut::kNormal + a] += by_value[Cut::kFacet + a];
+      by_value[Cut::kFacet + a] = 0.0;
+    }
     const FacetMeans<D> means(c.area());
     double by_mean[1 << D], by_plane_normal[D];
     if (means.area > 0.0) {
@@ -161,6 +166,7 @@ void FlowGeometry<D>::cut_tangent(std::int64_t cell, const double* phi, const do
       means.value, value + Cut::kNormal)
       .normal(normal);
   std::copy_n(normal, D, value + Cut::kNormal);
+  if (D == 3) std::copy_n(normal, D, value + Cut::kFacet);
 }
 
 template <int D>

@@ -98,6 +98,11 @@ class FlowGeometry {
   const double* wall_normal(std::int64_t cell) const {
     return curved_ ? wall_normals_.data() + cut_index_[u(cell)] * D : cut(cell)->normal();
   }
+  /// Normal of what stands for it, by which the fluid of a cell is counted, (D,): in 2D that of the
+  /// plane, for the fluid of neighbors ends at the same places and none may pass between them.
+  const double* facet_normal(std::int64_t cell) const {
+    return D == 2 ? cut(cell)->normal() : wall_normal(cell);
+  }
   /// Adds `sign` times dL/dphi, given dL/d(weights, wall's normal, apertures) of a cut cell.
   /// @param by_value (CutCell::kSize,), used up
   void cut_vjp(std::int64_t cell, const double* phi, double sign, double* by_value,

@@ -11,9 +11,12 @@ double seconds() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
+// Of a direct solve: corrections by the factor, and the relative residual that rounding leaves.
+constexpr int kMostCorrections = 5;
+constexpr double kRounding = 1e-12;
+
 /// Where the iterative path begins to be the faster one, by measurement: in two dimensions beyond
-/// what fits into memory. In three the factor's iteration to div v = 0 ends early in the pressures
-/// of cells that a wall enters through a corner: with tolerances of 1e-8 gradients are off by 5 %.
+/// what fits into memory.
 template <int D>
 bool choose_iterative(const FlowOptions& options, std::int64_t num_nodes) {
   if (options.solver != FlowSolver::kAuto) return options.solver == FlowSolver::kIterative;
@@ -56,11 +59,14 @@ void FlowInverse<D>::factorize(const FlowMatrix<D>& matrix, StokesPlan& plan, Th
       const std::int64_t node = space_.geometry().active_nodes()[u(e.unknown / D)];
       throw NotPositiveDefinite(node * D + e.unknown % D, e.pivot);
     }
+    if (options().incompressible)
+      pressures_ = std::make_unique<FlowPressures<D>>(space_, matrix, values, pool);
   }
   report_.factor_s = seconds() - analysis_end - report_.assembly_s;
   report_.analysis_s = analysis_end - start;
   report_.factor_nnz = factor_->nnz();
-  report_.solver_bytes = report_.factor_bytes = factor_->bytes();
+  report_.factor_bytes = factor_->bytes();
+  report_.solver_bytes = report_.factor_bytes + (pressures_ ? pressures_->bytes() : 0);
   report_.factor_flops = factor_->flops();
 }
 
@@ -86,11 +92,36 @@ void FlowInverse<D>::take_mass(const FlowResidual& residual, std::int64_t k, con
 }
 
 template <int D>
-void FlowInverse<D>::add_compliance(double eta, const double* p, double* C) const {
+void FlowInverse<D>::take_excess(const FlowResidual& residual, std::int64_t k, const Forced& forced,
+                                 double eta, const double* p, double* C) const {
+  take_mass(residual, k, forced, C);
   const ClosedRegions<D>& closed = space_.closed();
+  const double bulk = options().bulk * eta;
+  if (!options().incompressible) {
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
+      C[cell] += op().pressure_volume(cell) * p[cell] / bulk;
+    return;
+  }
   const auto sum = closed.sums([&](const auto& c) { return c.volume * p[c.cell]; });
   for (const auto& c : closed.cells())
-    C[c.cell] += c.volume * sum[u(c.region)] / (options().bulk * eta * closed.weight(c.region));
+    C[c.cell] += c.volume * sum[u(c.region)] / (bulk * closed.weight(c.region));
+}
+
+template <int D>
+double FlowInverse<D>::size_of(double eta, const double* r, const double* C) const {
+  const double h = grid().h_min;
+  double largest = 0.0, sum = 0.0;
+  const auto for_all = [&](const auto& f) {
+    space_.for_active([&](std::int64_t i, std::int64_t) {
+      if (!space_.fixed(i)) f(h * std::abs(r[i]));
+    });
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
+      if (space_.geometry().active(cell)) f(eta * std::abs(C[cell]));
+  };
+  for_all([&](double x) { largest = x > largest || std::isnan(x) ? x : largest; });
+  if (!(largest > 0.0) || std::isinf(largest)) return largest;
+  for_all([&](double x) { sum += (x / largest) * (x / largest); });  // may be below 1e-160
+  return largest * std::sqrt(sum);
 }
 
 template <int D>
@@ -104,7 +135,8 @@ void FlowInverse<D>::solve(std::int64_t cases, double eta, const FlowResidual& r
     if (converged || options().solver != FlowSolver::kAuto || !fall_back(pool)) return;
     space_.clear_free(cases, v);
     std::fill(p, p + cases * grid().num_cells, 0.0);
-    for (std::int64_t k = 0; k < cases; ++k) stats[k] = {0.0, 0.0, 1.0, stats[k].net_inflow, 0.0};
+    for (std::int64_t k = 0; k < cases; ++k)
+      stats[k] = {0.0, 0.0, 1.0, stats[k].net_inflow, 0.0, 0.0};
   }
   solve_direct(cases, eta, residual, forced, v, p, stats, pool);
 }
@@ -124,44 +156,81 @@ bool FlowInverse<D>::fall_back(ThreadPool& pool) {
   return true;
 }
 
+/// The residual of both equations tells whether the factor's answer is corrected by another.
 template <int D>
 void FlowInverse<D>::solve_direct(std::int64_t cases, double eta, const FlowResidual& residual,
                                   const Forced& forced, double* v, double* p, FlowStats* stats,
                                   ThreadPool& pool) {
   const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-  const bool strict = options().incompressible;
-  start_direct(cases, eta, residual, forced, v, p, pool);
-  std::vector<double> C(u(M)), remainder(strict ? u(M * cases) : 0);
+  std::vector<double> r(u(N * cases)), C(u(M)), given(u(cases));
   for (std::int64_t k = 0; k < cases; ++k) {
     take_mass(residual, k, forced, C.data());
-    if (strict) space_.closed().subtract(space_.closed().means(C.data()), C.data());
-    stats[k].num_iters = 1.0;
-    stats[k].divergence = space_.divergence(C.data(), v + k * N);
-    for (std::int64_t cell = 0; cell < M && strict; ++cell)
-      remainder[u(k * M + cell)] = -C[u(cell)];
+    residual.momentum(k, nullptr, r.data() + k * N);
+    given[u(k)] = size_of(eta, r.data() + k * N, C.data());
+    stats[k].num_iters = 0.0;
   }
-  if (strict) close(eta, cases, v, p, remainder.data(), stats, pool);
-  for (std::int64_t k = 0; k < cases; ++k) {
-    take_mass(residual, k, forced, C.data());
-    space_.add_pressure(-options().bulk * eta, C.data(), p + k * M);
+  for (int round = 0;; ++round) {
+    correct(cases, eta, residual, forced, r.data(), v, p, stats, pool);
+    bool again = false;
+    for (std::int64_t k = 0; k < cases; ++k) {
+      take_excess(residual, k, forced, eta, p + k * M, C.data());
+      residual.momentum(k, p + k * M, r.data() + k * N);
+      const double left = size_of(eta, r.data() + k * N, C.data());
+      const double relative = left > 0.0 || std::isnan(left) ? left / given[u(k)] : 0.0;
+      const bool less = round == 0 || relative < 0.5 * stats[k].residual;
+      again = again || (relative > options().rtol && less && stats[k].converged != 0.0);
+      stats[k].residual = relative;
+    }
+    if (again && round < kMostCorrections) continue;
+    for (std::int64_t k = 0; k < cases; ++k)
+      if (!(stats[k].residual <= std::max(options().rtol, kRounding))) stats[k].converged = 0.0;
+    return;
   }
 }
 
-/// K v = b with the pressure eliminated, -(bulk / M) C(v, g): one correction of the lifted values.
+/// K dv = b with the pressures' corrections eliminated, -(bulk / M) (C(v + dv, g) + ...); then,
+/// where incompressible, C(v + dv, g) is driven to zero. C of dv is taken alone: that of v + dv
+/// would be rounded to more than is left.
+/// @param r (cases, num_nodes, D) the first equation's left side at v and p, used up
 template <int D>
-void FlowInverse<D>::start_direct(std::int64_t cases, double eta, const FlowResidual& residual,
-                                  const Forced& forced, double* v, double* p, ThreadPool& pool) {
+void FlowInverse<D>::correct(std::int64_t cases, double eta, const FlowResidual& residual,
+                             const Forced& forced, double* r, double* v, double* p,
+                             FlowStats* stats, ThreadPool& pool) {
   const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-  std::vector<double> r(u(N)), C(u(M)), b(space_.num_unknowns() * u(cases));
+  const bool strict = options().incompressible;
+  const double bulk = options().bulk * eta;
+  std::vector<double> mass(u(M)), C(u(M)), pressure(u(M)), excess(u(M * cases)),
+      b(space_.num_unknowns() * u(cases)), dv(u(N * cases), 0.0), remainder(u(M * cases));
   for (std::int64_t k = 0; k < cases; ++k) {
-    take_mass(residual, k, forced, C.data());
-    space_.add_pressure(-options().bulk * eta, C.data(), p + k * M);
-    residual.momentum(k, p + k * M, r.data());
-    space_.gather(r.data(), b.data(), k, cases, -1.0 / eta);
-    std::fill(p + k * M, p + (k + 1) * M, 0.0);
+    double* left = excess.data() + k * M;
+    take_excess(residual, k, forced, eta, p + k * M, left);
+    std::fill(pressure.begin(), pressure.end(), 0.0);
+    space_.add_pressure(-bulk, left, pressure.data());
+    op().add_pressure_force(pressure.data(), r + k * N, pool);
+    space_.gather(r + k * N, b.data(), k, cases, -1.0 / eta);
   }
-  factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
-  for (std::int64_t k = 0; k < cases; ++k) space_.scatter_add(b.data(), k, cases, 1.0, v + k * N);
+  const FactorSolve solve = [&](double* x, std::int64_t columns) {
+    factor_->solve(x, x, static_cast<int>(columns), workspace_, pool);
+  };
+  solve(b.data(), cases);
+  for (std::int64_t k = 0; k < cases; ++k) {
+    double* left = remainder.data() + k * M;
+    space_.scatter_add(b.data(), k, cases, 1.0, dv.data() + k * N);
+    take_mass(residual, k, forced, mass.data());
+    op().outflow(dv.data() + k * N, nullptr, C.data(), pool);
+    for (std::int64_t cell = 0; cell < M; ++cell) left[cell] = -(mass[u(cell)] + C[u(cell)]);
+    if (strict) space_.closed().subtract(space_.closed().means(left), left);
+    stats[k].num_iters += 1.0;
+  }
+  if (strict) pressures_->close(eta, cases, solve, v, dv.data(), p, remainder.data(), stats, pool);
+  for (std::int64_t k = 0; k < cases; ++k) {
+    op().outflow(dv.data() + k * N, nullptr, C.data(), pool);
+    for (std::int64_t cell = 0; cell < M; ++cell) C[u(cell)] += excess[u(k * M + cell)];
+    space_.add_pressure(-bulk, C.data(), p + k * M);
+    for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += dv[u(k * N + i)];
+    if (!strict)
+      stats[k].divergence = space_.divergence(remainder.data() + k * M, space_.speed(v + k * N));
+  }
 }
 
 /// Where incompressible, the equations of what is left are solved until the divergence is small.
@@ -172,15 +241,11 @@ void FlowInverse<D>::solve_mixed(std::int64_t cases, double eta, const FlowResid
   const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
   const bool strict = options().incompressible;
   std::vector<double> r(u(N)), C(u(M)), step(u(N)), pressure(u(M));
-  const auto take_excess = [&](std::int64_t k) {
-    take_mass(residual, k, forced, C.data());
-    if (strict) add_compliance(eta, p + k * M, C.data());
-  };
   for (std::int64_t k = 0; k < cases; ++k) {
     FlowStats& s = stats[k];
     double rtol = options().rtol;
     for (int round = 0;; ++round) {
-      take_excess(k);
+      take_excess(residual, k, forced, eta, p + k * M, C.data());
       residual.momentum(k, round ? p + k * M : nullptr, r.data());
       for (double& value : r) value /= -eta;
       for (double& value : C) value = -value;
@@ -191,69 +256,13 @@ void FlowInverse<D>::solve_mixed(std::int64_t cases, double eta, const FlowResid
       s.residual = result.residual_norm * (round ? s.residual : 1.0);
       for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += step[u(i)];
       for (std::int64_t cell = 0; cell < M; ++cell) p[k * M + cell] += eta * pressure[u(cell)];
-      take_excess(k);
-      s.divergence = space_.divergence(C.data(), v + k * N);
+      take_excess(residual, k, forced, eta, p + k * M, C.data());
+      s.divergence = space_.divergence(C.data(), space_.speed(v + k * N));
       s.converged = strict ? s.residual <= options().rtol && s.divergence <= options().tolerance
                            : result.converged;
       if (!strict || s.converged != 0.0 || s.num_iters >= options().max_iters || !result.converged)
         break;
       rtol = std::max(1e-6, std::min(0.1, 0.3 * options().tolerance / s.divergence));
-    }
-  }
-}
-
-/// Drives C of each case to zero: conjugate gradients for C K^-1 C' d = remainder, preconditioned
-/// by bulk / M, of which the eigenvalues are s / (1 + s) with s about bulk / viscosity: next to
-/// one, but for a few.
-/// @param remainder (cases, num_cells), updated
-template <int D>
-void FlowInverse<D>::close(double eta, std::int64_t cases, double* v, double* p, double* remainder,
-                           FlowStats* stats, ThreadPool& pool) {
-  const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-  const double bulk = options().bulk * eta;
-  std::vector<double> d(u(M * cases), 0.0), y(u(M)), rest(u(N), 0.0), r(u(N)), C(u(M));
-  std::vector<double> b(space_.num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
-  const auto dot = [&](const double* a, const double* c) {
-    double sum = 0.0;
-    for (std::int64_t cell = 0; cell < M; ++cell) sum += a[cell] * c[cell];
-    return sum;
-  };
-  for (int iter = 1;; ++iter) {
-    bool done = true;
-    for (std::int64_t k = 0; k < cases; ++k) {
-      const double* rk = remainder + k * M;
-      stats[k].divergence = space_.divergence(rk, v + k * N);
-      stats[k].converged = stats[k].divergence <= options().tolerance;
-      done = done && stats[k].converged != 0.0;
-      std::fill(y.begin(), y.end(), 0.0);
-      space_.add_pressure(bulk, rk, y.data());
-      space_.closed().subtract_level(y.data());
-      const double now = dot(rk, y.data()), beta = ry[u(k)] > 0.0 ? now / ry[u(k)] : 0.0;
-      ry[u(k)] = now;
-      for (std::int64_t cell = 0; cell < M; ++cell)
-        d[u(k * M + cell)] = y[u(cell)] + beta * d[u(k * M + cell)];
-    }
-    if (done || iter >= options().max_iters) return;
-    for (std::int64_t k = 0; k < cases; ++k) {
-      op().residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
-      space_.gather(r.data(), b.data(), k, cases, -1.0 / eta);
-    }
-    factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
-    for (std::int64_t k = 0; k < cases; ++k) {
-      std::fill(step.begin(), step.end(), 0.0);
-      space_.scatter_add(b.data(), k, cases, 1.0, step.data());
-      op().outflow(step.data(), nullptr, C.data(), pool);
-      space_.skip_rigid(C.data());
-      space_.closed().subtract(space_.closed().means(C.data()), C.data());
-      const double curvature = dot(d.data() + k * M, C.data());
-      if (!(curvature > 0.0)) continue;
-      const double alpha = ry[u(k)] / curvature;
-      for (std::int64_t cell = 0; cell < M; ++cell) {
-        p[k * M + cell] += alpha * d[u(k * M + cell)];
-        remainder[k * M + cell] -= alpha * C[u(cell)];
-      }
-      for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += alpha * step[u(i)];
-      stats[k].num_iters = iter + 1;
     }
   }
 }

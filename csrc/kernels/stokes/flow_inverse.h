@@ -11,7 +11,7 @@
 #include <memory>
 
 #include "kernels/stokes/flow_mixed.h"
-#include "kernels/stokes/flow_space.h"
+#include "kernels/stokes/flow_pressures.h"
 
 namespace diffsim {
 
@@ -50,16 +50,17 @@ class FlowInverse {
   void factorize(const FlowMatrix<D>& matrix, StokesPlan& plan, ThreadPool& pool);
   void prepare_iterative(const FlowMatrix<D>& matrix, ThreadPool& pool);
   bool fall_back(ThreadPool& pool);
-  void start_direct(std::int64_t cases, double eta, const FlowResidual& residual,
-                    const Forced& forced, double* v, double* p, ThreadPool& pool);
   void solve_direct(std::int64_t cases, double eta, const FlowResidual& residual,
                     const Forced& forced, double* v, double* p, FlowStats* stats, ThreadPool& pool);
   void solve_mixed(std::int64_t cases, double eta, const FlowResidual& residual,
                    const Forced& forced, double* v, double* p, FlowStats* stats, ThreadPool& pool);
-  void close(double eta, std::int64_t cases, double* v, double* p, double* remainder,
-             FlowStats* stats, ThreadPool& pool);
-  /// V (V.p) / (bulk eta W) in closed regions, added.
-  void add_compliance(double eta, const double* p, double* C) const;
+  void correct(std::int64_t cases, double eta, const FlowResidual& residual, const Forced& forced,
+               double* r, double* v, double* p, FlowStats* stats, ThreadPool& pool);
+  /// All of the second equation, left of its zero.
+  void take_excess(const FlowResidual& residual, std::int64_t k, const Forced& forced, double eta,
+                   const double* p, double* C) const;
+  /// Norm of both equations, the first scaled by the cell size and the second by eta.
+  double size_of(double eta, const double* r, const double* C) const;
   const FlowOperator<D>& op() const { return space_.op(); }
   const FlowOptions& options() const { return space_.options(); }
   const StokesGrid<D>& grid() const { return space_.grid(); }
@@ -69,6 +70,7 @@ class FlowInverse {
   std::shared_ptr<StokesMemory> memory_;
   std::unique_ptr<CholeskyFactor> factor_;  // or
   std::unique_ptr<FlowMixed<D>> mixed_;
+  std::unique_ptr<FlowPressures<D>> pressures_;  // beside the factor, where incompressible
   CholeskyWorkspace workspace_;
 };
 

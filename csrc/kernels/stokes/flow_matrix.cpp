@@ -210,6 +210,16 @@ std::vector<double> FlowMatrix<D>::assemble(const std::uint8_t* fixed, double bu
   return values;
 }
 
+template <int D>
+std::vector<double> FlowMatrix<D>::diagonal(const std::vector<double>& values) const {
+  constexpr int kMiddle = D == 2 ? 12 : 62;  // the node itself, of 5^D
+  std::vector<double> blocks(u(num_nodes()) * D * D);
+  for (std::int64_t i = 0; i < num_nodes(); ++i)
+    std::copy_n(values.data() + (indptr_[u(i)] + stencils_[u(i)].rank(kMiddle)) * D * D, D * D,
+                blocks.data() + i * D * D);
+  return blocks;
+}
+
 template class FlowMatrix<2>;
 template class FlowMatrix<3>;
 

@@ -88,6 +88,8 @@ class FlowMatrix {
   /// @param bulk  on C' M^-1 C
   /// @return (num_blocks, D, D)
   std::vector<double> assemble(const std::uint8_t* fixed, double bulk, ThreadPool& pool) const;
+  /// Of such values, (num_nodes, D, D).
+  std::vector<double> diagonal(const std::vector<double>& values) const;
 
  private:
   static constexpr int kCorners = 1 << D, kPatch = 3 * kCorners / 2;

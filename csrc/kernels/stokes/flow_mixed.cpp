@@ -1,6 +1,5 @@
 #include "kernels/stokes/flow_mixed.h"
 
-#include <Eigen/LU>
 #include <algorithm>
 #include <cstring>
 
@@ -15,18 +14,6 @@ std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 // Weight gamma of C' M^-1 C, and its largest share of the bulk modulus, which keeps bulk - gamma
 // positive.
 constexpr double kGamma = 10.0, kLargestGamma = 0.5;
-// In the place of 1 / bulk in L where incompressible, on the fluid volume.
-constexpr double kLeastCompliance = 1e-8;
-
-/// (num_active_nodes, D)
-template <int D>
-std::vector<std::uint8_t> fixed_of(const FlowOperator<D>& op, const std::uint8_t* fixed) {
-  std::vector<std::uint8_t> active;
-  for (std::int64_t node : op.geometry().active_nodes())
-    active.insert(active.end(), fixed + node * D, fixed + (node + 1) * D);
-  return active;
-}
-
 }  // namespace
 
 template <int D>
@@ -38,7 +25,7 @@ FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const ClosedRegions<D>& close
       divergence_scale_(op.geometry().grid().h_min / op.geometry().grid().cell_volume),
       velocity_scale_(op.geometry().grid().h_min * op.geometry().grid().h_min /
                       op.geometry().grid().cell_volume),
-      fixed_(fixed_of(op, fixed)),
+      fixed_(active_fixed(op, fixed)),
       divergence_(op, fixed_, divergence_scale_) {
   const FlowGeometry<D>& geometry = op.geometry();
   matrix_.indptr = matrix.indptr();
@@ -58,7 +45,8 @@ FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const ClosedRegions<D>& close
     for (std::size_t a = 0; a < D; ++a) positions[i][a] = static_cast<std::int32_t>(at[a]);
   }
   set_compliances();
-  set_diagonals(pool);
+  inverse_diagonal_ =
+      invert_diagonals(matrix.diagonal(matrix_.values), divergence_, mass_, gamma_, pool);
   schur_ = std::make_unique<FlowSchur<D>>(op, divergence_, inverse_diagonal_, mass_, compliance_,
                                           gamma_, pool);
   multigrid_ = std::make_unique<FlowMultigrid<D>>(matrix_, positions, fixed_, 1.0, pool);
@@ -75,38 +63,6 @@ void FlowMixed<D>::set_compliances() {
     shift_.push_back(held ? 0.0 : M / (options.bulk - gamma_));
     compliance_.push_back(held ? kLeastCompliance * op_.geometry().fraction(at) : M / options.bulk);
   }
-}
-
-template <int D>
-void FlowMixed<D>::set_diagonals(ThreadPool& pool) {
-  const std::int64_t n = num_velocities_ / D;
-  inverse_diagonal_.assign(u(n * D * D), 0.0);
-  for_chunks(n, pool, [&](std::int64_t i) {
-    for (std::int64_t k = matrix_.indptr[u(i)]; k < matrix_.indptr[u(i) + 1]; ++k)
-      if (matrix_.columns[u(k)] == i)
-        std::copy_n(matrix_.values.data() + k * D * D, D * D, inverse_diagonal_.data() + i * D * D);
-  });
-  for (std::int64_t cell = 0; cell < divergence_.size(); ++cell) {
-    const double* c = divergence_.row(cell);
-    for (int i = 0; i < kCorners; ++i) {
-      const std::int64_t node = divergence_.node(cell, i);
-      for (int a = 0; a < D; ++a)
-        for (int b = 0; b < D; ++b)
-          if (!fixed_[u(node * D + a)] && !fixed_[u(node * D + b)])
-            inverse_diagonal_[u((node * D + a) * D + b)] -=
-                gamma_ / mass_[u(cell)] * c[i * D + a] * c[i * D + b];
-    }
-  }
-  for_chunks(n, pool, [&](std::int64_t i) {
-    Eigen::Map<Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(inverse_diagonal_.data() +
-                                                                   i * D * D);
-    block = block.inverse().eval();
-    for (int a = 0; a < D; ++a)
-      if (fixed_[u(i * D + a)]) {
-        block.row(a).setZero();
-        block.col(a).setZero();
-      }
-  });
 }
 
 template <int D>

@@ -46,7 +46,6 @@ class FlowMixed {
   static constexpr int kCorners = 1 << D;
 
   void set_compliances();
-  void set_diagonals(ThreadPool& pool);
   void apply(const Vector& x, Vector& y, ThreadPool& pool) const;
   void precondition(const Vector& r, Vector& z, ThreadPool& pool);
   bool strict() const { return op_.options().incompressible; }

@@ -75,6 +75,19 @@ void FlowOperator<D>::residual(const double* v, const FlowData& data, const doub
 }
 
 template <int D>
+void FlowOperator<D>::add_pressure_force(const double* p, double* r, ThreadPool& pool) const {
+  const StokesGrid<D>& grid = geometry_.grid();
+  run_colors(geometry_.cell_colors(), pool, [&](std::int64_t cell) {
+    if (p[cell] == 0.0) return;
+    typename Form::Corner c;
+    form_.divergence(weights(cell), c);
+    const std::int64_t node = geometry_.first_node(cell);
+    for (int i = 0; i < kCorners; ++i)
+      for (int a = 0; a < D; ++a) r[(node + grid.corner_offset[i]) * D + a] -= p[cell] * c[i][a];
+  });
+}
+
+template <int D>
 void FlowOperator<D>::add_traction(const double* traction, double* r) const {
   constexpr int kFace = kCorners / 2;
   for (const OpenFace& face : open_faces_) {
@@ -155,9 +168,9 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
     if (data.wall_velocity) gather(data.wall_velocity, node, ge);
     if (data.body_force) gather(data.body_force, node, fe);
     double* out = by_value.data() + cut_of[u(cell)] * Cut::kSize;
-    form_.weight_gradient(w, ve, ze, data.wall_velocity ? ge : nullptr,
-                          data.body_force ? fe : nullptr, p[cell], pi[cell], eta,
-                          out + Cut::kVolume, out + Cut::kArea, out + Cut::kNormal);
+    form_.weight_gradient(
+        w, ve, ze, data.wall_velocity ? ge : nullptr, data.body_force ? fe : nullptr, p[cell],
+        pi[cell], eta, out + Cut::kVolume, out + Cut::kArea, out + Cut::kNormal, out + Cut::kFacet);
     const PressureVolume M = pressure_volume_terms(cell);
     const double by_fluid = by_volume[cell] + by_mass[cell] * M.by_fluid_volume;
     for (int k = 0; k < 2 * D; ++k) out[Cut::kAperture + k] += by_mass[cell] * M.by_open;

@@ -81,8 +81,9 @@ class FlowOperator {
   const std::vector<OpenFace>& open_faces() const { return open_faces_; }
   CellWeights weights(std::int64_t cell) const {
     const CutCell<D>* c = geometry_.cut(cell);
-    if (c) return {c->volume(), c->area(), geometry_.wall_normal(cell)};
-    return {form_.basis().weight, nullptr, nullptr};
+    if (c)
+      return {c->volume(), c->area(), geometry_.wall_normal(cell), geometry_.facet_normal(cell)};
+    return {form_.basis().weight, nullptr, nullptr, nullptr};
   }
   PressureVolume pressure_volume_terms(std::int64_t cell) const {
     double open = 0.0;
@@ -112,6 +113,8 @@ class FlowOperator {
   /// R(v) = e(v, .) - p C(., 0) - traction, overwritten; p (num_cells,) or nullptr.
   void residual(const double* v, const FlowData& data, const double* pressure, double eta,
                 double* r, ThreadPool& pool) const;
+  /// r -= p C(., 0).
+  void add_pressure_force(const double* p, double* r, ThreadPool& pool) const;
   /// C(v, wall velocity) of every cell, (num_cells,) [m^D/s]; zero in empty cells.
   void outflow(const double* v, const double* wall_velocity, double* C, ThreadPool& pool) const;
   /// The penalties' part of the residual, added.

@@ -99,7 +99,7 @@ class FlowRegions {
         }
       const CutCell<D>* cut = geometry.cut(cell);
       if (!cut || !wall_velocity) continue;
-      const double* normal = geometry.wall_normal(cell);
+      const double* normal = geometry.facet_normal(cell);
       for (int q = 0; q < CutCell<D>::kPoints; ++q)
         for (int i = 0; i < 1 << D; ++i)
           for (int a = 0; a < D; ++a) {

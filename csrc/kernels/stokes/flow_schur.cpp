@@ -1,5 +1,7 @@
 #include "kernels/stokes/flow_schur.h"
 
+#include <Eigen/LU>
+
 #include "kernels/stokes/row_chunks.h"
 
 namespace diffsim {
@@ -8,7 +10,36 @@ namespace {
 // Added to the diagonal of Q' L Q, in parts of it.
 constexpr double kRegular = 1e-6;
 
+std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
+
 }  // namespace
+
+template <int D>
+std::vector<double> invert_diagonals(std::vector<double> blocks,
+                                     const FlowDivergence<D>& divergence,
+                                     const std::vector<double>& mass, double gamma,
+                                     ThreadPool& pool) {
+  for (std::int64_t cell = 0; cell < divergence.size(); ++cell) {
+    const double* c = divergence.row(cell);
+    for (int i = 0; i < 1 << D; ++i) {
+      const std::int64_t at = divergence.node(cell, i) * D;
+      for (int a = 0; a < D; ++a)
+        for (int b = 0; b < D; ++b)
+          if (!divergence.fixed(at + a) && !divergence.fixed(at + b))
+            blocks[u((at + a) * D + b)] -= gamma / mass[u(cell)] * c[i * D + a] * c[i * D + b];
+    }
+  }
+  for_chunks(static_cast<std::int64_t>(blocks.size()) / (D * D), pool, [&](std::int64_t i) {
+    Eigen::Map<Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(blocks.data() + i * D * D);
+    block = block.inverse().eval();
+    for (int a = 0; a < D; ++a)
+      if (divergence.fixed(i * D + a)) {
+        block.row(a).setZero();
+        block.col(a).setZero();
+      }
+  });
+  return blocks;
+}
 
 template <int D>
 FlowSchur<D>::FlowSchur(const FlowOperator<D>& op, const FlowDivergence<D>& divergence,
@@ -209,6 +240,10 @@ void FlowSchur<D>::apply(const double* g, double* p, ThreadPool& pool) {
   }
 }
 
+template std::vector<double> invert_diagonals<2>(std::vector<double>, const FlowDivergence<2>&,
+                                                 const std::vector<double>&, double, ThreadPool&);
+template std::vector<double> invert_diagonals<3>(std::vector<double>, const FlowDivergence<3>&,
+                                                 const std::vector<double>&, double, ThreadPool&);
 template class FlowSchur<2>;
 template class FlowSchur<3>;
 

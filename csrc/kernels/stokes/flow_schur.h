@@ -23,6 +23,17 @@
 
 namespace diffsim {
 
+/// In the place of 1 / bulk in L where incompressible, on the fluid volume.
+constexpr double kLeastCompliance = 1e-8;
+
+/// Inverses of the diagonal blocks of E, (num_nodes, D, D), zero where prescribed.
+/// @param blocks those of E + gamma C' M^-1 C
+template <int D>
+std::vector<double> invert_diagonals(std::vector<double> blocks,
+                                     const FlowDivergence<D>& divergence,
+                                     const std::vector<double>& mass, double gamma,
+                                     ThreadPool& pool);
+
 template <int D>
 class FlowSchur {
  public:

@@ -65,19 +65,28 @@ class FlowSpace {
     });
   }
 
+  double longest_side() const {
+    double side = 0.0;
+    for (int a = 0; a < D; ++a)
+      side = std::max(side, static_cast<double>(grid().cells[a]) * grid().h[a]);
+    return side;
+  }
+  /// max |v|
+  double speed(const double* v) const {
+    double largest = 0.0;
+    for_active([&](std::int64_t i, std::int64_t) { largest = std::max(largest, std::abs(v[i])); });
+    return largest;
+  }
   /// Root mean square dilatation, relative to max |v| / (longest side of the box).
-  double divergence(const double* C, const double* v) const {
-    double sum = 0.0, volume = 0.0, largest = 0.0, side = 0.0;
+  double divergence(const double* C, double speed) const {
+    double sum = 0.0, volume = 0.0;
     for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
       if (!geometry().active(cell)) continue;
       const double M = op_.pressure_volume(cell);
       sum += C[cell] * C[cell] / M;
       volume += M;
     }
-    for_active([&](std::int64_t i, std::int64_t) { largest = std::max(largest, std::abs(v[i])); });
-    for (int a = 0; a < D; ++a)
-      side = std::max(side, static_cast<double>(grid().cells[a]) * grid().h[a]);
-    return largest > 0.0 ? std::sqrt(sum / volume) * side / largest : 0.0;
+    return speed > 0.0 ? std::sqrt(sum / volume) * longest_side() / speed : 0.0;
   }
   /// p += scale C / M.
   void add_pressure(double scale, const double* C, double* p) const {

@@ -60,6 +60,12 @@ class FlowSystem final : public StokesSystem {
       closed().subtract_level(p + k * M);
   }
 
+  void equations(const FlowInputs& in, const double* v, const double* p, double* momentum,
+                 double* mass, ThreadPool& pool) const override {
+    op().residual(v, in.data, p, in.viscosity, momentum, pool);
+    op().outflow(v, in.data.wall_velocity, mass, pool);
+  }
+
   void tangent(const FlowInputs& in, const double* v, const double* p, const FlowDirections& along,
                double* d_v, double* d_p, double* d_fraction, FlowStats* stats,
                ThreadPool& pool) override {

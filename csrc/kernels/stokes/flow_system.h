@@ -47,7 +47,8 @@ struct FlowInputs {
 /// Of one case; Python reads these as doubles.
 struct FlowStats {
   double num_iters = 0.0, divergence = 0.0, converged = 1.0, net_inflow = 0.0;
-  double residual = 0.0;  // iterative: |residual| / |right-hand side|
+  double residual = 0.0;        // |residual| / |right-hand side| of both equations
+  double pressure_error = 0.0;  // direct and incompressible: estimated, relative
 };
 
 struct FlowGradients {
@@ -76,6 +77,10 @@ class StokesSystem {
   /// @param[out] stats (cases,)
   virtual void solve(const FlowInputs& in, double* v, double* p, FlowStats* stats,
                      ThreadPool& pool) = 0;
+  /// Both equations at given v and p, of the first case: momentum (num_nodes, D), also at
+  /// prescribed components, and the outflow of every cell, (num_cells,).
+  virtual void equations(const FlowInputs& in, const double* v, const double* p, double* momentum,
+                         double* mass, ThreadPool& pool) const = 0;
   /// @param grad_v, grad_p dL/dv, dL/dp; grad_fraction (num_cells,) dL/d(fluid fraction)
   virtual void adjoint(const FlowInputs& in, const double* v, const double* p, const double* grad_v,
                        const double* grad_p, const double* grad_fraction, const FlowGradients& grad,

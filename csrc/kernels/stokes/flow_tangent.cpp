@@ -43,9 +43,10 @@ void FlowTangent<D>::add_momentum(const double* v, const FlowData& data, const d
     if (data.wall_velocity) op_.gather(data.wall_velocity, node, ge);
     if (data.body_force) op_.gather(data.body_force, node, fe);
     Rate re[Form::kCorners][D];
-    op_.form().residual(
-        CellWeightsOf<Rate>{value + Cut::kVolume, value + Cut::kArea, value + Cut::kNormal}, ve,
-        data.wall_velocity ? ge : nullptr, data.body_force ? fe : nullptr, p[cell], eta, re);
+    op_.form().residual(CellWeightsOf<Rate>{value + Cut::kVolume, value + Cut::kArea,
+                                            value + Cut::kNormal, value + Cut::kFacet},
+                        ve, data.wall_velocity ? ge : nullptr, data.body_force ? fe : nullptr,
+                        p[cell], eta, re);
     for (int i = 0; i < Form::kCorners; ++i)
       for (int a = 0; a < D; ++a) r[(node + grid.corner_offset[i]) * D + a] += re[i][a].grad[0];
   });
@@ -73,7 +74,7 @@ void FlowTangent<D>::add_mass(const double* v, const double* wall_velocity, doub
     if (wall_velocity) op_.gather(wall_velocity, node, ge);
     C[cell] += op_.form()
                    .outflow(CellWeightsOf<Rate>{value + Cut::kVolume, value + Cut::kArea,
-                                                value + Cut::kNormal},
+                                                value + Cut::kNormal, value + Cut::kFacet},
                             ve, wall_velocity ? ge : nullptr)
                    .grad[0];
   });

@@ -11,6 +11,7 @@ from diffsim.data.formats.registry import (
     is_container,
     parts_of,
     read_columns,
+    renamed,
     split_part,
     write_columns,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "is_container",
     "parts_of",
     "read_columns",
+    "renamed",
     "split_part",
     "write_columns",
 ]

@@ -16,6 +16,8 @@ from diffsim.core.optional import optional
 from diffsim.data.formats.columns import Columns, of_messages
 
 TIME = "time_s"
+TABLE = "diffsim.Recording"
+"""Schema of a table that diffsim wrote as MCAP."""
 
 
 def ulog_parts(path: Path) -> list[str]:
@@ -27,7 +29,7 @@ def read_ulog(path: Path, part: str) -> Columns:
     """Columns of a topic; ``timestamp`` is in microseconds."""
     log, topic = _ulog(path), _topics(path)[part]
     start = min(log.start_timestamp, int(topic.data["timestamp"][0]))
-    seconds = (topic.data["timestamp"].astype(np.int64) - start) * 1e-6
+    seconds = (topic.data["timestamp"].astype(np.int64) - start) / 1e6
     return {TIME: seconds, **topic.data}
 
 
@@ -44,13 +46,19 @@ def mcap_parts(path: Path) -> list[str]:
 def read_mcap(path: Path, part: str) -> Columns:
     """Columns of a topic: JSON messages, and ROS 2 ones where ``mcap-ros2-support`` is there."""
     times, messages = [], []
+    declared: dict[str, Any] = {}
     with path.open("rb") as file:
         reader = _mcap().make_reader(file)
         start = reader.get_summary().statistics.message_start_time
         for schema, channel, message in reader.iter_messages(topics=[part]):
-            times.append((message.log_time - start) * 1e-9)
+            times.append((message.log_time - start) / 1e9)
             messages.append(_decoded(schema, channel, message))
-    return {TIME: np.array(times), **of_messages(messages)}
+            declared = declared or _declared(schema)
+    columns = of_messages(messages)
+    # empty cells are left out of messages: columns of them alone are known by the schema only
+    empty = {name: np.full(len(times), np.nan) for name in declared if name not in columns}
+    ordered = {name: (columns | empty)[name] for name in (*declared, *columns)}
+    return {TIME: np.array(times), **ordered}
 
 
 def rosbag_parts(path: Path) -> list[str]:
@@ -65,7 +73,7 @@ def read_rosbag(path: Path, part: str) -> Columns:
     with _rosbag(path) as bag:
         wanted = [c for c in bag.connections if c.topic == part]
         for connection, stamp, raw in bag.messages(connections=wanted):
-            times.append((stamp - bag.start_time) * 1e-9)
+            times.append((stamp - bag.start_time) / 1e9)
             messages.append(_plain(bag.deserialize(raw, connection.msgtype)))
     return {TIME: np.array(times), **of_messages(messages)}
 
@@ -101,6 +109,13 @@ def _decoded(schema: Any, channel: Any, message: Any) -> Any:
         f"topic {channel.topic} is encoded as {channel.message_encoding!r}; json and cdr (ROS 2) "
         "are read"
     )
+
+
+def _declared(schema: Any) -> dict[str, Any]:
+    """Columns of a table that diffsim wrote, in their order; none of other files."""
+    if schema is None or schema.name != TABLE:
+        return {}
+    return dict(json.loads(schema.data)["properties"])
 
 
 def _rosbag(path: Path) -> Any:

@@ -34,7 +34,7 @@ def read(path: Path, part: str) -> Columns:
 
 def write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     """Write each column as a variable; names become MATLAB's."""
-    names = {name: _word(name) for name in columns}
+    names = {name: word(name) for name in columns}
     if len(set(names.values())) < len(names):
         raise ValueError(f"two columns have the same name in MATLAB: {', '.join(names)}")
     scipy.io.savemat(
@@ -70,6 +70,7 @@ def _columns(members: Mapping[str, Any]) -> Columns:
     return with_equal_lengths(columns)
 
 
-def _word(name: str) -> str:
-    word = "".join(c if c.isascii() and c.isalnum() else "_" for c in name)
-    return word if word[:1].isalpha() else f"x{word}"
+def word(name: str) -> str:
+    """A name as MATLAB has variables: letters, digits and underscores, a letter first."""
+    spelled = "".join(c if c.isascii() and c.isalnum() else "_" for c in name)
+    return spelled if spelled[:1].isalpha() else f"x{spelled}"

@@ -10,12 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.data.formats import hdf5, logs, mat, mcap_write, parquet
+from diffsim.core.files import replacing
+from diffsim.data.formats import (
+    hdf5,
+    logs,
+    mat,
+    mcap_write,
+    parquet,
+    rosbag_write,
+    ulog_write,
+)
 from diffsim.data.formats.columns import Columns
+from diffsim.data.formats.messages import fields_of, names_of
 
 Parts = Callable[[Path], list[str]]
 Read = Callable[[Path, str], Columns]
 Write = Callable[[Path, Mapping[str, NDArray[Any]]], None]
+WriteTopic = Callable[[Path, Mapping[str, NDArray[Any]], str], None]
 
 _READERS: dict[str, tuple[Parts, Read]] = {
     ".parquet": (parquet.parts, parquet.read),
@@ -27,13 +38,16 @@ _READERS: dict[str, tuple[Parts, Read]] = {
     ".bag": (logs.rosbag_parts, logs.read_rosbag),
     ".db3": (logs.rosbag_parts, logs.read_rosbag),
 }
-WRITTEN: dict[str, Write] = {
+_TABLES: dict[str, Write] = {
     ".parquet": parquet.write,
     ".h5": hdf5.write,
     ".hdf5": hdf5.write,
     ".mat": mat.write,
-    ".mcap": mcap_write.write,
 }
+_LOGS: dict[str, WriteTopic] = {".mcap": mcap_write.write, ".ulg": ulog_write.write}
+_BAG = ".db3"
+_WORDS = {".mat": mat.word, ".ulg": ulog_write.word, _BAG: rosbag_write.word}
+WRITTEN = (*_TABLES, *_LOGS, _BAG)
 """Formats that ``write_columns`` writes, besides CSV."""
 
 SUFFIXES = tuple(_READERS)
@@ -103,28 +117,58 @@ def read_columns(path: str | Path) -> Columns:
     return columns
 
 
-def write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Path:
+def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> Path:
     """Write a table, in place of an older one only when it is whole.
 
     Args:
-        path: Its ending tells the format.
+        path: Its ending tells the format; ``FILE#TOPIC`` names the topic of a log.
         columns: Columns by name, each (num_rows,).
 
+    Returns:
+        The file that was written; of ``bag.db3`` it is ``bag/bag.db3``.
+
     Raises:
+        FileExistsError: a bag's folder is there, and holds something else.
         ImportError: the format's library is not installed.
-        ValueError: a format that is not written.
+        ValueError: a format that is not written, or what it cannot hold.
     """
-    suffix = path.suffix.lower()
+    file, part = split_part(path)
+    suffix = file.suffix.lower()
     if suffix not in WRITTEN:
-        raise ValueError(f"{path}: tables are written as .csv, {', '.join(WRITTEN)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.part{suffix}")
-    try:
-        WRITTEN[suffix](beside, {name: np.asarray(values) for name, values in columns.items()})
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    return path
+        raise ValueError(f"{file}: tables are written as .csv, {', '.join(WRITTEN)}")
+    if part and suffix in _TABLES:
+        raise ValueError(f"{path}: {suffix} is written as one table; name the file without #{part}")
+    arrays = {name: np.asarray(values) for name, values in columns.items()}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if suffix == _BAG:
+        return rosbag_write.write(file, arrays, part)
+    with replacing(file, suffix) as beside:
+        if suffix in _TABLES:
+            _TABLES[suffix](beside, arrays)
+        else:
+            _LOGS[suffix](beside, arrays, part)
+    return file
+
+
+def renamed(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, str]:
+    """Columns whose name a format spells in its own way.
+
+    Args:
+        path: As ``write_columns`` has it.
+        columns: Columns by name, each (num_rows,).
+
+    Returns:
+        The name in the file by that of the column, where they differ.
+    """
+    suffix = split_part(path)[0].suffix.lower()
+    if suffix not in _WORDS:
+        return {}
+    if suffix == ".mat":
+        names = {name: mat.word(name) for name in columns}
+    else:
+        held = {name: np.asarray(values) for name, values in columns.items()}
+        names = names_of(fields_of(held, _WORDS[suffix]))
+    return {name: new for name, new in names.items() if new != name}
 
 
 def _guarded(path: Path, read: Callable[[], Any]) -> Any:

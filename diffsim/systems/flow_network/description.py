@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import number
+from diffsim.core.schema_numbers import Density, ShearRate
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
@@ -17,9 +17,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import (
     BaseParameters,
     Description,
-    Quantity,
     chosen_effects,
-    quantity,
     settings_with,
 )
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
@@ -30,15 +28,7 @@ from diffsim.systems.flow_network.lumped_build import (
     network_causes,
     quantities_of,
 )
-
-if TYPE_CHECKING:
-    Viscosity: TypeAlias = Quantity
-    Density: TypeAlias = float
-    ShearRate: TypeAlias = float
-else:
-    Viscosity = quantity("Pa s")
-    Density = number("kg/m^3")
-    ShearRate = number("1/s")
+from diffsim.systems.quantities import Viscosity
 
 
 class FlowNetworkDescription(Description):
@@ -50,7 +40,11 @@ class FlowNetworkDescription(Description):
     shear_rate: ShearRate = Field(
         100.0, gt=0, description="Beyond which a thinning fluid thins [1/s]"
     )
-    channels: tuple[TubeKeys, ...] = Field(min_length=1, description="Channels of the network")
+    channels: tuple[TubeKeys, ...] = Field(
+        min_length=1,
+        description="Channels of the network. Where some meet and no pump is, a leak is a "
+        "candidate cause, leak_at_NODE; at the pump it is leak",
+    )
     sources: tuple[SourceKeys, ...] = Field(
         min_length=1,
         description="Pumps and known pressures; give each open end {node, pressure: 0}, for "

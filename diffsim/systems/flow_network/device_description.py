@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import number
+from diffsim.core.schema_numbers import Density, ShearRate
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify import Parameter
@@ -20,7 +20,6 @@ from diffsim.systems.description import (
     Description,
     Quantity,
     chosen_effects,
-    quantity,
     settings_with,
 )
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
@@ -29,15 +28,7 @@ from diffsim.systems.flow_network.keys import FlowNuisanceKeys, ManifoldKeys, Pl
 from diffsim.systems.flow_network.model import device_model
 from diffsim.systems.flow_network.network import NetworkDevice, Segment
 from diffsim.systems.flow_network.network_model import network_model
-
-if TYPE_CHECKING:
-    Viscosity: TypeAlias = Quantity
-    WallOffset: TypeAlias = Quantity
-    Density: TypeAlias = float
-    ShearRate: TypeAlias = float
-else:
-    Viscosity, WallOffset = quantity("Pa s"), quantity("m")
-    Density, ShearRate = number("kg/m^3"), number("1/s")
+from diffsim.systems.quantities import Length, Viscosity
 
 _CELLS_PER_WIDTH = 6.8  # across the narrowest channel
 
@@ -57,7 +48,7 @@ class FlowDeviceDescription(Description):
     shear_rate: ShearRate = Field(
         100.0, gt=0, description="Beyond which a thinning fluid thins in a network [1/s]"
     )
-    wall_offset: WallOffset = Field(
+    wall_offset: Length = Field(
         Quantity(value=0.0), description="All walls of a manifold further out [m]"
     )
     drives: tuple[str, ...] = Field(

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.core.schema import Part, number
-from diffsim.systems.description import Quantity, quantity
-
-if TYPE_CHECKING:
-    Length: TypeAlias = Quantity
-    Resistance: TypeAlias = Quantity
-    Meters: TypeAlias = float
-    Pascals: TypeAlias = float
-    Ratio: TypeAlias = float
-else:  # quantities may be fitted, numbers are known
-    Length = quantity("m")
-    Resistance = quantity("Pa s/m^3")
-    Meters = number("m")
-    Pascals = number("Pa")
-    Ratio = number("-")
+from diffsim.core.schema import Part
+from diffsim.core.schema_numbers import Meters, Pascals, Ratio
+from diffsim.systems.quantities import Length, Resistance
 
 
 class TubeKeys(Part):

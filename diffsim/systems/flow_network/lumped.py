@@ -2,7 +2,7 @@
 
 Unknowns of a level of the drive are the pressures p of the free nodes and the flows q:
 
-    sum of q into a node + what a pump gives - leak p = 0      for every free node
+    sum of q into a node + what a pump gives - leak p = 0      for every free node, each its leak
     F(p_start) - F(p_end) = r(q) + K rho u |u| / 2             for every channel
 
 F(p) = ((1 + c p)^4 - 1) / (4 c) makes channels of width w (1 + c p) linear; F(p) = p where c = 0.
@@ -92,6 +92,7 @@ class LumpedScene:
         compliance: c of width w (1 + c p) [1/Pa].
         entrance_loss: K of a loss K rho u^2 / 2 in each branch [-].
         leak: Flow lost at each pump over the pressure there [m^3/(s Pa)].
+        node_leak: The same at each free node, (num_free,) [m^3/(s Pa)].
         rtol: Relative tolerance of the balance [-].
     """
 
@@ -116,6 +117,7 @@ class LumpedScene:
     compliance: Tensor = _ZERO
     entrance_loss: Tensor = _ZERO
     leak: Tensor = _ZERO
+    node_leak: Tensor = _ZERO
     rtol: float = RTOL
 
     def narrowed(self, outlet: int, size: Tensor) -> Self:
@@ -183,22 +185,21 @@ class _Balance:
         n = len(layout.free)
         pressure, flow = self._pressures(y), y[:, n:] * self.flow_scale
         free = list(layout.free)
-        leaky = torch.zeros(len(self.incidence), dtype=torch.float64)
-        given = torch.zeros(len(y), len(leaky), dtype=torch.float64)
+        pumps = torch.zeros(len(self.incidence), dtype=torch.float64)
+        given = torch.zeros(len(y), len(pumps), dtype=torch.float64)
         for k, node in enumerate(layout.pumps):
-            leaky[node] += 1.0
-            given = given + s.drive[:, k, None] * _one(len(leaky), node)
-        mass = flow @ self.incidence.mT + given - s.leak * leaky * pressure
+            pumps[node] += 1.0
+            given = given + s.drive[:, k, None] * _one(len(pumps), node)
+        leaky = s.leak * pumps[free] + s.node_leak
+        mass = (flow @ self.incidence.mT + given)[:, free] - leaky * pressure[:, free]
         widened, steep = self._widened(pressure)
         used, rise = self._used(flow)
         drop = widened[:, list(layout.starts)] - widened[:, list(layout.ends)]
-        residual = torch.cat(
-            [mass[:, free] / self.flow_scale, (drop - used) / self.pressure_scale], 1
-        )
+        residual = torch.cat([mass / self.flow_scale, (drop - used) / self.pressure_scale], 1)
         slope = y.new_zeros(len(y), y.shape[1], y.shape[1])
         slope[:, :n, n:] = self.incidence[free]
         slope[:, :n, :n] = torch.diag_embed(
-            (-s.leak * leaky[free] / self.flow_scale * self.pressure_scale).detach()
+            (-leaky / self.flow_scale * self.pressure_scale).detach()
         )
         steep = steep.detach()[:, None, :] * -self.incidence.mT
         slope[:, n:, :n] = steep[:, :, free]

@@ -94,7 +94,7 @@ def layout_of(
     Raises:
         ValueError: a name that is not there, or a network whose pressures hang in the air.
     """
-    nodes = list(dict.fromkeys(n for t in tubes for n in (t.start, t.end)))
+    nodes = nodes_of(tubes)
     names = [t.name for t in tubes]
     for s in sources:
         if s.node not in nodes:
@@ -134,6 +134,11 @@ def layout_of(
         ),
         readings=tuple(readings),
     )
+
+
+def nodes_of(tubes: Sequence[TubeKeys]) -> list[str]:
+    """Names of all nodes, in the order of their indices."""
+    return list(dict.fromkeys(n for t in tubes for n in (t.start, t.end)))
 
 
 def dead_ends(tubes: Sequence[TubeKeys], sources: Sequence[SourceKeys]) -> list[str]:
@@ -193,12 +198,40 @@ def network_causes(network: LumpedNetwork, study: Study) -> tuple[Effect, ...]:
             *(_of_walls(min(narrow)) if narrow else ()),
             *((causes.VISCOSITY,) if sees_pressure else ()),
             *((causes.LEAK,) if sees_pressure and layout.pumps else ()),
+            *(_joint_leak(layout, i, name) for i, name in _joints(network)),
             *((_pressure_scale(is_flow),) if not all(is_flow) else ()),
             *(causes.pump_gain(i) for i in range(len(layout.pumps))),
             *(_meter_gain(i, n) for n, i in enumerate(_places(is_flow))),
             *(_sized(causes.blocked_branch(i), 0.1) for i in range(len(layout.branches))),
             *(_sized(causes.pressure_offset(i), 5.0) for i in range(len(layout.held))),
         )
+    )
+
+
+def _joints(network: LumpedNetwork) -> list[tuple[int, str]]:
+    """Place among the free nodes, and name, of those where channels meet and no pump is."""
+    layout, nodes = network.layout, nodes_of(network.tubes)
+    ends = [*layout.starts, *layout.ends]
+    return [
+        (i, nodes[node])
+        for i, node in enumerate(layout.free)
+        if ends.count(node) > 1 and node not in layout.pumps
+    ]
+
+
+def _joint_leak(layout: Layout, place: int, name: str) -> Effect:
+    """A leak at one joint, whose place is that among the free nodes."""
+    there = torch.eye(len(layout.free), dtype=torch.float64)[place]
+
+    def leaking(scene: LumpedScene, size: Tensor, run: Run) -> LumpedScene:
+        return replace(scene, node_leak=scene.node_leak + size[0] * there)
+
+    return replace(
+        causes.LEAK,
+        name=f"leak_at_{name}",
+        form=f"Flow lost at the joint {name} in proportion to the pressure there.",
+        also_looks_like=("a leak at another joint", "meter_gain", "loose fitting", "porous wall"),
+        apply=leaking,
     )
 
 

@@ -4,45 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.core.schema import Part, number
-from diffsim.systems.description import Quantity, quantity
-
-if TYPE_CHECKING:
-    Mass: TypeAlias = Quantity
-    Inertia: TypeAlias = Quantity
-    Length: TypeAlias = Quantity
-    Time: TypeAlias = Quantity
-    Plain: TypeAlias = Quantity
-    Hertz: TypeAlias = Quantity
-    Seconds: TypeAlias = float
-    Newtons: TypeAlias = float
-    Volts: TypeAlias = float
-    Meters: TypeAlias = float
-    Ratio: TypeAlias = float
-    Angle: TypeAlias = float
-    Rate: TypeAlias = float
-    Acceleration: TypeAlias = float
-    PerSecond: TypeAlias = float
-else:  # quantities may be fitted, numbers are known
-    Mass = quantity("kg")
-    Inertia = quantity("kg m^2")
-    Length = quantity("m")
-    Time = quantity("s")
-    Plain = quantity("-")
-    Hertz = quantity("Hz")
-    Seconds = number("s")
-    Newtons = number("N")
-    Volts = number("V")
-    Meters = number("m")
-    Ratio = number("-")
-    Angle = number("rad")
-    Rate = number("rad/s")
-    Acceleration = number("m/s^2")
-    PerSecond = number("Hz")
+from diffsim.core.schema import Part
+from diffsim.core.schema_numbers import (
+    Acceleration,
+    Angle,
+    Newtons,
+    Rate,
+    Ratio,
+    Seconds,
+    Volts,
+)
+from diffsim.systems.description import Quantity
+from diffsim.systems.quantities import Inertia, Length, Plain
 
 _NONE = Quantity(value=0.0)
 

@@ -6,27 +6,21 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.core.schema_numbers import Meters, Newtons, PerSecond
 from diffsim.systems.description import Description
 from diffsim.systems.dials import CLOCKS
 from diffsim.systems.multicopter.keys import (
     CommandKeys,
     FrameKeys,
-    Hertz,
     InertiaKeys,
-    Length,
-    Mass,
-    Meters,
-    Newtons,
     NuisanceKeys,
-    PerSecond,
     PlaceKeys,
-    Plain,
     RotorKeys,
     SensorKeys,
     ThrustKeys,
-    Time,
     WindowKeys,
 )
+from diffsim.systems.quantities import Hertz, Length, Mass, Plain, Time
 
 
 class MulticopterKeys(Description):

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from diffsim.core.schema_numbers import Seconds
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
@@ -26,7 +27,6 @@ from diffsim.systems.ode.keys import (
     Inputs,
     Law,
     Place,
-    Seconds,
     States,
     Store,
 )
@@ -69,7 +69,7 @@ class OdeDescription(FormulaKeys):
     events: tuple[Events, ...] = Field(
         (), description="What may have acted for a limited time; opens its forms at each place"
     )
-    time_step: Seconds | None = Field(  # type: ignore[valid-type]
+    time_step: Seconds | None = Field(
         None, gt=0, description="Longest step of the integrator [s]; none: the sample interval"
     )
     slow_time: AnyQuantity | None = Field(

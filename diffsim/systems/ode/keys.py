@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
-from diffsim.systems.description import Description, EffectChoice, Part, Quantity, number
+from diffsim.systems.description import Description, EffectChoice, Part, Quantity
 
 _IN_UNIT = ("value", "sd", "lower", "upper")
 
@@ -296,4 +296,3 @@ class FormulaKeys(Description):
 
 States = dict[str, Annotated[str | Quantity, BeforeValidator(_start)]]
 Inputs = tuple[Annotated[Input, BeforeValidator(_as_input)], ...]
-Seconds = number("s")

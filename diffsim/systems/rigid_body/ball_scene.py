@@ -143,10 +143,13 @@ class BallScene:
 
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""
+        out = self.wide()._channels()
+        return out if any(v.ndim for v in self.values.values()) else out[0]
+
+    def wide(self) -> BallScene:
+        """A copy whose values have one axis, (K,) each."""
         batch = np.broadcast_shapes(*(v.shape for v in self.values.values()))
-        wide = {n: v.expand(batch or (1,)) for n, v in self.values.items()}
-        out = replace(self, values=wide)._channels()
-        return out if batch else out[0]
+        return replace(self, values={n: v.expand(batch or (1,)) for n, v in self.values.items()})
 
     def _channels(self) -> Tensor:
         time = self.time * (1.0 + self._of("clock"))

@@ -18,8 +18,10 @@ from diffsim.data.importers.common import read_columns
 from diffsim.data.study import TIMELESS, Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.rigid_body import ball_effects as causes
+from diffsim.systems.rigid_body.ball_figure import measured, simulated
 from diffsim.systems.rigid_body.ball_scene import (
     PLAIN,
     BallBody,
@@ -139,7 +141,7 @@ class Balls:
             return BallScene({**plain, **known, **start}, time, shown)
 
         base = (*quantities.base, *starts.base)
-        return SimModel(build, base, "balls", batched=True)
+        return BallModel(build, base, "balls", batched=True)
 
     def library(self) -> tuple[Effect, ...]:
         """Candidate causes that these balls may have."""
@@ -324,6 +326,28 @@ class Balls:
             j = int(np.argmax(np.abs(row)))
             world[:, i] = row[j] * place[:, j]
         return world
+
+
+class BallModel(SimModel):
+    """Balls as a model, which shows them in space; arguments as for ``SimModel``."""
+
+    def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
+        """The balls where channels tell their positions."""
+        scene = self.scene(run, self.at_prior())
+        assert isinstance(scene, BallScene)
+        return measured(scene, channels)
+
+    def shape_at(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> MovingShape | None:
+        """The balls on their simulated paths."""
+        scene = self.scene(run, q, sizes, numerics)
+        assert isinstance(scene, BallScene)
+        return simulated(scene)
 
 
 def _of_part(stage: Stage, clock: Array, run: Run) -> Stage:

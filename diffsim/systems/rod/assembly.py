@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.systems.rod.layout import Layout
-from diffsim.systems.rod.statics import Rod, turned
+from diffsim.systems.rod.statics import Rod
 
 SOFTEST = 1e-4  # flexible share of what a clamp grips, so that its stiffness stays finite
 SHEAR_CORRECTION = 0.9  # of a round section
@@ -72,7 +73,10 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
             weight=mass[..., None] * gravity[..., None, :],
             points=layout.masses,
             loads=_masses(layout, numbers)[..., None] * gravity[..., None, :],
-            base=layout.base @ turned(numbers.stacked("base_twist", "base_tilt_y", "base_tilt_z")),
+            base=layout.base
+            @ matrix_from_rotation_vector(
+                numbers.stacked("base_twist", "base_tilt_y", "base_tilt_z")
+            ),
             place=layout.place + numbers.stacked(*(f"base_shift_{a}" for a in "xyz")),
             offset=offset,
             slope=slope,
@@ -114,7 +118,7 @@ def _rest(layout: Layout, numbers: Numbers) -> Tensor:
 
 
 def _gravity(layout: Layout, numbers: Numbers) -> Tensor:
-    turn = turned(numbers.stacked(*(f"gravity_tilt_{a}" for a in "xyz")))
+    turn = matrix_from_rotation_vector(numbers.stacked(*(f"gravity_tilt_{a}" for a in "xyz")))
     return (turn @ layout.gravity[:, None])[..., 0]
 
 
@@ -144,7 +148,9 @@ def _paths(layout: Layout, numbers: Numbers) -> tuple[Tensor, Tensor]:
         return paths.offset, paths.slope
     helix = numbers["tendon_helix"][..., None, None]
     angle = numbers.each(names, "tendon_turn")[..., None] + helix * layout.shape.middles
-    frame = turned(angle[..., None] * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
+    frame = matrix_from_rotation_vector(
+        angle[..., None] * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    )
     outward = paths.offset / paths.offset.norm(dim=-1, keepdim=True).clamp(min=1e-12)
     moved = paths.offset + numbers.each(names, "tendon_distance")[..., None, None] * outward
     offset = (frame @ moved[..., None])[..., 0]

@@ -11,11 +11,14 @@ import torch
 from torch import Tensor
 
 from diffsim.identify.model import Numerics, SimModel
+from diffsim.systems.rod.figure import dots_of, skin_of
 from diffsim.systems.rod.layout import Layout, layout_of
 from diffsim.systems.rod.scene import Poses, RodScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
+    from diffsim.identify.effect import Effect
+    from diffsim.identify.shape import MovingShape
     from diffsim.systems.description import BaseParameters
     from diffsim.systems.rod.keys import RodKeys
 
@@ -36,7 +39,12 @@ class DescribedRod:
 
     def model(self) -> SimModel:
         """The model that is fitted; many points are simulated at once."""
-        return SimModel(self.build, self.parameters.base, "described rod", batched=True)
+        return RodModel(self)
+
+    @property
+    def layout(self) -> Layout:
+        """What does not change with a number, on the elements as described."""
+        return self._layout(1.0)
 
     def build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
         """The scene of a run, which starts from the run's pose at the best guess beforehand."""
@@ -58,4 +66,32 @@ class DescribedRod:
         return RodScene(layout, numbers, torch.from_numpy(command), tolerance)
 
 
-__all__ = ["DescribedRod"]
+class RodModel(SimModel):
+    """The model of a described rod, which shows it in space.
+
+    Args:
+        described: Makes its scenes.
+    """
+
+    def __init__(self, described: DescribedRod):
+        self.described = described
+        super().__init__(described.build, described.parameters.base, "described rod", batched=True)
+
+    def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
+        """Markers where channels tell all their coordinates."""
+        return dots_of(self.described.layout, channels)
+
+    def shape_at(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> MovingShape | None:
+        """The skin of the rod in every pose."""
+        scene = self.scene(run, q, sizes, numerics)
+        assert isinstance(scene, RodScene)
+        return skin_of(scene)
+
+
+__all__ = ["DescribedRod", "RodModel"]

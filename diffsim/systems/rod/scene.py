@@ -69,6 +69,13 @@ class RodScene:
         assert slopes is not None
         return Poses(found[0], slopes[0])
 
+    def course(self) -> tuple[Tensor, Tensor]:
+        """Rotations (num_samples, N + 1, 3, 3) and places (num_samples, N + 1, 3) [m] of the
+        sections at the ends of the elements, at the first point."""
+        rod, count = rod_of(self.layout, self.numbers, self.command)
+        frames, places = rod.course(self._strains(rod, count))
+        return frames[0], places[0]
+
     def _strains(self, rod: Rod, count: int) -> Tensor:
         """(K, num_samples, N, 3) in equilibrium [1/m]; differentiable in the numbers."""
         slopes_of_all = torch.is_grad_enabled() and any(

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
-from diffsim.core.rotation import sinc_terms, skew
+from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.systems.rod.shape import Points, RodShape
 
 STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
@@ -32,14 +32,6 @@ MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]
 MOST_STEPS = 40
 DIFFERENCE = 1e-5  # step of difference quotients by strains [1/m]
 SMOOTHING = 1e-3  # bends below this do not count as a kink of a tendon [1/m]
-
-
-def turned(vector: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
-    first, second = sinc_terms((vector * vector).sum(-1))
-    cross = skew(vector)
-    unit = torch.eye(3, dtype=vector.dtype)
-    return unit + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
 
 
 def running_products(steps: Tensor) -> Tensor:
@@ -109,10 +101,10 @@ class Rod:
     def frames(self, u: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations at the edges, (..., N + 1, 3, 3), and at the middles, (..., N, 3, 3)."""
         steps = u * self.shape.lengths[:, None]
-        after = self.base[..., None, :, :] @ running_products(turned(steps))
+        after = self.base[..., None, :, :] @ running_products(matrix_from_rotation_vector(steps))
         first = self.base[..., None, :, :].expand(*after.shape[:-3], 1, 3, 3)
         edges = torch.cat([first, after], -3)
-        return edges, edges[..., :-1, :, :] @ turned(0.5 * steps)
+        return edges, edges[..., :-1, :, :] @ matrix_from_rotation_vector(0.5 * steps)
 
     def tension(self, u: Tensor) -> Tensor:
         """(..., T, N) tension of the tendons at the middles [N]."""
@@ -154,11 +146,23 @@ class Rod:
             offset: (..., P, 3) from the axis, in the frame of the section [m].
             u: (..., N, 3) twist and bends [1/m].
         """
+        v, edges, nodes = self._course(u)
+        return _points(self.shape, points, offset, u, v, edges, nodes)
+
+    def course(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Rotations (..., N + 1, 3, 3) and places (..., N + 1, 3) [m] of the sections at the edges.
+
+        Args:
+            u: (..., N, 3) twist and bends [1/m].
+        """
+        return self._course(u)[1:]
+
+    def _course(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Stretch and shears, and what ``course`` returns."""
         edges, middles = self.frames(u)
         force = self._forces(middles)[0]
         v, _ = self.section(u, _into(middles, force))
-        nodes = self._places(middles, v)[0]
-        return _points(self.shape, points, offset, u, v, edges, nodes)
+        return v, edges, self._places(middles, v)[0]
 
     def residual(self, u: Tensor) -> Tensor:
         """(..., N, 3) moment that is left over in the sections [N m]."""
@@ -223,9 +227,9 @@ def _points(
     past = (points.at - shape.edges[i])[:, None]
     own = u[..., i, :]
     frame = edges[..., i, :, :]
-    half = frame @ turned(0.5 * past * own)
+    half = frame @ matrix_from_rotation_vector(0.5 * past * own)
     axis = nodes[..., i, :] + (half @ (past * v[..., i, :])[..., None])[..., 0]
-    return axis + ((frame @ turned(past * own)) @ offset[..., None])[..., 0]
+    return axis + ((frame @ matrix_from_rotation_vector(past * own)) @ offset[..., None])[..., 0]
 
 
 def _slopes(rod: Rod, u: Tensor) -> Tensor:
@@ -332,4 +336,4 @@ def nearby(
     return None
 
 
-__all__ = ["Rod", "equilibrium", "nearby", "running_products", "turned"]
+__all__ = ["Rod", "equilibrium", "nearby", "running_products"]

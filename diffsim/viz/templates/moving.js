@@ -16,12 +16,14 @@
     return `rgb(${part(1)},${part(3)},${part(5)})`;
   };
 
+  const BEGIN = { turn: -0.6, lift: 0.35 };
+
   class View {
     constructor(box) {
       this.box = box;
       const data = JSON.parse(box.querySelector("script").textContent);
       this.views = Array.isArray(data) ? data : [data];
-      Object.assign(this, { turn: -0.6, lift: 0.35, zoom: 1, shift: [0, 0], frame: 0, playing: false });
+      Object.assign(this, { ...BEGIN, zoom: 1, shift: [0, 0], frame: 0, playing: false });
       this.hidden = new Set();
       this.build();
       this.show(this.views[0]);
@@ -42,9 +44,25 @@
       this.middle = data.low.map((v, k) => 0.5 * (v + data.high[k]));
       this.floor = data.low[2];
       this.reach = 0.5 * Math.hypot(...data.low.map((v, k) => data.high[k] - v)) || 1;
+      this.fit(data.low, data.high);
       this.slider.max = this.time.length - 1;
       this.partButtons();
       this.draw();
+    }
+
+    // how far the box of all that moves reaches to the side and upwards, from where a view begins
+    fit(low, high) {
+      const at = [], own = { turn: this.turn, lift: this.lift };
+      for (let k = 0; k < 8; k++) at.push(...low.map((v, i) => ((k >> i) & 1 ? high[i] : v)));
+      Object.assign(this, BEGIN);
+      const c = this.placed({ kind: "line", at });
+      Object.assign(this, own);
+      this.aside = this.above = 0.05 * this.reach;
+      for (let i = 0; i < c.length; i += 3) {
+        const near = (4 * this.reach) / (4 * this.reach - c[i + 2]);
+        this.aside = Math.max(this.aside, Math.abs(c[i]) * near);
+        this.above = Math.max(this.above, Math.abs(c[i + 1]) * near);
+      }
     }
 
     build() {
@@ -73,7 +91,7 @@
         this.draw();
       }, { passive: false });
       this.canvas.ondblclick = () => {
-        Object.assign(this, { turn: -0.6, lift: 0.35, zoom: 1, shift: [0, 0] });
+        Object.assign(this, { ...BEGIN, zoom: 1, shift: [0, 0] });
         this.draw();
       };
       this.label();
@@ -167,7 +185,7 @@
       const pen = this.canvas.getContext("2d");
       pen.setTransform(dense, 0, 0, dense, 0, 0);
       pen.clearRect(0, 0, wide, high);
-      const unit = (0.46 * Math.min(wide, 1.6 * high) * this.zoom) / this.reach, eye = 4 * this.reach;
+      const unit = 0.46 * this.zoom * Math.min(wide / this.aside, high / this.above), eye = 4 * this.reach;
       const spot = (c, i) => {
         const near = eye / (eye - c[i + 2]);
         return [wide / 2 + this.shift[0] + unit * near * c[i], high / 2 + this.shift[1] - unit * near * c[i + 1]];
