@@ -33,12 +33,15 @@ QUICK: dict[str, Any] = {
     "max_rounds": 4,
     "max_effects": 2,
     "scan_seconds": 20.0,
+    "refit_seconds": 12.0,
     "linear_error": 0.2,  # fits end earlier, so that linear evidence at their ends is rougher
 }
 # steps of twice the length cost half, where the numerics gate lets them pass
 FIRST: dict[str, Any] = {
     "noise_rounds": 1,
     "first_step": 2.0,
+    "first_mesh": 2.0,
+    "dear_seconds": 0.3,
     "fit_rtol": 0.01,
     "bend_after": 0,
 }

@@ -315,7 +315,7 @@ def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:
         "unrepeatable": UNREPEATABLE,
         "num_simulations": case.model.simulations.count - case.num_simulated,
         "search": asdict(case.settings.search),
-        "numerics": None if case.numerics is None else asdict(case.numerics),
+        "numerics": None if (made := null.fit.problem.stands_for) is None else asdict(made),
         **({} if search is None else _trouble(search)),
         "versions": {
             "python": platform.python_version(),

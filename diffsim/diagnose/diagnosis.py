@@ -14,20 +14,24 @@ from diffsim.core.threads import one_blas_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.assemble import Checks, report_of, tested
+from diffsim.diagnose.coarse import Told, begun, coarse_gate, corrected, renewed_at
 from diffsim.diagnose.fit import Case, Null, Progress, null_fit, silent
 from diffsim.diagnose.gates import (
+    NUMERICS_LAMBDA,
     GateResult,
     data_gate,
     effort_gate,
     numerical_effects,
+    refit_gate,
     repeatability_gate,
     scan_gate,
 )
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.judge import Decision, Judgment, decision_of, judge
 from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.referee import Referee, referee_of
-from diffsim.diagnose.refine import checked_numerics, under
+from diffsim.diagnose.refine import Refined, checked_numerics, under
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen, screen
 from diffsim.diagnose.search import Search, begin, search_sets, with_numerics
@@ -41,6 +45,8 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
+FIRST_SHARE = 0.4  # of the gradient checks' time, where simulations are dear
+MAX_TOLD = 3  # times that finer simulations are made at an answer
 MAX_SEARCHES = 3  # each may end at a set that needs finer numerical settings
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
@@ -86,21 +92,25 @@ def diagnose(
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))
     case.progress("null fit", 0.0, "the model without effects")
+    case, once = begun(case)
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")
-    null, checks, simulations = _checked(null, gates, cache, started)
+    null, checks, simulations = _checked(null, gates, cache, started, once)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = _screened(checks.center)
         frozen = report_of(null, checks, Judgment(decision), screened, seed, bank)
         return tested(frozen, study, seed)
-    search = search_rounds(null, simulations)
-    null = search.null
+    search, told = _told_again(search_rounds(null, simulations))
+    checks, null = checks.joined(told), search.null
     screened = _screened(search.plain)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
     referee = referee_of(search.fit_of(NONE), select)
-    late = scan_gate(len(search.simulations.scans_late), search.settings.scan_seconds)
+    late = (
+        *scan_gate(len(search.simulations.scans_late), search.settings.scan_seconds),
+        *refit_gate(search.num_late, search.settings.refit_seconds),
+    )
     checks, judgment = _judged(search, checks.joined(late), referee, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once
@@ -125,6 +135,31 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
         null = null.under(after)
     # the report shows the floor that the best set leaves
     return replace(search, null=replace(null, noise=after))
+
+
+def _told_again(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
+    """The search under a correction that holds at its answer, where coarse simulations have one.
+
+    Returns:
+        The search, and what coarse simulations have wrong at the answer.
+    """
+    size = 0.0
+    for round_ in range(MAX_TOLD):
+        null, fit = search.null, search.fit_of(decision_of(search).best)
+        if fit.problem.correction is None:
+            return search, ()
+        null.case.progress("search", 0.84, "finer simulations of the answer")
+        new, change, size = renewed_at(fit)
+        if size < NUMERICS_LAMBDA or round_ == MAX_TOLD - 1:
+            break
+        case = replace(null.case, correction=new)
+        if case.store is not None:
+            case = replace(case, store=case.store.beside(f"told{round_}"))
+        at = replace(null.at, record=null.at.record + change)
+        ended = gauss_newton(case.problem(null.noise.whitener), at)
+        null = Null(case, null.noise, *ended, null.num_spikes)
+        search = search_rounds(null, search.simulations.moved(null, change, case.store))
+    return search, (coarse_gate(size, search.null.fit.problem),)
 
 
 def _settled(null: Null, simulations: Simulations) -> Search:
@@ -180,12 +215,17 @@ def _case(
 
 
 def _checked(
-    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, started: float
+    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, started: float, once: float
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
-    refined = checked_numerics(null)
-    null, changes = refined.null, refined.changes
-    gates = (*gates, *refined.gates)
+    found: Told | Refined
+    if once > 0.0:
+        null, found = corrected(null, once)
+    else:
+        found = checked_numerics(null)
+        null = found.null
+    changes = found.changes
+    gates = (*gates, *found.gates)
     case = null.case
     if case.settings.accept_numerics:
         case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
@@ -196,8 +236,9 @@ def _checked(
     at, simulations = simulations.screen(NONE, None)
     center = simulations.center(NONE, at, 1)
     spent = process_time() - started
+    share = GRADIENT_SHARE if once == 0.0 else FIRST_SHARE * GRADIENT_SHARE
     case.progress("checks", 0.2, "gradients")
-    gates = (*gates, *gradient_gate(center.evidence, GRADIENT_SHARE * spent))
+    gates = (*gates, *gradient_gate(center.evidence, share * spent))
     case.progress("checks", 0.25, "gradients are checked")
     return null, Checks(gates, changes, center), simulations
 
@@ -226,5 +267,6 @@ def _key(case: Case) -> str:
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
     fits = case.settings.fit_rtol, case.settings.bend_after
-    settings = (case.settings.jacobian, case.numerics, fits)
+    told = None if case.correction is None else case.correction.key
+    settings = (case.settings.jacobian, case.numerics, fits, told)
     return key_of(case.study, case.model, causes, generic, *settings, __version__)

@@ -15,6 +15,7 @@ from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.store import Store
 from diffsim.diagnose.windows import first_fit
 from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
+from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import (
@@ -50,6 +51,7 @@ class Case:
         unmet: What the study lacks for the candidates that were left out, by name.
         num_simulated: Simulations that the model had made before.
         numerics: Refined numerical settings of all simulations; None: the model's own.
+        correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
         num_tests: Test runs that are kept, and looked at after the answer is frozen.
     """
 
@@ -63,6 +65,7 @@ class Case:
     unmet: Mapping[str, str] = field(default_factory=dict)
     num_simulated: int = 0
     numerics: Numerics | None = None
+    correction: Correction | None = None
     num_tests: int = 0
 
     def problem(self, whitener: Whitener) -> Problem:
@@ -77,6 +80,7 @@ class Case:
             workers=s.workers,
             fit_rtol=s.fit_rtol,
             bend_after=s.bend_after,
+            correction=self.correction,
         )
 
 

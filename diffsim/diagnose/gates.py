@@ -24,7 +24,7 @@ NUMERICS_LAMBDA = 2.0
 # Of what a cause does, from which refining a setting once could be the cause: all further
 # refinements of a first-order method change as much again, and near kinks none are in proportion.
 NUMERICS_SHARE = 0.25
-FIRST_ANSWER = "first_answer"
+FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
 ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
 REPEATS = "repeats:"
@@ -248,6 +248,19 @@ def scan_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
         return ()
     note = f"groups of causes not tried over decades: {seconds:g} CPU s were over before"
     return (GateResult("scan_budget", False, float(num_late), 0.0, note),)
+
+
+def refit_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
+    """Whether the budget ended before all rivals of the best set were refitted.
+
+    Args:
+        num_late: Sets that keep their linear evidence.
+        seconds: The budget [CPU s].
+    """
+    if num_late == 0:
+        return ()
+    note = f"{num_late} rival sets were not refitted, as {seconds:g} CPU s were over"
+    return (GateResult(LATE, False, float(num_late), 0.0, note, applies=False),)
 
 
 def repeatability_gate(fit: Fit) -> list[GateResult]:

@@ -51,6 +51,7 @@ from diffsim.identify.unknown import Unknown
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
+FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
 LONG_STEP = 0.3  # prior sd: a last step is simulated
 STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
@@ -68,6 +69,7 @@ class Search:
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
+        num_late: Rivals that keep their linear evidence, as ``refit_seconds`` were over.
         numerics: Numerical settings at sets where they were checked.
     """
 
@@ -78,6 +80,7 @@ class Search:
     linear: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
     failed: Mapping[Hypothesis, str] = field(default_factory=dict)
     borrowed: Mapping[Members, str] = field(default_factory=dict)
+    num_late: int = 0
     numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
 
     @property
@@ -161,26 +164,31 @@ def begin(null: Null, simulations: Simulations) -> Search:
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
+    until = process_time() + search.settings.refit_seconds
     center, search = _from_data_sheet(search)
     if center is search.plain:
         center, search = _scanned(search, search.plain)
         search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
         ranked, search = _promising(search, center)
-        for members in ranked[: search.settings.num_refits]:
-            search = refit(search, members, center)
+        for k, members in enumerate(ranked[: search.settings.num_refits]):
+            if k == 0 or process_time() < until:
+                search = refit(search, members, center)
         search = repaired(search)
         best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
         if best == center.members:
             break
         center, search = _center(search, best, center)
-    return _weigh_unknowns(repaired(_refit_rivals(search, center)), center)
+        if process_time() > until:
+            break
+    return _weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
 def with_numerics(search: Search, members: Members) -> Search:
     """Check the numerical settings at the fit of a set, once; at that of the plain model they were
-    checked before."""
-    accepted = search.null.case.settings.accept_numerics
+    checked before; those of corrected simulations are checked by their correction."""
+    case = search.null.case
+    accepted = case.settings.accept_numerics or case.correction is not None
     if accepted or members == NONE or members in search.numerics:
         return search
     record = search.simulations.fitted[members].record
@@ -197,7 +205,9 @@ def _from_data_sheet(search: Search) -> tuple[Center, Search]:
     search = replace(search, simulations=made)
     if sheet is not None:
         ranked = promising_sets(sheet, search.settings.max_effects)
-        until = process_time() + search.settings.scan_seconds
+        settings = search.settings
+        seconds = min(settings.scan_seconds, FROM_SHEET * settings.refit_seconds)
+        until = process_time() + seconds
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
             if process_time() < until:
                 search = refit(search, members, sheet, begin=cooled)
@@ -361,11 +371,21 @@ def _promising(search: Search, center: Center) -> tuple[list[Members], Search]:
     return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s]), search
 
 
-def _refit_rivals(search: Search, center: Center) -> Search:
-    """Refit what could be a rival of the best set, or show that a member is not needed."""
+def _refit_rivals(search: Search, center: Center, until: float) -> Search:
+    """Refit what could be a rival of the best set, or show that a member is not needed.
+
+    Args:
+        search: Sets that were weighed so far.
+        center: The best set.
+        until: CPU time after which the rest keeps its linear evidence, subsets apart [s].
+    """
     slack = search.linear_slack(center.members)
     plain, best = search.nats(Hypothesis()), search.nats(Hypothesis(center.members))
-    for members in search.neighbors(center.members):
+    neighbors = search.neighbors(center.members)
+    if np.isfinite(until):  # what could decide most comes first
+        nats, search = _with_linear(search, center, neighbors)
+        neighbors.sort(key=lambda s: (not s < center.members, -nats[s]))
+    for members in neighbors:
         enough = best + KEEP_NATS if members > center.members else best - ALONE_NATS
         if members < center.members:
             enough = best - KEEP_NATS
@@ -373,6 +393,9 @@ def _refit_rivals(search: Search, center: Center) -> Search:
             enough = max(enough, plain + KEEP_NATS)
         nats, search = _with_linear(search, center, [members])
         if nats[members] > enough - slack:
+            if process_time() > until and not members < center.members:
+                search = replace(search, num_late=search.num_late + 1)
+                continue
             search = refit(search, members, center)
     return search
 

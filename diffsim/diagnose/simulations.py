@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import process_time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +104,32 @@ class Simulations:
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
         return replace(self, wide=null.wide).kept(NONE, null.at)
+
+    def moved(self, null: Null, change: Array, store: Store | None) -> Simulations:
+        """The same under another correction: records differ by as much everywhere, slopes stay.
+
+        Args:
+            null: Fit of the plain model under it.
+            change: What is added to the record of the fitted runs, (N,) [unit of the channel].
+            store: Where results under this correction are kept.
+        """
+
+        def of(at: Linearization) -> Linearization:
+            return replace(at, record=at.record + change)
+
+        def tried(scans: Mapping[tuple[Members, Members], Scan]) -> Mapping[Any, Scan]:
+            return {k: s if s.at is None else replace(s, at=of(s.at)) for k, s in scans.items()}
+
+        made = replace(
+            self,
+            store=store,
+            fitted={k: of(at) for k, at in self.fitted.items()},
+            screened={k: of(at) for k, at in self.screened.items()},
+            scans=tried(self.scans),
+            sheet=None if self.sheet is None else of(self.sheet),
+            sheet_scans=tried(self.sheet_scans),
+        )
+        return made.under(null)
 
     def coordinates(self, members: Members) -> list[int]:
         """Wide coordinates of the base parameters and of a set."""

@@ -32,6 +32,10 @@ class Store:
     def __init__(self, folder: str | Path, key: str):
         self.folder = Path(folder) / key
 
+    def beside(self, label: str) -> Store:
+        """Files of the same, simulated another way."""
+        return Store(self.folder.parent, f"{self.folder.name}-{label}")
+
     def save(self, name: str, at: Linearization) -> None:
         """Write a linearization to the folder."""
         self.save_arrays(

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.gates import FIRST_ANSWER, NUMERICS_GATES, REPEATS, GateResult
+from diffsim.diagnose.gates import COARSE, FIRST_ANSWER, LATE, NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED, Decision
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.records import (
@@ -274,7 +274,8 @@ def sentences(
         and (g.name not in NUMERICS_GATES or answer.verdict != "numerical")
         and not g.name.startswith(REPEATS)
     ]
-    out += [f"A first answer: {g.note}." for g in answer.gates if g.name == FIRST_ANSWER]
+    first = (FIRST_ANSWER, COARSE, LATE)
+    out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)
 
 

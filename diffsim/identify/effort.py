@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from diffsim.identify.jacobian import Jacobian
@@ -22,6 +23,8 @@ class SearchSettings:
         linear_error: Further error of linear evidence, as a share of the misfit [-].
         scan_points: Largest number of sizes of effects with kinks that are tried before fits.
         scan_seconds: CPU time of these trials after which no further effect is tried [s].
+        refit_seconds: CPU time of a search after which rivals of the best set keep their linear
+            evidence [s]; infinite: all that could win are refitted.
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
@@ -33,6 +36,7 @@ class SearchSettings:
     linear_error: float = 0.1
     scan_points: int = 400
     scan_seconds: float = 150.0
+    refit_seconds: float = math.inf
     num_starts: int = 3
     unknown_steps: int = 3
 
@@ -50,6 +54,10 @@ class DiagnosisSettings:
             time step, mesh and tolerance are refined where the numerics gate fails; 1: never.
         first_step: Factor on the model's own time step to begin with; above 1 for first answers,
             as the numerics gate refines what is too coarse.
+        first_mesh: Factor on the size of the model's own cells to begin with, where that pays.
+        dear_seconds: CPU time of a simulation of all fitted runs from which an answer begins with
+            ``first_mesh``, and is told once what finer settings change (``Correction``) instead of
+            simulating everything with them [s]; infinite: never.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
@@ -64,6 +72,8 @@ class DiagnosisSettings:
     accept_numerics: bool = False
     refine_budget: float = 8.0
     first_step: float = 1.0
+    first_mesh: float = 1.0
+    dear_seconds: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     fit_rtol: float = FIT_RTOL
     bend_after: int | None = None

@@ -115,7 +115,7 @@ def extended_model(fit: Fit) -> ExtendedModel:
         A model whose base parameters are the old ones, then the sizes ("wind.x").
     """
     problem = fit.problem
-    return extended_at(problem.model, problem.effects, fit.values, fit.sd, problem.numerics)
+    return extended_at(problem.model, problem.effects, fit.values, fit.sd, problem.stands_for)
 
 
 def extended_at(

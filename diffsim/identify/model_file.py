@@ -113,7 +113,7 @@ def save_extended(
         "study": study.name,
         **({} if study.model is not None else {"setup": study.metadata.get("setup")}),
         "verdict": verdict,
-        **({} if problem.numerics is None else {"numerics": asdict(problem.numerics)}),
+        **({} if problem.stands_for is None else {"numerics": asdict(problem.stands_for)}),
         "prepared_at": None
         if prepared is None
         else dict(zip(problem.names, prepared.tolist(), strict=False)),

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
+from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
@@ -53,6 +54,7 @@ class Problem:
         fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
         bend_after: Number of times that a fit has simulated its slopes again, from which steps use
             what these show beyond Gauss-Newton; None: never.
+        correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
     """
 
     model: SimModel
@@ -64,6 +66,13 @@ class Problem:
     workers: int = 1
     fit_rtol: float = FIT_RTOL
     bend_after: int | None = None
+    correction: Correction | None = None
+
+    @property
+    def stands_for(self) -> Numerics | None:
+        """Numerical settings that the records stand for: those of the simulations, or the finer
+        ones that these are corrected by; None: the model's own."""
+        return self.numerics if self.correction is None else self.correction.finest
 
     @property
     def num_base(self) -> int:
@@ -159,28 +168,36 @@ class Problem:
         """Predicted channels, (num_samples, num_channels)."""
         sizes = self.sizes_at(x)
         self._require_finite(run, x[: self.num_base], sizes)
-        out = self.model.predict(run, x[: self.num_base], sizes, self.numerics)
-        return self._of_shape(run, out, run.measured.shape)
+        out = self.model.predict(run, self._simulated_at(x), sizes, self.numerics)
+        return self._corrected(run, self._of_shape(run, out, run.measured.shape))
 
     def shape_at(self, run: Run, x: Tensor) -> MovingShape | None:
         """What moves in the run as it is simulated; None where models show nothing."""
-        q, sizes = x[: self.num_base], self.sizes_at(x)
+        q, sizes = self._simulated_at(x), self.sizes_at(x)
         return self.model.shape_at(run, q, sizes, self.numerics)
+
+    def _simulated_at(self, x: Tensor) -> Tensor:
+        """Standardized base parameters of the simulations, (..., num_base)."""
+        q = x[..., : self.num_base]
+        return q if self.correction is None else q + self.correction.shift
+
+    def _corrected(self, run: Run, out: Tensor) -> Tensor:
+        return out if self.correction is None else out + self.correction.of(run)
 
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
-        return self._predict_many(run, x[:, : self.num_base], self.sizes_at(x))
+        return self._predict_many(run, self._simulated_at(x), self.sizes_at(x))
 
     def _predict_scaled(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points in scaled coordinates."""
         u = torch.stack(list(points))
-        return self._predict_many(run, u[:, : self.num_base], self._sizes(u[:, self.num_base :]))
+        return self._predict_many(run, self._simulated_at(u), self._sizes(u[:, self.num_base :]))
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
         self._require_finite(run, q, sizes)
         out = self.model.predict_many(run, q, sizes, self.numerics)
-        return self._of_shape(run, out, (len(q), *run.measured.shape))
+        return self._corrected(run, self._of_shape(run, out, (len(q), *run.measured.shape)))
 
     def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
         if tuple(out.shape) != shape:
@@ -299,11 +316,11 @@ class Problem:
         here, columns = given
         shape = run.measured.shape
         columns = self._of_shape(run, columns, (len(stencils), *shape))
-        here = self._of_shape(run, here, shape)
+        here = self._corrected(run, self._of_shape(run, here, shape))
         return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
 
     def _point(self, scaled: Tensor) -> Point:
-        return Point(scaled[: self.num_base], self._sizes(scaled[self.num_base :]))
+        return Point(self._simulated_at(scaled), self._sizes(scaled[self.num_base :]))
 
     def _line(self, at: Tensor, i: int, stencil: Stencil) -> Line:
         """Points of a stencil along scaled coordinate i."""

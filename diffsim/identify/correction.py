@@ -1,0 +1,130 @@
+"""Coarse simulations that are told once what finer ones would say.
+
+A first answer simulates with few cells and long steps. What these get wrong is mostly a shift of
+parameters (coarse cells are too stiff, long steps too slow) and little else. So with base
+parameters q and the sizes s of causes
+
+    S(q, s) = S_0(q + sum_k shift_k, s) + sum_k d_k,
+    d_k = S_k(x) - S_0(x + shift_k) at one point x,
+
+with one finer simulation S_k of each run for every setting that is refined: finer cells need not
+take shorter steps too. This is space mapping with an output correction (Bandler et al., IEEE Trans.
+Microwave Theory Tech. 52, 2004). Shifts add up where records do not: a phase that is off twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim.identify.numerics import Numerics
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Finer:
+    """One setting refined.
+
+    Attributes:
+        numerics: Settings, finer than the coarse ones in one respect.
+        shift: What coarse simulations add to the base parameters for it, standardized, (num_base,).
+    """
+
+    numerics: Numerics
+    shift: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What finer settings change of the records of a problem, told at one point.
+
+    Attributes:
+        problem: ``Problem`` with the coarse settings, without a correction.
+        x: Point at which finer simulations are made, in its standardized coordinates, (n,).
+        finer: Settings that were refined, one in each.
+    """
+
+    problem: Any
+    x: Array
+    finer: tuple[Finer, ...]
+    _kept: dict[tuple[str, int], tuple[object, Tensor]] = field(default_factory=dict, repr=False)
+
+    @property
+    def shift(self) -> Tensor:
+        """What coarse simulations add to the base parameters, standardized, (num_base,)."""
+        total = np.zeros(self.problem.num_base)
+        for one in self.finer:
+            total = total + one.shift
+        return torch.from_numpy(total)
+
+    @property
+    def finest(self) -> Numerics:
+        """The settings that the corrected records stand for."""
+        made: Numerics = self.problem.numerics or Numerics()
+        for one in self.finer:
+            steps = zip(_factors(one.numerics), _factors(self.problem.numerics), strict=True)
+            made = made.refined(Numerics(*(fine / coarse for fine, coarse in steps)))
+        return made
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells it from others of the same problem."""
+        return (self.x.tobytes(), *((f.numerics, f.shift.tobytes()) for f in self.finer))
+
+    def of(self, run: Run) -> Tensor:
+        """What is added to the coarse record of a run, (num_samples, num_channels); simulated when
+        it is first asked for."""
+        key = (run.name, id(run.measured))  # which is kept, so its id stays its own
+        if key not in self._kept:
+            with torch.no_grad():
+                self._kept[key] = (run.measured, self._simulated(run))
+        return self._kept[key][1]
+
+    def over(self, runs: Sequence[Run]) -> Array:
+        """The same for several runs in a row, (N,)."""
+        return np.concatenate([self.of(run).numpy().ravel() for run in runs])
+
+    def known(self, runs: Sequence[Run], added: Array) -> Correction:
+        """The correction with what is added to some runs, (N,), where that was simulated before."""
+        parts = np.split(added, np.cumsum([run.measured.size for run in runs])[:-1])
+        for run, part in zip(runs, parts, strict=True):
+            value = torch.from_numpy(part.reshape(run.measured.shape).copy())
+            self._kept[run.name, id(run.measured)] = (run.measured, value)
+        return self
+
+    def at(self, problem: Any, x: Array) -> Correction:
+        """The correction told at another point.
+
+        Args:
+            problem: Problem with the same model and settings; its effects may be others.
+            x: Its standardized coordinates.
+        """
+        return Correction(replace(problem, correction=None), x, self.finer)
+
+    def _simulated(self, run: Run) -> Tensor:
+        point = torch.from_numpy(np.array(self.x))
+        total = torch.zeros(run.measured.shape, dtype=torch.float64)
+        for one in self.finer:
+            moved = point.clone()
+            moved[: len(one.shift)] += torch.from_numpy(one.shift)
+            fine = replace(self.problem, numerics=one.numerics)
+            total = total + fine.predict(run, point) - self.problem.predict(run, moved)
+        return total
+
+
+def _factors(numerics: Numerics | None) -> tuple[float, float, float]:
+    factors = numerics or Numerics()
+    return factors.time_step, factors.mesh, factors.tolerance
+
+
+__all__ = ["Correction", "Finer"]
