@@ -42,6 +42,7 @@ FIRST: dict[str, Any] = {
     "first_step": 2.0,
     "first_mesh": 2.0,
     "dear_seconds": 0.3,
+    "again_seconds": 12.0,
     "fit_rtol": 0.01,
     "bend_after": 0,
 }

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
+import torch
 from threadpoolctl import threadpool_limits
 
 P = ParamSpec("P")
@@ -13,15 +15,26 @@ R = TypeVar("R")
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """A function that uses one thread of BLAS, as do threads that it starts.
+    """A function that uses one thread of BLAS and of torch, as do threads that it starts.
 
-    Matrices of a fit are too small to share: threads that wait for each other took three quarters
-    of the CPU time. Kernels and other threads are not limited.
+    Arrays of a fit are too small to share: threads of BLAS that wait for each other took three
+    quarters of the CPU time. Beside other work a second thread of torch made sums over 42 nodes a
+    thousand times slower. Kernels and other threads are not limited.
     """
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with threadpool_limits(limits=1, user_api="blas"):
+        with threadpool_limits(limits=1, user_api="blas"), _one_torch_thread():
             return function(*args, **kwargs)
 
     return limited
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

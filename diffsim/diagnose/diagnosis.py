@@ -163,15 +163,19 @@ def _told_again(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 
 
 def _settled(null: Null, simulations: Simulations) -> Search:
-    """Search under numerical settings that are fine enough for the best set, as far as the budget
-    allows; simulations under coarser ones do not serve."""
+    """Search under numerical settings that are fine enough for the best set, as far as the budgets
+    allow; simulations under coarser ones do not serve."""
     for _ in range(MAX_SEARCHES):
+        started = process_time()
         search = search_sets(begin(null, simulations))
+        seconds = process_time() - started
         best = decision_of(search).best
         search = with_numerics(search, best)
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:
             break
+        if seconds > null.case.settings.again_seconds:
+            return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
         null = _stored_anew(under(null, checked.finer), simulations)
         simulations = Simulations(null.wide, null.case.store).under(null)

@@ -66,6 +66,12 @@ class SetNumerics:
     gates: tuple[GateResult, ...]
     finer: Numerics | None
 
+    def postponed(self) -> SetNumerics:
+        """The same, the finer settings left to a full answer."""
+        left = "; a first answer goes on, a full one searches with finer settings"
+        gates = (g if g.passed else replace(g, note=g.note + left) for g in self.gates)
+        return SetNumerics(self.changes, tuple(gates), None)
+
 
 def numerics_of(null: Null, fit: Fit, record: Array) -> SetNumerics:
     """Check the settings at the fit of a set of causes.
@@ -84,7 +90,7 @@ def numerics_of(null: Null, fit: Fit, record: Array) -> SetNumerics:
         own = replace(fit.problem, numerics=None)
         once = min(_timed(own, fit.x)[1] for _ in range(TIMINGS))
         finer, _, _, paid = _refined(fit, settings.refine_budget, changes, gates, once)
-    noted = _noted(gates, fit.problem.numerics, paid, settings.refine_budget)
+    noted = _noted(gates, fit.problem.numerics, paid, settings.refine_budget, finer == used)
     noted = tuple(replace(g, note=f"{g.note}; with the named causes") for g in noted)
     return SetNumerics(changes, noted, None if finer == used else finer)
 
@@ -179,7 +185,11 @@ def _timed(problem: Problem, x: Array) -> tuple[Array, float]:
 
 
 def _noted(
-    gates: Sequence[GateResult], numerics: Numerics | None, paid: float, budget: float
+    gates: Sequence[GateResult],
+    numerics: Numerics | None,
+    paid: float,
+    budget: float,
+    is_spent: bool = True,
 ) -> tuple[GateResult, ...]:
     out = []
     for gate in gates:
@@ -189,7 +199,7 @@ def _noted(
             note += f"; {factor:g} times as coarse as the model's own"
         if factor < 1.0:
             note += f"; refined by {1.0 / factor:g}, a simulation costs {paid:.2g} times as much"
-        if not gate.passed:
+        if not gate.passed and is_spent:
             note += f"; finer would cost more than the budget of {budget:g} times"
         out.append(replace(gate, note=note))
     return tuple(out)

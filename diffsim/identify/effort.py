@@ -58,6 +58,8 @@ class DiagnosisSettings:
         dear_seconds: CPU time of a simulation of all fitted runs from which an answer begins with
             ``first_mesh``, and is told once what finer settings change (``Correction``) instead of
             simulating everything with them [s]; infinite: never.
+        again_seconds: CPU time of a search up to which it is repeated where the best set needs
+            finer numerical settings [s]; else the page says what these change. Infinite: repeated.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
@@ -74,6 +76,7 @@ class DiagnosisSettings:
     first_step: float = 1.0
     first_mesh: float = 1.0
     dear_seconds: float = math.inf
+    again_seconds: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     fit_rtol: float = FIT_RTOL
     bend_after: int | None = None

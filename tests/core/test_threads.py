@@ -13,6 +13,7 @@ import torch
 
 from diffsim import copter, linalg, mesh, soft, stokes
 from diffsim.core.check_options import MAX_THREADS
+from diffsim.core.threads import one_blas_thread
 
 TOO_MANY = MAX_THREADS + 1
 
@@ -43,6 +44,29 @@ def test_threads_that_the_system_refuses_raise():
     refused, after = done.stdout.splitlines()
     assert refused.startswith("num_threads is 300, and the system refused to start more than ")
     assert float(after) == 6e5
+
+
+def test_fits_take_one_thread_of_torch_and_give_it_back():
+    before = torch.get_num_threads()
+    found: list[int] = []
+
+    @one_blas_thread
+    def fit(fails: bool) -> None:
+        other = threading.Thread(target=lambda: found.append(torch.get_num_threads()))
+        other.start()
+        other.join()
+        found.append(torch.get_num_threads())
+        if fails:
+            raise ValueError("no fit")
+
+    try:
+        torch.set_num_threads(2)
+        fit(False)
+        with pytest.raises(ValueError, match="no fit"):
+            fit(True)
+        assert found == [1, 1, 1, 1] and torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
 
 
 def eye(n: int) -> torch.Tensor:
