@@ -55,7 +55,7 @@ def hears_ctrl_c() -> None:
         ("examples/softbody/cantilever.py", 0.3),
         ("examples/copter/hexarotor.py", 3.0),
         ("rl/train_gradient.py", 0.8),
-        ("-m diffsim info", 0.05),
+        ("-m diffsim fly pentacopter", 0.15),
         ("-m diffsim fly pentacopter", 1.0),
     ],
 )
