@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-CASES = ("arm", "stand", "rubber", "plate", "manifold", "finger")
+CASES = (
+    "arm", "stand", "rubber", "plate", "manifold", "finger", "quadrotor", "quadrotor_thrust",
+)  # fmt: skip
 
 
 def main() -> None:
