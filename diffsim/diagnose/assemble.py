@@ -31,10 +31,11 @@ from diffsim.diagnose.referee import Referee
 from diffsim.diagnose.refine import SetNumerics
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen
-from diffsim.diagnose.search import Search, refit, with_numerics
+from diffsim.diagnose.search import refit, with_numerics
 from diffsim.diagnose.simulations import NONE, Center
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
 from diffsim.diagnose.unseen import on_unseen
+from diffsim.diagnose.weighed_sets import Search
 from diffsim.diagnose.wording import Answer, headline, sentences
 from diffsim.identify import Fit
 from diffsim.identify.unknown import UnknownForce

@@ -26,7 +26,7 @@ from diffsim.diagnose.left_out import (
     moved,
 )
 from diffsim.diagnose.records import Interval
-from diffsim.diagnose.search import Search
+from diffsim.diagnose.weighed_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, is_of_run
 

@@ -34,9 +34,10 @@ from diffsim.diagnose.referee import Referee, referee_of
 from diffsim.diagnose.refine import Refined, checked_numerics, under
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen, screen
-from diffsim.diagnose.search import Search, begin, search_sets, with_numerics
+from diffsim.diagnose.search import begin, search_sets, with_numerics
 from diffsim.diagnose.simulations import NONE, Center, Simulations
 from diffsim.diagnose.store import Store, key_of
+from diffsim.diagnose.weighed_sets import Search
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run

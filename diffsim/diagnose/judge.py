@@ -16,8 +16,9 @@ from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.referee import Referee, gain_over
-from diffsim.diagnose.search import Search, refit, weigh_unknowns_beside
+from diffsim.diagnose.search import refit, weigh_unknowns_beside
 from diffsim.diagnose.simulations import Members
+from diffsim.diagnose.weighed_sets import Search
 
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains

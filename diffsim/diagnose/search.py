@@ -9,22 +9,21 @@ its subsets.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
+from diffsim.diagnose.beside_unknowns import weigh_unknowns
 from diffsim.diagnose.evidence import (
     ALONE_NATS,
     KEEP_NATS,
     Hypothesis,
-    LaplaceEvidence,
     Weighed,
     families,
-    unrealized,
 )
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.from_sheet import (
@@ -34,119 +33,19 @@ from diffsim.diagnose.from_sheet import (
     has_left,
     promising_sets,
 )
-from diffsim.diagnose.refine import SetNumerics, numerics_of
-from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
+from diffsim.diagnose.refine import numerics_of
+from diffsim.diagnose.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
+from diffsim.diagnose.weighed_sets import Search
 from diffsim.identify import Fit, Problem
-from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import (
     Linearization,
-    linearization_at,
-    measured_of,
-    record_at,
-    whitened,
 )
-from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
-LONG_STEP = 0.3  # prior sd: a last step is simulated
-STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """Sets that were weighed so far; every step returns a copy with what it adds.
-
-    Attributes:
-        null: The plain model under its noise floor.
-        simulations: Fits and slopes behind the evidence.
-        plain: The plain model as a center.
-        weighed: Refitted sets, and sets with an unknown cause, at their own linearization where
-            the verdict hangs on it.
-        linear: Sets that have linear evidence only.
-        failed: Why a set could not be simulated.
-        borrowed: Why slopes of an earlier center serve at a set.
-        num_late: Rivals that keep their linear evidence, as ``refit_seconds`` were over.
-        numerics: Numerical settings at sets where they were checked.
-    """
-
-    null: Null
-    simulations: Simulations
-    plain: Center
-    weighed: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
-    linear: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
-    failed: Mapping[Hypothesis, str] = field(default_factory=dict)
-    borrowed: Mapping[Members, str] = field(default_factory=dict)
-    num_late: int = 0
-    numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
-
-    @property
-    def wide(self) -> Problem:
-        """Problem with all candidate effects."""
-        return self.simulations.wide
-
-    @property
-    def unknowns(self) -> tuple[Unknown, ...]:
-        """Generic causes of the case."""
-        return self.null.case.unknowns
-
-    @property
-    def settings(self) -> SearchSettings:
-        """Effort of the search."""
-        return self.null.case.settings.search
-
-    @property
-    def num_families(self) -> int:
-        """Families of effects and unknown causes to choose from."""
-        return families(self.wide.effects, self.unknowns)
-
-    def nats(self, key: Hypothesis) -> float:
-        """Evidence of a set that was weighed."""
-        return self.weighed[key].nats
-
-    def fit_of(self, members: Members) -> Fit:
-        """Fit of a set that was refitted."""
-        fit = self.weighed[Hypothesis(members)].fit
-        assert fit is not None  # sets without an unknown cause are fitted
-        return fit
-
-    def neighbors(self, members: Members) -> list[Members]:
-        """Sets with one effect more, one less, or one swapped, or a masking pair more."""
-        others = [i for i in range(len(self.wide.effects)) if i not in members]
-        more = [members | {i} for i in others] if len(members) < self.settings.max_effects else []
-        less = [members - {i} for i in members]
-        swapped = [(members - {i}) | {j} for i in members for j in others]
-        room = self.settings.max_effects - len(members)
-        pairs = [members | pair for pair in masking_pairs(self.wide.effects, members, room)]
-        return [s for s in (*more, *pairs, *less, *swapped) if self._lies_once(s)]
-
-    def _lies_once(self, members: Members) -> bool:
-        """Whether no two effects of a set share one place in time."""
-        families = [e.family for i in members if (e := self.wide.effects[i]).locate is not None]
-        return len(set(families)) == len(families)
-
-    def linear_slack(self, members: Members) -> float:
-        """Largest error of linear evidence at a set [nats]."""
-        fit = self.fit_of(members)
-        misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-        return self.settings.rival_nats + self.settings.linear_error * misfit
-
-    def best_cost(self) -> float:
-        """Half the lowest cost of all fits [nats]."""
-        fits = [w.fit for w in self.weighed.values() if w.fit is not None]
-        return 0.5 * min(f.chi2 + f.prior for f in fits)
-
-    def with_fit(self, members: Members, fit: Fit) -> Search:
-        """The search with the evidence of a fit, which needs the set's own columns only."""
-        own = LaplaceEvidence(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
-        weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
-        nats, key = weighed.nats - unrealized(fit, weighed), Hypothesis(members)
-        entry = replace(weighed, nats=nats, chi2=fit.chi2, fit=fit)
-        linear = {h: w for h, w in self.linear.items() if h != key}
-        return replace(self, weighed={**self.weighed, key: entry}, linear=linear)
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -181,7 +80,7 @@ def search_sets(search: Search) -> Search:
         center, search = _center(search, best, center)
         if process_time() > until:
             break
-    return _weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
+    return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
 def with_numerics(search: Search, members: Members) -> Search:
@@ -329,7 +228,7 @@ def weigh_unknowns_beside(search: Search, members: Members) -> Search:
     if not search.unknowns or Hypothesis(members, 0) in search.weighed:
         return search
     center, search = _center(search, members, search.plain)
-    return _weigh_unknowns(search, center)
+    return weigh_unknowns(search, center)
 
 
 def _center(search: Search, members: Members, last: Center) -> tuple[Center, Search]:
@@ -398,71 +297,3 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
                 continue
             search = refit(search, members, center)
     return search
-
-
-def _weigh_unknowns(search: Search, center: Center) -> Search:
-    """The best set and its subsets, each with every unknown cause, where the set was fitted."""
-    places = {search.plain: [NONE]}
-    places[center] = [center.members, *(center.members - {i} for i in center.members)]
-    lies: dict[Hypothesis, LaplaceEvidence] = {}
-    for place, sets in places.items():
-        evidence, made = search.simulations.with_unknowns(
-            place, search.unknowns, search.num_families
-        )
-        keys = [Hypothesis(s, u) for s in sets for u in range(len(search.unknowns))]
-        new = {key: evidence for key in keys if key not in lies}  # the plain model comes first
-        lies |= new
-        weighed = {key: evidence.weigh(key) for key in new}
-        search = replace(search, simulations=made, weighed={**search.weighed, **weighed})
-    for key in sorted(lies, key=lambda h: -search.nats(h)):
-        if _could_decide(search, key, center.members):
-            search = _relinearized(search, key, lies[key])
-    return search
-
-
-def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
-    """Whether the verdict hangs on how exact this evidence is."""
-    ahead, slack = search.nats(key) - search.nats(Hypothesis(best)), search.settings.rival_nats
-    if key.effects >= best:
-        return abs(ahead - KEEP_NATS) < slack
-    return ahead > -ALONE_NATS
-
-
-def _relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> Search:
-    """A set with an unknown cause, linearized again at its own optimum.
-
-    Where the last step was large, a simulation at its end says what it is worth, if less.
-    """
-    assert key.unknown is not None
-    problem, cause = search.simulations.narrow(key.effects), search.unknowns[key.unknown]
-    own = search.simulations.coordinates(key.effects)
-    weighed, x0, last = search.weighed[key], evidence.x0, None
-    try:
-        for _ in range(search.settings.unknown_steps - 1):
-            x = weighed.x[own]
-            if np.abs(weighed.x - x0).max(initial=0.0) < STEP_ATOL:
-                break
-            last = linearization_at(problem, x), cause.responses(problem, x)
-            x0, weighed = weighed.x, _weighed_beside(search, problem, *last, own)
-        if last is not None and np.abs(weighed.x - x0).max(initial=0.0) > LONG_STEP:
-            x = weighed.x[own]
-            there = replace(last[0], x=x, record=record_at(problem, x))
-            simulated = _weighed_beside(search, problem, there, last[1], own)
-            weighed = min(weighed, simulated, key=lambda w: w.nats)
-    except DiffsimError as error:  # the step left what can be simulated: keep the last
-        search = replace(search, failed={**search.failed, key: str(error)})
-    return replace(search, weighed={**search.weighed, key: weighed})
-
-
-def _weighed_beside(
-    search: Search, problem: Problem, at: Linearization, response: Array, own: list[int]
-) -> Weighed:
-    """Evidence of all effects of a problem with an unknown cause, in wide coordinates."""
-    residual = whitened(problem, measured_of(problem) - at.record)
-    jacobian = whitened(problem, at.columns) * problem.stretch(at.x)
-    families, unknowns = search.num_families, len(search.unknowns)
-    evidence = LaplaceEvidence(problem, at.x, residual, jacobian, [response], families, unknowns)
-    narrow = evidence.weigh(Hypothesis(frozenset(range(len(problem.effects))), 0))
-    wide = np.zeros((2, len(search.wide.names)))
-    wide[:, own] = narrow.x, narrow.sd
-    return replace(narrow, x=wide[0], sd=wide[1])

@@ -13,7 +13,7 @@ from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import numerical_shift
 from diffsim.diagnose.judge import Decision, Judgment
 from diffsim.diagnose.screen import Screen
-from diffsim.diagnose.search import Search
+from diffsim.diagnose.weighed_sets import Search
 from diffsim.identify.effect import Effect
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from diffsim.data.study import Study
-from diffsim.diagnose import search as diagnose_search
+from diffsim.diagnose import beside_unknowns
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.fit import Case, Null
 from diffsim.diagnose.gates import scan_gate
@@ -226,15 +226,15 @@ def test_a_set_beside_an_unknown_cause_is_worth_what_a_simulation_says(monkeypat
 
     bent = replace(linear.line("push"), apply=apply)
     nats = []
-    for long_step in (np.inf, diagnose_search.LONG_STEP):
-        monkeypatch.setattr(diagnose_search, "LONG_STEP", long_step)
+    for long_step in (np.inf, beside_unknowns.LONG_STEP):
+        monkeypatch.setattr(beside_unknowns, "LONG_STEP", long_step)
         search = searched((bent,), {linear.line("push"): 3.0}, unknowns=(UnknownDrift(0, "drift"),))
         key = Hypothesis(frozenset({0}), 0)
         evidence, _ = search.simulations.with_unknowns(
             search.plain, search.unknowns, search.num_families
         )
         start = replace(search, weighed={**search.weighed, key: evidence.weigh(key)})
-        nats.append(diagnose_search._relinearized(start, key, evidence).nats(key))
+        nats.append(beside_unknowns.relinearized(start, key, evidence).nats(key))
     assert nats[1] < nats[0] - 1.0
 
 
