@@ -13,6 +13,13 @@ def test_every_example_opens_with_a_question():
         assert example.question.endswith(("?", ".")), example
 
 
+def test_scripts_of_training_have_their_short_version():
+    """Its option is one that they share: it stands in their docstrings only."""
+    trainers = {n: e for n, e in catalog.examples().items() if n.startswith("train_")}
+    assert len(trainers) > 5
+    assert {e.quick for e in trainers.values()} == {"--quick"}
+
+
 def test_names_are_unique():
     paths = [p for p in catalog.FOLDER.glob("*/*.py") if "__main__" in p.read_text()]
     assert len({p.stem for p in paths}) == len(paths)
