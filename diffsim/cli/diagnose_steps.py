@@ -154,7 +154,6 @@ def _explain(args: argparse.Namespace) -> None:
         )
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
-    _tell(report.headline, report.verdict, report.sentences)
 
 
 def _pictures_left_out() -> list[str]:
@@ -187,7 +186,8 @@ def _write(report: Report, inputs: Inputs, out: Path) -> bool:
     """
     (out / INPUTS_FILE).unlink(missing_ok=True)
     report.save(out)
-    print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}")
+    _tell(report.headline, report.verdict, report.sentences)
+    print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}", flush=True)
 
     def page() -> Path:
         from diffsim.viz.diagnosis_report import write_diagnosis
