@@ -4,9 +4,10 @@
 //   grad g(q) + H(q) (x - q) = 0 on free unknowns, x = target on fixed ones.
 // No line search and no iteration over it: x is a smooth function of the inputs and of q, and
 //   H z = dL/dx,  dL/dp = -z . d(grad g(q) + H(q) (x - q))/dp,
-// where dL/dq needs the third derivative of the energy along z and x - q (elastic_second.h). Forward
-// mode is the transpose, H dx = -d(grad g(q) + H(q) (x - q))/dp dp, see implicit_tangent.cpp. For
-// implicit Euler this is the linearly implicit (Rosenbrock-) Euler method.
+// where dL/dq needs the third derivative of the energy along z and x - q (elastic_second.h).
+// Forward mode is the transpose, H dx = -d(grad g(q) + H(q) (x - q))/dp dp, see
+// implicit_tangent.cpp. For implicit Euler this is the linearly implicit (Rosenbrock-) Euler
+// method.
 #pragma once
 
 #include "kernels/soft/implicit_step.h"
