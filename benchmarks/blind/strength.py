@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.cli.diagnose_inputs import inputs_of
-from diffsim.core.threads import one_blas_thread
+from diffsim.core.threads import one_thread
 from diffsim.data.labs.sealed import Bench, study_of
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
@@ -25,7 +25,7 @@ from diffsim.identify.linearization import linearization_at
 LARGE_EXCESS = 0.05  # noise variances per sample; below it a share of the excess means nothing
 
 
-@one_blas_thread
+@one_thread
 def score_simulated(
     bench: Bench,
     label: Mapping[str, Any],

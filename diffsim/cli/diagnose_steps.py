@@ -24,7 +24,7 @@ from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.cli.diagnose_judged import write_judged
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
-from diffsim.core.threads import one_blas_thread
+from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
@@ -41,7 +41,7 @@ CACHE, JUDGE_FILE = "interrupted", "judge.json"
 MAX_OUTSIDE = 3  # lines per run; the file holds all
 
 
-@one_blas_thread  # pages simulate, too
+@one_thread  # pages simulate, too
 def run_step(args: argparse.Namespace) -> None:
     """Run the step that the arguments name."""
     STEPS[args.step](args)

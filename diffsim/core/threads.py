@@ -14,7 +14,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
+def one_thread(function: Callable[P, R]) -> Callable[P, R]:
     """A function that uses one thread of BLAS and of torch, as do threads that it starts.
 
     Arrays of a fit are too small to share: threads of BLAS that wait for each other took three

@@ -10,7 +10,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.threads import one_blas_thread
+from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.assemble import Checks, report_of, tested
@@ -52,7 +52,7 @@ MAX_SEARCHES = 3  # each may end at a set that needs finer numerical settings
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
-@one_blas_thread
+@one_thread
 def diagnose(
     study: Study,
     model: SimModel,
@@ -166,7 +166,7 @@ def _told_again(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 def _settled(null: Null, simulations: Simulations) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
     allow; simulations under coarser ones do not serve."""
-    for _ in range(MAX_SEARCHES):
+    for round_ in range(MAX_SEARCHES):
         started = process_time()
         search = search_sets(begin(null, simulations))
         seconds = process_time() - started
@@ -175,7 +175,7 @@ def _settled(null: Null, simulations: Simulations) -> Search:
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:
             break
-        if seconds > null.case.settings.again_seconds:
+        if seconds > null.case.settings.again_seconds or round_ == MAX_SEARCHES - 1:
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
         null = _stored_anew(under(null, checked.finer), simulations)

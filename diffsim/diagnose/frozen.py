@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.check import require_choice
-from diffsim.core.threads import one_blas_thread
+from diffsim.core.threads import one_thread
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.noise import ArWhitener
@@ -49,7 +49,7 @@ def content_of(run: Run) -> str:
     return hashlib.sha256(np.ascontiguousarray(measured).tobytes()).hexdigest()[:16]
 
 
-@one_blas_thread
+@one_thread
 def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) -> Unseen:
     """Judge a saved model on runs of a study, which may be another one than it was fitted to.
 

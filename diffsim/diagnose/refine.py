@@ -67,8 +67,8 @@ class SetNumerics:
     finer: Numerics | None
 
     def postponed(self) -> SetNumerics:
-        """The same, the finer settings left to a full answer."""
-        left = "; a first answer goes on, a full one searches with finer settings"
+        """The same, where no further search is made with the finer settings."""
+        left = "; the search was not repeated with finer settings"
         gates = (g if g.passed else replace(g, note=g.note + left) for g in self.gates)
         return SetNumerics(self.changes, tuple(gates), None)
 

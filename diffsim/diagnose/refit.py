@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic
-from diffsim.core.threads import one_blas_thread
+from diffsim.core.threads import one_thread
 from diffsim.data.study import Study
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gain import Gain, gain
@@ -76,7 +76,7 @@ class NullFit:
         )
 
 
-@one_blas_thread
+@one_thread
 def fit_null(inputs: Inputs, numerics: Numerics | None = None) -> NullFit:
     """Noise floor and fit of the plain model.
 
@@ -122,7 +122,7 @@ class Extension:
         return save_model(self.fit, self.null, folder, study=self.study, verdict=self.verdict)
 
 
-@one_blas_thread
+@one_thread
 def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     """Refit a saved model's parameters and sizes jointly on the runs for fitting.
 
@@ -174,7 +174,7 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     return [named], f"{_words(named)} stands alone, and nothing else was refitted"
 
 
-@one_blas_thread
+@one_thread
 def advise(
     inputs: Inputs, sets: Sequence[Sequence[str]], numerics: Numerics | None = None
 ) -> NextRun:

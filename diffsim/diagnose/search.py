@@ -18,13 +18,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.beside_unknowns import weigh_unknowns
-from diffsim.diagnose.evidence import (
-    ALONE_NATS,
-    KEEP_NATS,
-    Hypothesis,
-    Weighed,
-    families,
-)
+from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed, families
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.from_sheet import (
     LEAST_REFITS,
@@ -38,9 +32,7 @@ from diffsim.diagnose.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.diagnose.weighed_sets import Search
 from diffsim.identify import Fit, Problem
-from diffsim.identify.linearization import (
-    Linearization,
-)
+from diffsim.identify.linearization import Linearization
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]

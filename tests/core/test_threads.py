@@ -13,7 +13,7 @@ import torch
 
 from diffsim import copter, linalg, mesh, soft, stokes
 from diffsim.core.check_options import MAX_THREADS
-from diffsim.core.threads import one_blas_thread
+from diffsim.core.threads import one_thread
 
 TOO_MANY = MAX_THREADS + 1
 
@@ -50,7 +50,7 @@ def test_fits_take_one_thread_of_torch_and_give_it_back():
     before = torch.get_num_threads()
     found: list[int] = []
 
-    @one_blas_thread
+    @one_thread
     def fit(fails: bool) -> None:
         other = threading.Thread(target=lambda: found.append(torch.get_num_threads()))
         other.start()
