@@ -150,9 +150,9 @@ def scaling(stage: dict[str, Any]) -> list[str]:
             )
         )
     lines = [
-        "CPU time (of all threads) per step of 10 ms from a slightly twisted shape. Memory is the peak of forward "
-        "and backward above that of the imported package, the mesh included. newton_pcg runs on "
-        "the constant factor, auto on what the plan chose.",
+        "CPU time (of all threads) per step of 10 ms from a slightly twisted shape. Memory is the "
+        "peak of forward and backward above that of the imported package, the mesh included. "
+        "newton_pcg runs on the constant factor, auto on what the plan chose.",
         "",
         *table(header, rows),
     ]
