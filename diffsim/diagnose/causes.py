@@ -237,8 +237,10 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
         rivals, is_best = _rivals_of(told, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         return (LIKELY if is_named else UNTOLD), rivals
+    if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
+        return REFUTED, (decision.forms[i],)
     if p >= POSSIBLE:
-        return UNTOLD, (decision.forms.get(i, NOISE),)
+        return UNTOLD, (NOISE,)
     added = about.added(decision.best | told.members, i)
     if added >= KEEP_NATS:  # sets of so many causes were not fitted
         return UNTOLD, (REST,)
