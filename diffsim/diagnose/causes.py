@@ -330,6 +330,7 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         others = _sets_without_pull(told, about, row)
         if others:
             status, rivals = UNTOLD, others
+    read = row.as_read()
     return CauseRow(
         name=row.name,
         words=row.words,
@@ -339,7 +340,8 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         size={"size": Interval(row.value, row.low, row.high)},
         unit=row.unit,
         rivals=rivals,
-        note=f"data sheet: {row.prior_value:.4g} +- {row.prior_sd:.2g} (one standard deviation)",
+        note=f"data sheet: {read.prior_value:.4g} +- {read.prior_sd:.2g} (one standard deviation)",
+        shown_unit=None if read.unit == row.unit else read.unit,
     )
 
 

@@ -143,6 +143,7 @@ def sets(r: Report, most: int = 12) -> list[Table]:
 
 
 def _base(row: BaseRow) -> list[str]:
+    row = row.as_read()
     return [
         row.words,
         row.name,
