@@ -185,65 +185,63 @@ void bind_stokes(nb::module_& m) {
       "num_threads"_a);
   m.def(
       "cut_cells",
-      [](const GridShape& shape, Address phi, bool slip, Address volume, Address area,
-         Address normal, int num_threads) {
+      [](const GridShape& shape, Address phi, Address volume, Address area, Address normal,
+         int num_threads) {
         nb::gil_scoped_release release;
         ThreadPool pool(num_threads);
-        cut_cells(shape, in(phi), slip, out(volume), out(area), out(normal), pool);
+        cut_cells(shape, in(phi), out(volume), out(area), out(normal), pool);
       },
-      nb::kw_only(), "shape"_a, "phi"_a, "slip"_a, "volume"_a, "area"_a, "normal"_a,
-      "num_threads"_a);
+      nb::kw_only(), "shape"_a, "phi"_a, "volume"_a, "area"_a, "normal"_a, "num_threads"_a);
   m.def(
       "cut_cells_vjp",
-      [](const GridShape& shape, Address phi, bool slip, Address grad_volume, Address grad_area,
+      [](const GridShape& shape, Address phi, Address grad_volume, Address grad_area,
          Address grad_normal, Address grad_phi, int num_threads) {
         nb::gil_scoped_release release;
         ThreadPool pool(num_threads);
-        cut_cells_vjp(shape, in(phi), slip, in(grad_volume), in(grad_area), in(grad_normal),
+        cut_cells_vjp(shape, in(phi), in(grad_volume), in(grad_area), in(grad_normal),
                       out(grad_phi), pool);
       },
-      nb::kw_only(), "shape"_a, "phi"_a, "slip"_a, "grad_volume"_a, "grad_area"_a, "grad_normal"_a,
+      nb::kw_only(), "shape"_a, "phi"_a, "grad_volume"_a, "grad_area"_a, "grad_normal"_a,
       "grad_phi"_a, "num_threads"_a);
   m.def(
       "cut_cells_jvp",
-      [](const GridShape& shape, Address phi, bool slip, Address d_phi, Address d_volume,
-         Address d_area, Address d_normal, int num_threads) {
+      [](const GridShape& shape, Address phi, Address d_phi, Address d_volume, Address d_area,
+         Address d_normal, int num_threads) {
         nb::gil_scoped_release release;
         ThreadPool pool(num_threads);
-        cut_cells_jvp(shape, in(phi), slip, in(d_phi), out(d_volume), out(d_area), out(d_normal),
-                      pool);
+        cut_cells_jvp(shape, in(phi), in(d_phi), out(d_volume), out(d_area), out(d_normal), pool);
       },
-      nb::kw_only(), "shape"_a, "phi"_a, "slip"_a, "d_phi"_a, "d_volume"_a, "d_area"_a,
-      "d_normal"_a, "num_threads"_a);
+      nb::kw_only(), "shape"_a, "phi"_a, "d_phi"_a, "d_volume"_a, "d_area"_a, "d_normal"_a,
+      "num_threads"_a);
   m.def(
       "plane_flux",
-      [](const GridShape& shape, Address phi, bool slip, Address velocity, std::int64_t num_cases,
-         int axis, std::int64_t index, Address flux) {
+      [](const GridShape& shape, Address phi, Address velocity, std::int64_t num_cases, int axis,
+         std::int64_t index, Address flux) {
         nb::gil_scoped_release release;
-        plane_flux(shape, in(phi), slip, in(velocity), num_cases, axis, index, out(flux));
+        plane_flux(shape, in(phi), in(velocity), num_cases, axis, index, out(flux));
       },
-      nb::kw_only(), "shape"_a, "phi"_a, "slip"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
+      nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
       "flux"_a);
   m.def(
       "plane_flux_vjp",
-      [](const GridShape& shape, Address phi, bool slip, Address velocity, std::int64_t num_cases,
-         int axis, std::int64_t index, Address grad_flux, Address grad_phi, Address grad_velocity) {
+      [](const GridShape& shape, Address phi, Address velocity, std::int64_t num_cases, int axis,
+         std::int64_t index, Address grad_flux, Address grad_phi, Address grad_velocity) {
         nb::gil_scoped_release release;
-        plane_flux_vjp(shape, in(phi), slip, in(velocity), num_cases, axis, index, in(grad_flux),
+        plane_flux_vjp(shape, in(phi), in(velocity), num_cases, axis, index, in(grad_flux),
                        out(grad_phi), out(grad_velocity));
       },
-      nb::kw_only(), "shape"_a, "phi"_a, "slip"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
+      nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
       "grad_flux"_a, "grad_phi"_a, "grad_velocity"_a);
   m.def(
       "plane_flux_jvp",
-      [](const GridShape& shape, Address phi, bool slip, Address velocity, Address d_phi,
-         Address d_velocity, std::int64_t num_cases, int axis, std::int64_t index, Address d_flux) {
+      [](const GridShape& shape, Address phi, Address velocity, Address d_phi, Address d_velocity,
+         std::int64_t num_cases, int axis, std::int64_t index, Address d_flux) {
         nb::gil_scoped_release release;
-        plane_flux_jvp(shape, in(phi), slip, in(velocity), in(d_phi), in(d_velocity), num_cases,
-                       axis, index, out(d_flux));
+        plane_flux_jvp(shape, in(phi), in(velocity), in(d_phi), in(d_velocity), num_cases, axis,
+                       index, out(d_flux));
       },
-      nb::kw_only(), "shape"_a, "phi"_a, "slip"_a, "velocity"_a, "d_phi"_a, "d_velocity"_a,
-      "num_cases"_a, "axis"_a, "index"_a, "d_flux"_a);
+      nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "d_phi"_a, "d_velocity"_a, "num_cases"_a,
+      "axis"_a, "index"_a, "d_flux"_a);
 }
 
 }  // namespace diffsim

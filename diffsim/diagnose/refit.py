@@ -22,11 +22,11 @@ from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.report import fit_to_dict, save_model
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
+from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from diffsim.diagnose.gates import numerical_shift
 from diffsim.diagnose.judge import Decision, Judgment
 from diffsim.diagnose.screen import Screen
 from diffsim.diagnose.weighed_sets import Search
+from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect
-from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH
 from diffsim.identify.unknown import Unknown
 

@@ -30,7 +30,7 @@ def _cut_outputs(phi: Tensor, cells: list[int]) -> tuple[Tensor, Tensor, Tensor]
 
 @custom_op("diffsim::stokes_cut_cells")
 def cut_cells(
-    phi: Tensor, cells: list[int], spacing: list[float], slip: bool, num_threads: int
+    phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Fluid volume, interface area and normal of all cells; csrc/kernels/stokes/cut_cells.h."""
     shape = _grid(cells, spacing, phi)
@@ -38,7 +38,6 @@ def cut_cells(
     core.cut_cells(
         shape=shape,
         phi=phi.data_ptr(),
-        slip=slip,
         volume=volume.data_ptr(),
         area=area.data_ptr(),
         normal=normal.data_ptr(),
@@ -48,7 +47,7 @@ def cut_cells(
 
 
 @cut_cells.register_fake
-def _(phi, cells, spacing, slip, num_threads):
+def _(phi, cells, spacing, num_threads):
     return _cut_outputs(phi, cells)
 
 
@@ -60,7 +59,6 @@ def cut_cells_vjp(
     phi: Tensor,
     cells: list[int],
     spacing: list[float],
-    slip: bool,
     num_threads: int,
 ) -> Tensor:
     """Adjoint of :func:`cut_cells`: gradient of phi."""
@@ -75,7 +73,6 @@ def cut_cells_vjp(
     core.cut_cells_vjp(
         shape=shape,
         phi=phi.data_ptr(),
-        slip=slip,
         grad_volume=grad_volume.data_ptr(),
         grad_area=grad_area.data_ptr(),
         grad_normal=grad_normal.data_ptr(),
@@ -92,7 +89,7 @@ def _(grad_volume, grad_area, grad_normal, phi, *args):
 
 @custom_op("diffsim::stokes_cut_cells_jvp")
 def cut_cells_jvp(
-    phi: Tensor, d_phi: Tensor, cells: list[int], spacing: list[float], slip: bool, num_threads: int
+    phi: Tensor, d_phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Rates of :func:`cut_cells` along a direction of phi."""
     shape = _grid(cells, spacing, phi)
@@ -102,7 +99,6 @@ def cut_cells_jvp(
     core.cut_cells_jvp(
         shape=shape,
         phi=phi.data_ptr(),
-        slip=slip,
         d_phi=d_phi.data_ptr(),
         d_volume=volume.data_ptr(),
         d_area=area.data_ptr(),
@@ -113,12 +109,12 @@ def cut_cells_jvp(
 
 
 @cut_cells_jvp.register_fake
-def _(phi, d_phi, cells, spacing, slip, num_threads):
+def _(phi, d_phi, cells, spacing, num_threads):
     return _cut_outputs(phi, cells)
 
 
 def _cut_setup(ctx, inputs, output):
-    phi, ctx.cells, ctx.spacing, ctx.slip, ctx.num_threads = inputs
+    phi, ctx.cells, ctx.spacing, ctx.num_threads = inputs
     ctx.save_for_backward(phi)
 
 
@@ -131,10 +127,9 @@ def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
         phi=phi,
         cells=ctx.cells,
         spacing=ctx.spacing,
-        slip=ctx.slip,
         num_threads=ctx.num_threads,
     )
-    return grad_phi, None, None, None, None
+    return grad_phi, None, None, None
 
 
 def _cut_tangent(ctx, *moved):
@@ -144,7 +139,6 @@ def _cut_tangent(ctx, *moved):
         **directions_of({"phi": phi}, moved),
         cells=ctx.cells,
         spacing=ctx.spacing,
-        slip=ctx.slip,
         num_threads=ctx.num_threads,
     )
 
@@ -162,7 +156,6 @@ def plane_flux(
     velocity: Tensor,
     cells: list[int],
     spacing: list[float],
-    slip: bool,
     axis: int,
     index: int,
 ) -> Tensor:
@@ -176,7 +169,6 @@ def plane_flux(
     core.plane_flux(
         shape=shape,
         phi=phi.data_ptr(),
-        slip=slip,
         velocity=velocity.data_ptr(),
         num_cases=len(flux),
         axis=axis,
@@ -198,7 +190,6 @@ def plane_flux_vjp(
     velocity: Tensor,
     cells: list[int],
     spacing: list[float],
-    slip: bool,
     axis: int,
     index: int,
 ) -> tuple[Tensor, Tensor]:
@@ -209,7 +200,6 @@ def plane_flux_vjp(
     core.plane_flux_vjp(
         shape=shape,
         phi=phi.data_ptr(),
-        slip=slip,
         velocity=velocity.data_ptr(),
         num_cases=velocity.shape[0],
         axis=axis,
@@ -234,7 +224,6 @@ def plane_flux_jvp(
     d_velocity: Tensor,
     cells: list[int],
     spacing: list[float],
-    slip: bool,
     axis: int,
     index: int,
 ) -> Tensor:
@@ -248,7 +237,6 @@ def plane_flux_jvp(
     core.plane_flux_jvp(
         shape=shape,
         phi=phi.data_ptr(),
-        slip=slip,
         velocity=velocity.data_ptr(),
         d_phi=d_phi.data_ptr(),
         d_velocity=d_velocity.data_ptr(),
@@ -266,7 +254,7 @@ def _(phi, velocity, *args):
 
 
 def _flux_setup(ctx, inputs, output):
-    phi, velocity, ctx.cells, ctx.spacing, ctx.slip, ctx.axis, ctx.index = inputs
+    phi, velocity, ctx.cells, ctx.spacing, ctx.axis, ctx.index = inputs
     ctx.save_for_backward(phi, velocity)
 
 
@@ -278,11 +266,10 @@ def _flux_backward(ctx, grad_flux):
         velocity=velocity,
         cells=ctx.cells,
         spacing=ctx.spacing,
-        slip=ctx.slip,
         axis=ctx.axis,
         index=ctx.index,
     )
-    return grad_phi, grad_velocity, None, None, None, None, None
+    return grad_phi, grad_velocity, None, None, None, None
 
 
 def _flux_tangent(ctx, *moved):
@@ -293,7 +280,6 @@ def _flux_tangent(ctx, *moved):
         **directions_of({"phi": phi, "velocity": velocity}, moved),
         cells=ctx.cells,
         spacing=ctx.spacing,
-        slip=ctx.slip,
         axis=ctx.axis,
         index=ctx.index,
     )

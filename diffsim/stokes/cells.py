@@ -7,10 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice
+from diffsim.core.check import require
 from diffsim.core.check_options import require_threads
 from diffsim.stokes import _ops_cut
-from diffsim.stokes.boundary import WALL_KINDS
 from diffsim.stokes.grid import Grid
 
 
@@ -22,19 +21,18 @@ class CutCells(NamedTuple):
     normal: Tensor
 
 
-def cut_cells(grid: Grid, phi: Tensor, *, wall: str = "no_slip", num_threads: int = 1) -> CutCells:
+def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
     """Fluid volume, interface area and normal of every cell, exact for planes.
 
     In each cell the level set is replaced by the plane that fits its corner values best (least
-    squares), or, for slip walls in 2D, by the chord between the places where the wall crosses the
-    cell's edges; as ``StokesFlow`` does. Volume and area are then those of a half space in a box,
+    squares), or, in 2D, by the chord between the places where the wall crosses the cell's edges; as
+    ``StokesFlow`` does. Volume and area are then those of a half space in a box,
     also where components of the normal vanish. A plane in a cell's face belongs to the cell on its
     fluid side.
 
     Args:
         grid: The grid.
         phi: Level set at the nodes, (*node_shape,) float64, > 0 in the fluid [any unit].
-        wall: Condition on the wall, "no_slip" or "no_separation".
         num_threads: Worker threads.
 
     Returns:
@@ -50,7 +48,6 @@ def cut_cells(grid: Grid, phi: Tensor, *, wall: str = "no_slip", num_threads: in
         phi=phi.reshape(-1),
         cells=list(grid.shape),
         spacing=list(grid.spacing),
-        slip=require_choice("wall", wall, WALL_KINDS) == "no_separation",
         num_threads=require_threads(num_threads),
     )
     return CutCells(

@@ -34,7 +34,6 @@ class FlowField:
             "imbalance" (``mass_report``).
         solve: Why every case ended, with the relative residual, or with the divergence or the error
             of the pressures where that was too large.
-        wall: Kind of the embedded wall, which decides how it cuts the cells.
     """
 
     grid: Grid
@@ -44,14 +43,13 @@ class FlowField:
     volume_fraction: Tensor
     stats: dict[str, Tensor]
     solve: Solve | None = None
-    wall: str = "no_slip"
 
     def flux(self, axis: int, index: int) -> Tensor:
         """Volume flow through the fluid part of a grid plane, positive along the axis.
 
-        For slip walls in 2D it is what the flow's equations conserve: the same through every plane
-        between inlet and outlet, up to the divergence. Elsewhere cells on both sides of a plane
-        take a little different parts of it as fluid, and this is the mean.
+        In 2D it is what the flow's equations conserve: the same through every plane between inlet
+        and outlet, up to the divergence. In 3D cells on both sides of a plane take a little
+        different parts of it as fluid, and this is the mean.
 
         Args:
             axis: The plane's normal.
@@ -71,7 +69,6 @@ class FlowField:
             velocity=self.velocity.reshape(cases, -1, self.grid.dim),
             cells=list(self.grid.shape),
             spacing=list(self.grid.spacing),
-            slip=self.wall == "no_separation",
             axis=axis,
             index=index % count,
         )

@@ -29,13 +29,12 @@ class StokesFlow(nn.Module):
     ("no_slip"), or only its normal component with no shear ("no_separation").
 
     Multilinear velocities, one pressure per cell; each cell is cut by the plane that fits the level
-    set at its corners, or, for slip walls in 2D, by the chord between the places where the wall
-    crosses its edges. Walls by symmetric Nitsche terms, slivers held by a ghost penalty: second
-    order in the cell size, symmetric positive definite, no locking. Velocity and pressure depend
-    continuously on phi while cells become cut, full or empty, up to terms of the size of the
-    discretization error where a wall parallel to the grid passes a layer of nodes. Unless
-    ``incompressible``, div v = -p / (bulk_ratio * viscosity), a relative error of about
-    1 / bulk_ratio.
+    set at its corners, or, in 2D, by the chord between the places where the wall crosses its edges.
+    Walls by symmetric Nitsche terms, slivers held by a ghost penalty: second order in the cell
+    size, symmetric positive definite, no locking. Velocity and pressure depend continuously on phi
+    while cells become cut, full or empty, up to terms of the size of the discretization error where
+    a wall parallel to the grid passes a layer of nodes. Unless ``incompressible``, div v = -p /
+    (bulk_ratio * viscosity), a relative error of about 1 / bulk_ratio.
 
     Viscosity scales pressure and traction, not a flow that is driven by velocities.
 
@@ -167,7 +166,6 @@ class StokesFlow(nn.Module):
             volume_fraction=outputs.fraction.reshape(grid.shape),
             stats=dict(zip(STATS, outputs.stats.unbind(-1), strict=True)),
             solve=self._solve_of(inputs.phi, outputs.stats),
-            wall=self.wall,
         ).with_imbalance()
 
     def inlet_positions(self, name: str | None = None) -> Tensor:

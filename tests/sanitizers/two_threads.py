@@ -43,7 +43,7 @@ def shared_memory() -> Callable[[], Answer]:
 
     def run() -> Answer:
         places = {name: each.data_ptr() for name, each in out.items()}
-        core.cut_cells(shape=shape, phi=phi.data_ptr(), slip=True, num_threads=1, **places)
+        core.cut_cells(shape=shape, phi=phi.data_ptr(), num_threads=1, **places)
         return []
 
     return run

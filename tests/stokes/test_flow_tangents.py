@@ -80,7 +80,7 @@ def test_a_closed_box_whose_mean_pressure_moves_with_its_shape(incompressible):
         return full(phi, lid, force)
 
     assert_transposed(layer, (phi, force))
-    direction, step = rough(*phi.shape, seed=3), 1e-6
+    direction, step = rough(*phi.shape, seed=3), 1e-7  # a corner's pressure bends soon
     moved = jvp(lambda phi: layer(phi, force), (phi,), (direction,))[1]
     ahead, behind = (layer(phi + s * step * direction, force) for s in (1.0, -1.0))
     assert float(((ahead - behind) / (2 * step) - moved).norm()) < 1e-6 * float(moved.norm())
@@ -111,14 +111,13 @@ def test_finite_differences(dim, wall):
     assert float((change - moved).norm()) < 1e-6 * float(moved.norm())
 
 
-@pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_cut_cells(dim, wall):
+def test_cut_cells(dim):
     flow = small_flow(dim)
     phi = small_inputs(flow)["phi"].detach()
 
     def layer(phi: Tensor) -> Tensor:
-        cells = stokes.cut_cells(flow.grid, phi, wall=wall)
+        cells = stokes.cut_cells(flow.grid, phi)
         return torch.cat([part.flatten() for part in cells])
 
     assert_transposed(layer, (phi,), 1e-12)

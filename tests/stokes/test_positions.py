@@ -6,7 +6,7 @@ import torch
 
 from benchmarks import stokes_exact
 from benchmarks.stokes_accuracy import measure
-from benchmarks.stokes_positions import CENTER, sweep
+from benchmarks.stokes_positions import CENTER, FUNCTIONALS, sweep
 from diffsim import stokes
 from diffsim.stokes import FlowField
 
@@ -14,36 +14,53 @@ from diffsim.stokes import FlowField
 @pytest.mark.grad
 @pytest.mark.parametrize("wall", ["no_separation", "no_slip"])
 def test_slopes_are_those_of_the_smoothed_functional(wall):
-    # with the normals of flat facets slopes of slip walls went from -2.6 to 1.8 times the smoothed
-    found = sweep(48, wall, 61)
-    near = ["pressure at the inlet", "mean velocity in the gap"]
-    if wall == "no_separation":  # 0.71 to 1.41 of the energy, where facets did not meet
-        near += ["velocity above the disk", "energy of the outflow"]
-    for name in near:
-        assert np.abs(found[name].ratios - 1.0).max() < 0.1, name
-        assert found[name].jump < 3e-4
-    for name, each in found.items():
-        assert each.ratios.min() > 0.0, name
+    """With the normals of flat facets slopes of slip walls went from -2.6 to 1.8 times the smoothed
+    ones; the energy's from 0.71 to 1.41 where facets did not meet. Without slip, before facets met:
+    0.79 of the velocity above the disk."""
+    for name, each in sweep(48, wall, 61).items():
+        # without slip the cross velocity's own slope is a third of its largest where it is worst
+        most = 0.18 if (wall, name) == ("no_slip", "cross velocity behind") else 0.1
+        assert np.abs(each.ratios - 1.0).max() < most, name
+        assert each.jump < 6e-4, name
 
 
-def round_flow(pressure: float, radius: float, cells: int = 24, **options: bool) -> FlowField:
-    """Flow past a disk that slips, against a pressure at the open face."""
+@pytest.mark.grad
+def test_a_pressure_fades_in_where_a_wall_enters_a_corner():
+    """As the node (35, 27) comes into the fluid: 0.80 of the slope where it took a third of the
+    way."""
+    center = torch.tensor(CENTER, dtype=torch.float64)
+    at = float((torch.tensor([35.0, 27.0], dtype=torch.float64) / 48.0 - center).norm())
+    slopes = []
+    for depth in (0.1, 0.003, 0.002, 0.001, -0.003):  # of the node [cells]
+        radius = torch.tensor(at - depth / 48.0, dtype=torch.float64, requires_grad=True)
+        cross = FUNCTIONALS["cross velocity behind"](round_flow(0.0, radius, cells=48))
+        slopes.append(torch.autograd.grad(cross, radius)[0].item())
+    assert np.abs(np.array(slopes) / slopes[0] - 1.0).max() < 0.15
+
+
+def round_flow(
+    pressure: float,
+    radius: float | torch.Tensor,
+    wall: str = "no_separation",
+    cells: int = 24,
+    **options: bool,
+) -> FlowField:
+    """Flow past a disk, against a pressure at the open face."""
     grid = stokes.Grid((cells, cells), size=1.0)
-    flow = stokes.StokesFlow(
-        grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall="no_separation", **options
-    )
+    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall=wall, **options)
     traction = torch.tensor([-pressure, 0.0], dtype=torch.float64)
     away = (grid.nodes - torch.tensor(CENTER, dtype=torch.float64)).norm(dim=-1)
     return flow(away - radius, torch.tensor([1.0, 0.0], dtype=torch.float64), traction=traction)
 
 
 @pytest.mark.property
-def test_a_constant_pressure_drives_no_fluid_along_a_slip_wall():
+@pytest.mark.parametrize("wall", ["no_separation", "no_slip"])
+def test_a_constant_pressure_drives_no_fluid_along_a_wall(wall):
     """Fluid of neighboring cells ends at the same place of their face, else 3e-2 m/s.
 
     With the wall's normal in place of the chord's in the cells' outflow, 5e-4.
     """
-    still, pressed = (round_flow(p, 0.2103, incompressible=True) for p in (0.0, 100.0))
+    still, pressed = (round_flow(p, 0.2103, wall, incompressible=True) for p in (0.0, 100.0))
     change = (pressed.velocity - still.velocity)[0].abs()[still.phi > 0]
     assert change.max() < 1e-7
 
@@ -67,7 +84,8 @@ def test_pressure_of_a_parallel_wall_does_not_jump_where_it_is_weighed_by_the_fl
 
 
 @pytest.mark.reference
-def test_slip_walls_are_chords_between_crossings_of_the_grid():
+@pytest.mark.parametrize("wall", ["no_separation", "no_slip"])
+def test_walls_are_chords_between_crossings_of_the_grid(wall):
     """Area of the polygon whose corners are those of a circle with the grid's lines."""
     radius, cells = 0.2103, 24
     corners = []
@@ -80,17 +98,18 @@ def test_slip_walls_are_chords_between_crossings_of_the_grid():
                     corners.append((along, across) if axis == 0 else (across, along))
     x, y = np.array(sorted(corners, key=lambda p: np.arctan2(p[1], p[0]))).T
     polygon = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    solid = 1.0 - round_flow(0.0, radius).volume_fraction.sum().item() / cells**2
+    solid = 1.0 - round_flow(0.0, radius, wall).volume_fraction.sum().item() / cells**2
     assert solid == pytest.approx(polygon, abs=1e-5)  # least squares: 2e-4; the circle: 1e-3
 
 
 @pytest.mark.grad
+@pytest.mark.parametrize("wall", ["no_separation", "no_slip"])
 @pytest.mark.parametrize(("cells", "seed"), [((3, 3), 3), ((2, 6), 4), ((7, 5), 3), ((8, 8), 5)])
-def test_gradients_of_rough_slip_walls(cells, seed):
+def test_gradients_of_rough_walls(cells, seed, wall):
     """Any signs at a cell's corners, diagonal ones too, and rows of three and four nodes."""
     grid = stokes.Grid(cells, tuple(0.2 * n for n in cells))
     flow = stokes.StokesFlow(
-        grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall="no_separation", bulk_ratio=10.0
+        grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall=wall, bulk_ratio=10.0
     )
     generator = torch.Generator().manual_seed(seed)
     phi, along = torch.randn(2, *grid.node_shape, generator=generator).double()

@@ -462,3 +462,9 @@ def test_hidden_causes_are_named_and_nothing_else(name):
     assert report.verdict == ("none" if name == "none" else "named")
     if name != "none":
         assert list(report.named) == [name]
+
+
+def test_a_flight_that_the_nominal_vehicle_cannot_hold_is_not_offered():
+    short = {"rotors": [{**r, "at": [0.02 * x for x in r["at"]]} for r in MODEL["rotors"]]}
+    setup = setup_of(study(**short, inertia=[1e-7, 1e-7, 1e-9]))
+    assert len(setup.bank) < len(setup_of(study()).bank)

@@ -11,9 +11,9 @@
 //           - S (<2 n.D(v) n> <z.n> + <2 n.D(z) n> <w.n> - (beta / h) <w.n> <z.n>) eta.
 // Holding w.n point by point would make facets of a curved wall resist sliding: v tangential to the
 // wall is not tangential to its facets, which costs one order.
-// m is n, but with a slip wall in 2D the normal of the facet itself (FlowGeometry::facet_normal):
-// then C is the flow through the cell's faces and what the wall gives, neighbors agree about their
-// faces, and a constant pressure does no work.
+// m is n, but in 2D the normal of the facet itself (FlowGeometry::facet_normal): then C is the flow
+// through the cell's faces and what the wall gives, neighbors agree about their faces, and a
+// constant pressure does no work.
 // Every integrand is of degree two per axis, so the weights of CutCell integrate it exactly.
 #pragma once
 

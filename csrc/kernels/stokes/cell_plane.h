@@ -1,17 +1,17 @@
 // The plane that stands for the wall in a grid cell: phi(xi) = c + sum_a g_a (xi_a - 1/2), xi in
 // [0, 1]^D, phi > 0 in the fluid.
 //
-// Least squares (no-slip walls; every wall in 3D): the fit to the 2^D corner values; c is their
+// Least squares (in 3D): the fit to the 2^D corner values; c is their
 // mean, g_a the mean difference along axis a. On a face the mean of phi is that of its corners,
 // whatever the cell, so that neighboring planes agree at the middle of their common face.
 //
-// Chord (slip walls in 2D): the line through the places where the wall crosses the cell's edges,
+// Chord (in 2D): the line through the places where the wall crosses the cell's edges,
 //   p(t) = f_0 + t (f_1 - f_0) + w t (t - 1) (K / 2 + T (t + 1) / 6) = 0,
 // p the cubic through the edge's ends and one more node on each side, K and T its second and third
 // difference. Neighbors share these places: the fluid of one cell ends on their face where that of
-// the other does. Else a constant pressure drives fluid along the wall. At a kink of the level set,
-// w = 1 / (1 + (T^2 / (kRough sum of squared first differences))^2) makes the edge straight. Where
-// two diagonal corners are fluid there is no such line; the least squares fit stays, reached
+// the other does. Else a constant pressure drives fluid along a slip wall. At a kink of the level
+// set, w = 1 / (1 + (T^2 / (kRough sum of squared first differences))^2) makes the edge straight.
+// Where two diagonal corners are fluid there is no such line; the least squares fit stays, reached
 // smoothly as the smallest of the corners grows.
 #pragma once
 

@@ -10,9 +10,9 @@ namespace diffsim {
 namespace {
 
 template <int D>
-void cut_cells_of(const GridShape& shape, const double* phi, bool slip, double* volume,
-                  double* area, double* normal, ThreadPool& pool) {
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, slip && D == 2, pool);
+void cut_cells_of(const GridShape& shape, const double* phi, double* volume, double* area,
+                  double* normal, ThreadPool& pool) {
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
     const CutCell<D>* cut = geometry.cut(cell);
@@ -24,10 +24,10 @@ void cut_cells_of(const GridShape& shape, const double* phi, bool slip, double* 
 }
 
 template <int D>
-void cut_cells_vjp_of(const GridShape& shape, const double* phi, bool slip,
-                      const double* grad_volume, const double* grad_area, const double* grad_normal,
-                      double* grad_phi, ThreadPool& pool) {
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, slip && D == 2, pool);
+void cut_cells_vjp_of(const GridShape& shape, const double* phi, const double* grad_volume,
+                      const double* grad_area, const double* grad_normal, double* grad_phi,
+                      ThreadPool& pool) {
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   std::fill(grad_phi, grad_phi + grid.num_nodes, 0.0);
   for (std::int64_t cell : geometry.cut_cells()) {
@@ -43,10 +43,10 @@ void cut_cells_vjp_of(const GridShape& shape, const double* phi, bool slip,
 }
 
 template <int D>
-void cut_cells_jvp_of(const GridShape& shape, const double* phi, bool slip, const double* d_phi,
+void cut_cells_jvp_of(const GridShape& shape, const double* phi, const double* d_phi,
                       double* d_volume, double* d_area, double* d_normal, ThreadPool& pool) {
   using Cut = CutCell<D>;
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, slip && D == 2, pool);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const std::int64_t num_cells = geometry.grid().num_cells;
   std::fill(d_volume, d_volume + num_cells, 0.0);
   std::fill(d_area, d_area + num_cells, 0.0);
@@ -82,8 +82,8 @@ struct Slab {
   std::int64_t index = 0;          // of the plane
   std::vector<std::int64_t> node;  // of the whole grid
 
-  Slab(const GridShape& whole, int axis, std::int64_t at, bool slip) : shape(whole) {
-    const std::int64_t reach = slip && D == 2 ? 3 : 1;
+  Slab(const GridShape& whole, int axis, std::int64_t at) : shape(whole) {
+    const std::int64_t reach = D == 2 ? 3 : 1;
     const std::int64_t first = std::max<std::int64_t>(0, at - reach);
     shape.cells[axis] = std::min(whole.cells[axis], at + reach) - first;
     index = at - first;
@@ -117,11 +117,11 @@ struct Slab {
 };
 
 template <int D>
-void plane_flux_of(const GridShape& shape, const double* phi, bool slip, const double* v,
-                   std::int64_t cases, int axis, std::int64_t index, double* flux,
-                   const double* grad_flux, double* grad_phi, double* grad_v) {
+void plane_flux_of(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
+                   int axis, std::int64_t index, double* flux, const double* grad_flux,
+                   double* grad_phi, double* grad_v) {
   ThreadPool pool(1);
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, slip && D == 2, pool);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   const std::int64_t N = grid.num_nodes * D;
   for_plane<D>(grid, axis, index, [&](std::int64_t cell, int side, double share) {
@@ -149,11 +149,11 @@ void plane_flux_of(const GridShape& shape, const double* phi, bool slip, const d
 }
 
 template <int D>
-void plane_flux_jvp_of(const GridShape& shape, const double* phi, bool slip, const double* v,
+void plane_flux_jvp_of(const GridShape& shape, const double* phi, const double* v,
                        const double* d_phi, const double* d_v, std::int64_t cases, int axis,
                        std::int64_t index, double* d_flux) {
   ThreadPool pool(1);
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, slip && D == 2, pool);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   const std::int64_t N = grid.num_nodes * D;
   for_plane<D>(grid, axis, index, [&](std::int64_t cell, int side, double share) {
@@ -178,29 +178,29 @@ void plane_flux_jvp_of(const GridShape& shape, const double* phi, bool slip, con
 
 }  // namespace
 
-void cut_cells(const GridShape& shape, const double* phi, bool slip, double* volume, double* area,
+void cut_cells(const GridShape& shape, const double* phi, double* volume, double* area,
                double* normal, ThreadPool& pool) {
   if (shape.dim == 2)
-    cut_cells_of<2>(shape, phi, slip, volume, area, normal, pool);
+    cut_cells_of<2>(shape, phi, volume, area, normal, pool);
   else
-    cut_cells_of<3>(shape, phi, slip, volume, area, normal, pool);
+    cut_cells_of<3>(shape, phi, volume, area, normal, pool);
 }
 
-void cut_cells_vjp(const GridShape& shape, const double* phi, bool slip, const double* grad_volume,
+void cut_cells_vjp(const GridShape& shape, const double* phi, const double* grad_volume,
                    const double* grad_area, const double* grad_normal, double* grad_phi,
                    ThreadPool& pool) {
   if (shape.dim == 2)
-    cut_cells_vjp_of<2>(shape, phi, slip, grad_volume, grad_area, grad_normal, grad_phi, pool);
+    cut_cells_vjp_of<2>(shape, phi, grad_volume, grad_area, grad_normal, grad_phi, pool);
   else
-    cut_cells_vjp_of<3>(shape, phi, slip, grad_volume, grad_area, grad_normal, grad_phi, pool);
+    cut_cells_vjp_of<3>(shape, phi, grad_volume, grad_area, grad_normal, grad_phi, pool);
 }
 
-void cut_cells_jvp(const GridShape& shape, const double* phi, bool slip, const double* d_phi,
-                   double* d_volume, double* d_area, double* d_normal, ThreadPool& pool) {
+void cut_cells_jvp(const GridShape& shape, const double* phi, const double* d_phi, double* d_volume,
+                   double* d_area, double* d_normal, ThreadPool& pool) {
   if (shape.dim == 2)
-    cut_cells_jvp_of<2>(shape, phi, slip, d_phi, d_volume, d_area, d_normal, pool);
+    cut_cells_jvp_of<2>(shape, phi, d_phi, d_volume, d_area, d_normal, pool);
   else
-    cut_cells_jvp_of<3>(shape, phi, slip, d_phi, d_volume, d_area, d_normal, pool);
+    cut_cells_jvp_of<3>(shape, phi, d_phi, d_volume, d_area, d_normal, pool);
 }
 
 namespace {
@@ -213,35 +213,35 @@ std::int64_t num_nodes_of(const GridShape& shape) {
 
 /// f(slab) with the dimension as its type's.
 template <typename F>
-void on_slab(const GridShape& shape, int axis, std::int64_t index, bool slip, F&& f) {
+void on_slab(const GridShape& shape, int axis, std::int64_t index, F&& f) {
   if (shape.dim == 2)
-    f(Slab<2>(shape, axis, index, slip), std::integral_constant<int, 2>());
+    f(Slab<2>(shape, axis, index), std::integral_constant<int, 2>());
   else
-    f(Slab<3>(shape, axis, index, slip), std::integral_constant<int, 3>());
+    f(Slab<3>(shape, axis, index), std::integral_constant<int, 3>());
 }
 
 }  // namespace
 
-void plane_flux(const GridShape& shape, const double* phi, bool slip, const double* v,
-                std::int64_t cases, int axis, std::int64_t index, double* flux) {
+void plane_flux(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
+                int axis, std::int64_t index, double* flux) {
   std::fill(flux, flux + cases, 0.0);
   const std::int64_t N = num_nodes_of(shape);
-  on_slab(shape, axis, index, slip, [&](const auto& slab, auto dim) {
-    plane_flux_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(), slip,
+  on_slab(shape, axis, index, [&](const auto& slab, auto dim) {
+    plane_flux_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(),
                        slab.gather(v, cases, N, dim).data(), cases, axis, slab.index, flux, nullptr,
                        nullptr, nullptr);
   });
 }
 
-void plane_flux_vjp(const GridShape& shape, const double* phi, bool slip, const double* v,
-                    std::int64_t cases, int axis, std::int64_t index, const double* grad_flux,
-                    double* grad_phi, double* grad_v) {
+void plane_flux_vjp(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
+                    int axis, std::int64_t index, const double* grad_flux, double* grad_phi,
+                    double* grad_v) {
   const std::int64_t N = num_nodes_of(shape);
   std::fill(grad_phi, grad_phi + N, 0.0);
   std::fill(grad_v, grad_v + cases * N * shape.dim, 0.0);
-  on_slab(shape, axis, index, slip, [&](const auto& slab, auto dim) {
+  on_slab(shape, axis, index, [&](const auto& slab, auto dim) {
     std::vector<double> by_phi(slab.node.size(), 0.0), by_v(by_phi.size() * cases * dim, 0.0);
-    plane_flux_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(), slip,
+    plane_flux_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(),
                        slab.gather(v, cases, N, dim).data(), cases, axis, slab.index, nullptr,
                        grad_flux, by_phi.data(), by_v.data());
     slab.scatter(by_phi, N, 1, grad_phi);
@@ -249,13 +249,13 @@ void plane_flux_vjp(const GridShape& shape, const double* phi, bool slip, const 
   });
 }
 
-void plane_flux_jvp(const GridShape& shape, const double* phi, bool slip, const double* v,
-                    const double* d_phi, const double* d_v, std::int64_t cases, int axis,
-                    std::int64_t index, double* d_flux) {
+void plane_flux_jvp(const GridShape& shape, const double* phi, const double* v, const double* d_phi,
+                    const double* d_v, std::int64_t cases, int axis, std::int64_t index,
+                    double* d_flux) {
   std::fill(d_flux, d_flux + cases, 0.0);
   const std::int64_t N = num_nodes_of(shape);
-  on_slab(shape, axis, index, slip, [&](const auto& slab, auto dim) {
-    plane_flux_jvp_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(), slip,
+  on_slab(shape, axis, index, [&](const auto& slab, auto dim) {
+    plane_flux_jvp_of<dim>(slab.shape, slab.gather(phi, 1, N, 1).data(),
                            slab.gather(v, cases, N, dim).data(), slab.gather(d_phi, 1, N, 1).data(),
                            slab.gather(d_v, cases, N, dim).data(), cases, axis, slab.index, d_flux);
   });

@@ -50,23 +50,21 @@ template <int D>
 template <typename T, typename Field>
 CellPlane<D, T> FlowGeometry<D>::plane(std::int64_t cell, Field&& phi, CellKind& kind) const {
   if constexpr (D == 2) {
-    if (curved_) {
-      std::int64_t at[2];
-      grid_.cell_position(cell, at);
-      const ChordPatch patch(grid_, at);
-      T value[ChordPatch::kNodes];
-      patch.for_nodes(grid_,
-                      [&](std::int64_t node, int index) { value[index] = phi(node, index); });
-      settle_corners(patch, value);
-      return chord_plane(patch, value, kind);
-    }
+    std::int64_t at[2];
+    grid_.cell_position(cell, at);
+    const ChordPatch patch(grid_, at);
+    T value[ChordPatch::kNodes];
+    patch.for_nodes(grid_, [&](std::int64_t node, int index) { value[index] = phi(node, index); });
+    settle_corners(patch, value);
+    return chord_plane(patch, value, kind);
+  } else {
+    const std::int64_t node = first_node(cell);
+    T corner[1 << D];
+    for (int i = 0; i < 1 << D; ++i) corner[i] = phi(node + grid_.corner_offset[i], i);
+    const CellPlane<D, T> fit(corner);
+    kind = fit.kind();
+    return fit;
   }
-  const std::int64_t node = first_node(cell);
-  T corner[1 << D];
-  for (int i = 0; i < 1 << D; ++i) corner[i] = phi(node + grid_.corner_offset[i], i);
-  const CellPlane<D, T> fit(corner);
-  kind = fit.kind();
-  return fit;
 }
 
 template <int D>

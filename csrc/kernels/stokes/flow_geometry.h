@@ -80,9 +80,7 @@ template <int D>
 class FlowGeometry {
  public:
   /// @param phi    (num_nodes,) level set, > 0 in the fluid [any unit], finite
-  /// @param curved whether walls have the normals of wall_normal.h and, in 2D, chords for planes,
-  /// or
-  ///   least squares planes with their own normals
+  /// @param curved whether walls have the normals of wall_normal.h, or those of their planes
   FlowGeometry(const StokesGrid<D>& grid, const double* phi, bool curved, ThreadPool& pool);
 
   const StokesGrid<D>& grid() const { return grid_; }

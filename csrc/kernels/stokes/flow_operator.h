@@ -4,6 +4,8 @@
 // Nodal vectors are (num_nodes, D) over all grid nodes; nodes without fluid are ignored.
 #pragma once
 
+#include <cmath>
+
 #include "kernels/stokes/cell_form.h"
 #include "kernels/stokes/flow_geometry.h"
 
@@ -51,17 +53,18 @@ struct OpenFace {
 };
 
 /// M with pressure = -bulk eta C / M [m^D]: about the fluid volume f h^D,
-///   M = h^D (f + delta) ((a + epsilon) / a)^2,   a the fluid shares of the cell's faces, summed.
+///   M = h^D (f + delta) (1 + (epsilon / a)^(3/2))^2,   a the fluid shares of the cell's faces,
+///   summed.
 /// Where a wall enters a cell through a corner, C ~ a and f ~ a^D: the last factor lets the
-/// pressure of such a cell fade in. Where a wall parallel to a face enters, a > 1, and the cell at
-/// once keeps its volume.
+/// pressure of such a cell fade in, while a grows from 0 to about a hundredth. Where a wall
+/// parallel to a face enters, a > 1, and the cell at once keeps its volume.
 struct PressureVolume {
   double value, by_fluid_volume, by_open;
   PressureVolume(double f, double open, double cell_volume, const FlowOptions& options) {
-    const double e = options.open_epsilon, factor = (open + e) / open;
-    by_fluid_volume = factor * factor;
+    const double ratio = options.open_epsilon / open, part = ratio * std::sqrt(ratio);
+    by_fluid_volume = (1.0 + part) * (1.0 + part);
     value = cell_volume * (f + options.volume_delta) * by_fluid_volume;
-    by_open = -2.0 * value * e / (open * (open + e));
+    by_open = -3.0 * value * part / (open * (1.0 + part));
   }
 };
 

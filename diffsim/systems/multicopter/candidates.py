@@ -47,6 +47,7 @@ class Vehicle:
         has_speed: Whether commands tell the rotors' speed in rad/s.
         lags_speed: Whether it is the speed, not the thrust, that lags.
         battery: Name of the command that is the battery's voltage; None: none.
+        has_estimator: Whether an estimator shows velocity and attitude.
         states_sensors: Whether channels say which sensor shows them: each has a clock then.
     """
 
@@ -63,6 +64,7 @@ class Vehicle:
     has_speed: bool
     lags_speed: bool
     battery: str | None
+    has_estimator: bool = False
     states_sensors: bool = False
 
 
@@ -152,6 +154,8 @@ def _of_sensors(of: Vehicle, arm: float, in_body: Callable[[Effect], Effect]) ->
         yield seen.POSITION_SCALE
         if "velocity" in of.sensors:  # two sensors whose scales may disagree
             yield seen.GROUND_SCALE
+            if of.has_estimator:
+                yield seen.BLIND_ESTIMATOR
     if "body_rates" in of.sensors:
         yield seen.GYRO_OFFSET
     if "body_rates" in of.sensors or force:
