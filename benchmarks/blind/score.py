@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.case import TWIN
+from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect
-from diffsim.identify.problem import effect_coordinates
 
 ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen
 
