@@ -37,7 +37,7 @@ from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect, is_of_run
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.sizes import PRIOR_WIDTH
@@ -258,6 +258,7 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
     _require_frame(saved, setup.model)
     effects = effects_of(saved, setup.effects)
     known = {p.name: p for p in setup.model.base}
+    saved = _without_starts_told_anew(saved, known)
     stems = {name.partition("[")[0] for name in known}
     for name in saved.parameters:
         if "[" in name and name.partition("[")[0] in stems:
@@ -332,6 +333,27 @@ def _prepared(model: SimModel, saved: SavedModel) -> SimModel:
 
 def _units(effects: Sequence[Effect]) -> dict[str, str]:
     return {c: e.unit for e in effects for c in effect_coordinates([e])}
+
+
+def _without_starts_told_anew(saved: SavedModel, known: Mapping[str, Parameter]) -> SavedModel:
+    """Without what each run has of its own by the study, and all runs had together in the file.
+
+    A start that pieces of one video shared says nothing of a video that begins otherwise.
+    """
+    own = {name.partition("@")[0] for name in known if "@" in name}
+    told = {name for name in saved.parameters if name in own and name not in known}
+
+    def rest(values: Mapping[str, float]) -> dict[str, float]:
+        return {name: value for name, value in values.items() if name not in told}
+
+    return replace(
+        saved,
+        values=rest(saved.values),
+        sd=rest(saved.sd),
+        parameters=tuple(name for name in saved.parameters if name not in told),
+        plain=rest(saved.plain),
+        prepared_at=None if saved.prepared_at is None else rest(saved.prepared_at),
+    )
 
 
 def _require_units(saved: SavedModel, units: Mapping[str, str]) -> None:

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import yaml
 from scipy.integrate import solve_ivp
 
 from diffsim.data.study import Run
 from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics, Problem, WhiteNoise
 from diffsim.systems.holding import looks_held
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import description_of, load_extended, setup_of
 from tests.systems.toy_cart import TIME, cart_study, described
 
 PLAIN = cart_study(noise=1e-12)
@@ -326,3 +327,22 @@ def test_a_fact_that_is_no_number_of_every_run_is_told(level, message):
     model = described(rates={"x": "v", "v": "(level*force - c*v - k*x)/m"})
     with pytest.raises(ValueError, match=message):
         setup_of(replace(PLAIN, runs=runs, model=model))
+
+
+def test_a_start_that_runs_shared_is_told_anew_where_each_has_its_own(tmp_path):
+    once = {"states": {"x": {"value": "0 mm", "sd": "20 mm"}, "v": "0"}}
+    shared = replace(PLAIN, model=described(**once), folder=tmp_path)
+    model = setup_of(shared).model
+    assert "x_start" in {p.name for p in model.base}
+    entries = {
+        p.name: {"value": float(p.value_at(q)), "sd": p.sd, "unit": p.unit}
+        for p, q in zip(model.base, model.at_prior() + 1.0, strict=True)
+    }
+    path = tmp_path / "extended_model.yaml"
+    said = {"model": model.name, "study": shared.name, "verdict": "none", "prepared_at": None}
+    path.write_text(yaml.safe_dump({**said, "parameters": entries, "effects": {}}))
+    own = {"states": {"x": {"value": "3 mm", "sd": "20 mm", "per": "run"}, "v": "0"}}
+    again = load_extended(path, replace(shared, model=described(**own)))
+    at = {p.name: p.value for p in again.base}
+    assert at[f"x_start@{PLAIN.runs[0].name}"] == pytest.approx(0.003)  # not what the others had
+    assert at["m"] == pytest.approx(entries["m"]["value"])
