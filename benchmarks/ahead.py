@@ -106,13 +106,17 @@ def naive(truth: Record) -> Predict:
     return lambda starts: Record(*(v[starts][:, None].expand(-1, AHEAD, -1) for v in truth.parts))
 
 
-def flown(model: ExtendedModel, run: Run, q: Tensor | None = None) -> Predict:
+def flown(
+    model: ExtendedModel, run: Run, q: Tensor | None = None, *, is_past_known: bool = True
+) -> Predict:
     """Flights of a described multicopter from the recorded states.
 
     Args:
         model: Plain or extended model of a multicopter whose channels are those of ``Record``.
         run: Recorded run; nothing is fitted to it.
         q: Standardized parameters; None: in the middle of the priors.
+        is_past_known: Whether errors of an estimator follow from the record until each start; else
+            from the state at the start alone.
     """
     scene = model.scene(run, model.at_prior() if q is None else q)
     assert isinstance(scene, CopterFlight)
@@ -127,6 +131,15 @@ def flown(model: ExtendedModel, run: Run, q: Tensor | None = None) -> Predict:
     scale = scene.position_scale[:1] * scene.ground_scale[:1]
     states[:, :2] /= scale  # the place that was shown, not the true one, is recorded
     states[:, 2] /= scene.position_scale[0]
+    blind = scene.estimator
+    if blind is not None:
+        if not is_past_known:
+            blind = blind.by_state_alone(scene.windows.states, scene.force_by_record())
+            scene = scene.changed(estimator=blind)
+        error, turned = blind.errors[0].unbind(-2)
+        states[:, 6:9] -= error
+        right = matrix_from_quaternion(quaternion_from_rotation_vector(-turned))
+        states[:, 3:6] = rpy_from_matrix(right @ frames.rotation(shown @ offset))
     past = scene.commands[:, 0]
     thrusts = scene.delivered(past)[0]
     # delivered at a sample: over the step before it; the last step has none
@@ -139,6 +152,7 @@ def flown(model: ExtendedModel, run: Run, q: Tensor | None = None) -> Predict:
             measured=channels[rows],
             sd=torch.ones(channels.shape[1], dtype=torch.float64),
             latest=[],
+            rows=starts,
         )
         flyer = Flyer(scene.changed(windows=there), 1)
         with torch.no_grad():

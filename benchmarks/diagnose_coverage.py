@@ -27,7 +27,7 @@ from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.refit import fit_null, refit
 from diffsim.identify import Fit
-from diffsim.identify.problem import effect_coordinates
+from diffsim.identify.coordinates import effect_coordinates
 
 
 @dataclass(frozen=True)

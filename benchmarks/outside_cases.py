@@ -88,7 +88,7 @@ def held_against(case: Case, answer: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "right": right,
         "wrong_name": verdict == "named" and named not in known,
-        "false_alarm": case.kind == "null" and verdict in ("named", "ambiguous", "unknown"),
+        "false_alarm": case.kind == "null" and verdict not in ("none", "unrepeatable", "failed"),
         "inside": _inside(case, answer) if right else None,
     }
 

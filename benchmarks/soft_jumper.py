@@ -31,9 +31,17 @@ from diffsim.learn.run import read_rows
 from diffsim.learn.setup import evaluate
 from diffsim.viz.figures import CYCLE, SOFT
 
-PUBLISHED = {"sapo": 1820.5, "gradient": 956.6, "shac": 853.3, "ppo": 261.5}
+PUBLISHED = {"SAPO": 1820.5, "APG": 956.6, "SHAC": 853.3, "TrajOpt": 437.0, "PPO": 261.5}
 PUBLISHED_STEPS = 6_000_000
-LABELS = {"sapo": "SAPO", "shac": "SHAC", "gradient": "APG", "ppo": "PPO"}
+# folder of runs: what they are, and the published method that is nearest
+RUNS = {
+    "sapo_clock": ("SAPO with a clock", "SAPO"),
+    "gradient_clock": ("Adam, a network with a clock", "APG"),
+    "open_loop": ("Adam on one period, no network", "TrajOpt"),
+    "sapo": ("SAPO, no clock", "SAPO"),
+    "shac": ("SHAC, no clock", "SHAC"),
+}
+PLAIN = ("sapo", "shac")  # without a clock
 METHODS = ("newton_cholesky", "auto")  # linearly implicit steps refuse the floor
 SUBSTEPS = (1, 2, 4, 8, 16)
 SQUARE_WAVES = (2.0, 2.5, 3.0, 3.5, 4.0)  # [Hz]
@@ -133,30 +141,23 @@ def rate(method: str, differentiate: bool, batch: int = 8, steps: int = 16) -> f
 
 def draw_curves(records: Path, out: Path) -> None:
     """Returns against steps, to the published number of them, and against CPU seconds."""
-    figure = new_figure(8.6, 3.9)
+    figure = new_figure(8.6, 4.4)
     panels = figure.subplots(1, 2, sharey=True)
-    for method, color in zip(PUBLISHED, CYCLE, strict=False):
-        panels[0].plot(
-            PUBLISHED_STEPS,
-            PUBLISHED[method],
-            "D",
-            color=color,
-            label=f"{LABELS[method]}, published after 6 million steps",
-        )
-        for path in sorted((records / method).glob("seed_*")):
+    colors = dict(zip(PUBLISHED, CYCLE, strict=False))
+    for method, value in PUBLISHED.items():
+        label = f"{method}, published after 6 million steps"
+        panels[0].plot(PUBLISHED_STEPS, value, "D", color=colors[method], label=label)
+        for ax in panels:
+            ax.axhline(value, color=colors[method], lw=0.8, ls="--")
+    for folder, (words, method) in RUNS.items():
+        dashes = ":" if folder in PLAIN else "-"
+        for k, path in enumerate(sorted((records / folder).glob("seed_*"))):
             rows = read_rows(path)
             returns = [EPISODE * row["reward"] for row in rows]
+            style_of = {"color": colors[method], "ls": dashes, "marker": ".", "lw": 1.3}
+            label = f"{words}, here" if k == 0 else None
             for ax, axis in zip(panels, ("steps", "seconds"), strict=True):
-                ax.plot(
-                    [row[axis] for row in rows],
-                    returns,
-                    ".-",
-                    color=color,
-                    lw=1.2,
-                    label=f"{LABELS[method]}, here, one line per seed",
-                )
-        for ax in panels:
-            ax.axhline(PUBLISHED[method], color=color, lw=0.8, ls="--")
+                ax.plot([row[axis] for row in rows], returns, label=label, **style_of)
     for ax in panels:
         label = "all muscles by a square wave of 3 Hz, no training"
         ax.axhline(BY_HAND, color=SOFT, lw=0.8, ls=":", label=label)

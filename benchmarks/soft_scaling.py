@@ -131,7 +131,7 @@ def rows(results: dict[str, Any], kind: str, method: str) -> list[dict[str, Any]
 
 def measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows with times: neither skipped nor the same as another method's."""
-    return [r for r in rows if "forward_wall_s" in r]
+    return [r for r in rows if "forward_cpu_s" in r]
 
 
 def expected_pass(smaller: list[dict[str, Any]], dof: int, method: str) -> float | None:
@@ -169,7 +169,7 @@ def exponents(results: dict[str, Any], plan: Plan, *, above: int = 3000) -> list
                 "from": sizes[0],
                 "to": sizes[-1],
             }
-            for name in ("forward_wall_s", "backward_wall_s"):
+            for name in ("forward_cpu_s", "backward_cpu_s"):
                 row[name] = exponent(sizes, [r[name]["median"] for r in large])
             row["memory_B"] = exponent(sizes, [r["memory_peak_B"] for r in large])
             found.append(row)

@@ -49,14 +49,14 @@ def _scaling(settings: dict[str, Any]) -> dict[str, Any]:
         _, other = timed(lambda: body(body.rest_state(), physics=heavier))
     return {
         **phase_times(passes, num_steps),
-        "pass_s": spread([run.total for run in passes])["median"],
+        "pass_s": spread([run.forward.cpu + run.backward.cpu for run in passes])["median"],
         "num_elements": body.mesh.num_elements,
         "converged": passes[-1].converged,
         "factorized": passes[-1].factorized,
         **passes[-1].counts(),
-        "prepare_mesh_s": prepare.wall,
-        "analyze_and_factor_s": first.wall - second.wall,
-        "factor_s": other.wall - second.wall,
+        "prepare_mesh_s": prepare.cpu,
+        "analyze_and_factor_s": first.cpu - second.cpu,
+        "factor_s": other.cpu - second.cpu,
         "memory_start_B": start,
         "memory_peak_B": peak,
     }
@@ -82,7 +82,7 @@ def rollout_memory(settings: dict[str, Any]) -> dict[str, Any]:
     )
 
     def times(phase: Callable[[Pass], Seconds]) -> dict[str, float]:
-        return spread([phase(run).wall for run in runs[1:]])
+        return spread([phase(run).cpu for run in runs[1:]])
 
     return {
         "memory_peak_B": peak,

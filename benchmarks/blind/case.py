@@ -128,6 +128,7 @@ def answer_of(report: Report) -> dict[str, Any]:
             row.name: {c: [s.value, s.low, s.high] for c, s in row.size.items()}
             for row in report.causes
         },
+        "sheets": {row.name: [row.value, row.low, row.high] for row in report.base if row.finding},
         "cannot_see": dict(report.cannot_see),
         "failed_gates": [g.name for g in report.gates if not g.passed],
         "gain": None if report.gain is None else [report.gain.value, report.gain.status],

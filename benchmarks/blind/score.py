@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.case import TWIN
+from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect
-from diffsim.identify.problem import effect_coordinates
 
 ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen
 
 
 def score_answer(
-    label: Mapping[str, Any], answer: Mapping[str, Any], effects: Sequence[Effect]
+    label: Mapping[str, Any],
+    answer: Mapping[str, Any],
+    effects: Sequence[Effect],
+    sheets: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Verdict and sizes, without any simulation.
 
@@ -23,6 +26,8 @@ def score_answer(
         label: What was hidden.
         answer: Of ``blind_case``.
         effects: The whole library, with what this diagnosis was not given.
+        sheets: Findings on data sheets beside the truth, as of ``held_sheets``; None: there are
+            none, or nobody knows the truth.
     """
     known = {e.name: e for e in effects}
     truth = true_sizes(label, known)
@@ -31,6 +36,12 @@ def score_answer(
     if kind in ("single", "pair", "twins", "confounded") and not is_inside:
         kind = "outside"  # the laboratory knows a cause that this library lacks
     sets = [sorted(s) for s in (answer.get("named", []), *answer.get("rivals", [])) if s]
+    # a data sheet that is off, and said to be what it truly is: no cause, and no false alarm
+    is_noise = answer["verdict"] == "none" or (
+        answer["verdict"] == "data_sheet"
+        and bool(sheets)
+        and all(row["inside"] for row in (sheets or {}).values())
+    )
     verdict, wanted = answer["verdict"], sorted(truth)
     in_set = verdict in ("named", "ambiguous") and wanted in sets
     # of sets that share what is named, the rest is open: only a foreign name is wrong then
@@ -42,12 +53,16 @@ def score_answer(
         "truth": {name: list(s) if s is not None else None for name, s in truth.items()},
         "decoys": label["decoys"],
         "verdict": verdict,
+        "is_noise": is_noise,
+        "sheets": {name: dict(row) for name, row in (sheets or {}).items()},
         "named": answer.get("named", []),
         "rivals": answer.get("rivals", []),
         "in_set": in_set,
         "alone": in_set and verdict == "named" and not is_open,
         "wrong_alone": verdict == "named" and is_wrong,
-        "right": _is_right(kind, label, answer, truth, in_set, sets, known),
+        "right": is_noise
+        if kind in ("null", "decoy") and "scatter" not in label["decoys"]
+        else _is_right(kind, label, answer, truth, in_set, sets, known),
         "class_given": _class_given(label, verdict, sets),
         "sizes": _sizes(truth, answer, known) if in_set else {},
         "gain": answer.get("gain"),

@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 import diffsim
 from benchmarks.blind.score import score_answer, with_strength
+from benchmarks.blind.sheets import held_sheets
 from benchmarks.blind.strength import score_simulated
 from benchmarks.blind.table import by_strength, confusion, figures, markdown
 from diffsim.cli.diagnose_inputs import inputs_of
@@ -135,12 +136,14 @@ class Blind:
             ValueError: the label is not the one that was sealed.
         """
         path = self.out / "scores" / f"{case}.json"
-        label = open_label(self.data, self.vault, case)["label"]
+        content = open_label(self.data, self.vault, case)
+        label = content["label"]
         if not (path.is_file() and self._is_answered(case)):
             answer = self.answer(case)
             folder = self.data / case
             setup = inputs_of(load_study(folder), seed=0, setup_file=self.setup_file).setup
-            score = {"case": case, **score_answer(label, answer, setup.effects)}
+            sheets = held_sheets(self.bench, content["truth"], answer.get("sheets", {}))
+            score = {"case": case, **score_answer(label, answer, setup.effects, sheets)}
             if self.with_lambda and label["effects"]:
                 try:
                     score |= score_simulated(self.bench, label, folder, score, self.setup_file)

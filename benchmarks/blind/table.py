@@ -13,7 +13,9 @@ from scipy import stats
 from diffsim.data.labs.sealed import KINDS
 
 Score = Mapping[str, Any]
-VERDICTS = ("none", "named", "ambiguous", "unknown", "unrepeatable", "numerical", "failed")
+VERDICTS = (
+    "none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical", "failed",
+)  # fmt: skip
 VISIBLE, FAINT = 8.0, 5.0  # lambda
 CLASSES = {"below 3": (0.0, 3.0), "3 to 8": (3.0, 8.0), "8 or more": (8.0, math.inf)}
 DISTINCT = 0.4  # delta of a cause outside the library
@@ -49,7 +51,9 @@ def figures(scores: Sequence[Score]) -> list[dict[str, Any]]:
     named = {"named", "ambiguous", "unknown"}
     rows = [
         _row("nulls and decoys with a name or unknown", "<= 0.02", clean,
-             [s["verdict"] in named for s in clean]),
+             [s["verdict"] in named or _is_alarm(s) for s in clean]),
+        _row("nulls and decoys, a data sheet called off", "", clean,
+             [s["verdict"] == "data_sheet" for s in clean]),
         _row("one effect, lambda >= 8: right, alone or in the set", ">= 0.95", visible,
              [s["in_set"] for s in visible]),
         _row("one effect, lambda 5 to 8: right, alone or in the set", ">= 0.5", faint,
@@ -154,6 +158,11 @@ def _row(what: str, goal: str, of: Sequence[Any], hits: Sequence[bool]) -> dict[
 def _is_noise(s: Score) -> bool:
     """Decoys that are noise; scattering repeats are not."""
     return "scatter" not in s["decoys"]
+
+
+def _is_alarm(s: Score) -> bool:
+    """Whether a data sheet is called off, and not what it truly is."""
+    return s["verdict"] == "data_sheet" and not s.get("is_noise", False)
 
 
 def _weakest(s: Score) -> float:

@@ -16,7 +16,8 @@ order:
    effects, and what was simulated for it.
 9. ``judge``: one verdict; unknown causes face the repeats (``crosscheck``), names face a
    ``referee``: runs with use: select, or fit runs left out (``left_out``).
-10. ``averaging``, ``causes``, ``data_sheet``: a verdict per cause; the answer is frozen here.
+10. ``averaging``, ``form``, ``wrong_sheet``, ``causes``, ``data_sheet``: a verdict per cause; the
+    answer is frozen here.
 11. ``unseen``, ``gain``, ``outside``: test runs, looked at once; ``frozen``: new runs later.
 12. ``wording``, ``records``, ``tables``, ``assemble``, ``report``, ``force_map``: the answer as it
     is read and saved.

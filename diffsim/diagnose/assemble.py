@@ -37,6 +37,7 @@ from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, se
 from diffsim.diagnose.unseen import on_unseen
 from diffsim.diagnose.weighed_sets import Search
 from diffsim.diagnose.wording import Answer, headline, sentences
+from diffsim.diagnose.wrong_sheet import without_wrong_sheets
 from diffsim.identify import Fit
 from diffsim.identify.unknown import UnknownForce
 
@@ -143,7 +144,7 @@ def report_of(
         sentences=(),
         named=tuple(effects[i].name for i in sorted(named)),
         rivals=names,
-        hypotheses=hypothesis_rows(search, effects, case.unknowns),
+        hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
         confounding_names=screened.names,
         confounding=screened.confounding,
@@ -232,12 +233,14 @@ def _averaged(
 ) -> Averaged | None:
     if search is None:
         return None
-    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes)
+    instead = {members: nats for members, (_, nats) in judgment.decision.instead.items()}
+    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes, instead)
 
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
-    return base_rows(best, best.problem.runs, widening(best), judged=judged)
+    wrong = judgment.decision.sheets
+    return base_rows(best, best.problem.runs, widening(best), judged=judged, wrong=wrong)
 
 
 def _verdict(
@@ -248,7 +251,8 @@ def _verdict(
     Where rivals share causes that are certain, these are named: only the rest cannot be told. Where
     none is certain and an unknown cause has the evidence beside the best set, or the set may stand
     in for what unseen runs refused, something unknown is the verdict. A best set of which nothing
-    is certain, and that leaves much, is not named either. What a data sheet has wrong is no noise.
+    is certain, and that leaves much, is not named either. What a data sheet has wrong is no noise,
+    and no cause that the model lacks: a verdict of its own.
     """
     decision = judgment.decision
     if decision.verdict == "named" and not certain:
@@ -259,13 +263,14 @@ def _verdict(
     if decision.verdict == "ambiguous":
         return ("named", certain) if certain else ("ambiguous", decision.best)
     if decision.verdict == "none" and findings:
-        return "named", NONE
+        return "data_sheet", NONE
     return decision.verdict, decision.best if decision.verdict == "named" else NONE
 
 
 def _with_forms(judgment: Judgment, search: Search, unrefined: Mapping[str, Array]) -> Judgment:
     """The judgment, what may be another cause's form left open; the set without it is fitted."""
     decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best), unrefined)
+    decision = without_wrong_sheets(decision, search)
     if decision.forms:  # of several forms, the search need not have come by
         search = refit(search, decision.best - set(decision.forms))
     return replace(judgment, decision=decision, search=search)

@@ -36,7 +36,7 @@ ORDER = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 
 
 def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> frozenset[int]:
-    """Effects in every set within reach, with a probability of 99 % over all sets.
+    """Effects in every set within reach or that fits as well, with a probability of 99 %.
 
     None where an unknown cause beside the best set is a rival: the set explains too little then.
     Where larger sets were not fitted although they have the evidence, what they would hold must not
@@ -55,7 +55,7 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
         for i in decision.best
         if about.probability(i) >= SURE
         and not _may_be_replaced(about, i, left_out)
-        and all(i in h.effects for h in about.reach)
+        and all(i in h.effects for h in (*about.reach, *decision.equal))
         and all(i in members for members in refused)
         and not _helps_nothing(judgment.gains.get(i))
         and not _may_be_zero(about, i)
@@ -125,10 +125,14 @@ def _may_be_replaced(about: Averaged, i: int, left_out: float) -> bool:
 def open_rivals(
     decision: Decision, about: Averaged, certain: frozenset[int]
 ) -> tuple[Hypothesis, ...]:
-    """Sets that the choice is open to; where some effects are certain, those within reach."""
+    """Sets that the choice is open to.
+
+    Where some effects are certain, those within reach and those that fit as well.
+    """
     if not certain:
         return decision.rivals
     within = [h for h in about.reach if not h.effects >= decision.best]
+    within += [h for h in decision.equal if h not in within]
     plain = Hypothesis(decision.best - set(decision.forms))
     return (plain, *within) if decision.forms and plain not in within else tuple(within)
 
@@ -233,6 +237,8 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
         rivals, is_best = _rivals_of(told, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         return (LIKELY if is_named else UNTOLD), rivals
+    if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
+        return REFUTED, (decision.forms[i],)
     if p >= POSSIBLE:
         return UNTOLD, (NOISE,)
     added = about.added(decision.best | told.members, i)
@@ -324,6 +330,7 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         others = _sets_without_pull(told, about, row)
         if others:
             status, rivals = UNTOLD, others
+    read = row.as_read()
     return CauseRow(
         name=row.name,
         words=row.words,
@@ -333,14 +340,18 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         size={"size": Interval(row.value, row.low, row.high)},
         unit=row.unit,
         rivals=rivals,
-        note=f"data sheet: {row.prior_value:.4g} +- {row.prior_sd:.2g} (one standard deviation)",
+        note=f"data sheet: {read.prior_value:.4g} +- {read.prior_sd:.2g} (one standard deviation)",
+        shown_unit=None if read.unit == row.unit else read.unit,
     )
 
 
 def _sets_without_pull(told: Told, about: Averaged | None, row: BaseRow) -> tuple[str, ...]:
     """Causes of the sets within reach in which the parameter stays near its data sheet."""
     names: dict[str, None] = {}
+    forms = told.judgment.decision.forms
     for h in () if about is None else about.reach:
+        if h.effects & set(forms):  # the data sheet was weighed against these
+            continue
         fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
         if fit is None:
             continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,7 +44,12 @@ def words_of(name: str) -> str:
 
 
 def base_rows(
-    fit: Fit, runs: Sequence[Run], wider: Widening, *, judged: bool
+    fit: Fit,
+    runs: Sequence[Run],
+    wider: Widening,
+    *,
+    judged: bool,
+    wrong: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[BaseRow, ...]:
     """Base parameters of the runs that were fitted, with what their data sheets say.
 
@@ -53,6 +58,8 @@ def base_rows(
         runs: Runs that were fitted.
         wider: Widening of intervals.
         judged: Whether findings may be stated: repeats and numerical settings are in order.
+        wrong: Value and sd of parameters without the pull of a data sheet that is wrong, in its
+            standard deviations, by name; None: none.
     """
     sd, names = np.sqrt(np.diag(fit.covariance)), {run.name for run in runs}
     base, rows = fit.problem.model.base, []
@@ -62,7 +69,8 @@ def base_rows(
         if run is not None and run not in names:
             continue
         factor = wider.factors.get(p.name, wider.usual if run is None else 1.0)
-        rows.append(_base_row(p, float(fit.x[i]), float(sd[i]) * factor, run, limit))
+        x, spread = (wrong or {}).get(p.name, (float(fit.x[i]), float(sd[i])))
+        rows.append(_base_row(p, x, spread * factor, run, limit))
     if not judged:
         return tuple(rows)
     alone = (replace(r, finding=r.run is None and _is_off(r)) for r in rows)

@@ -18,9 +18,10 @@ prior within the bounds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 # back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
 REACH = 20.0  # scaled sizes
 FARTHER = 4.0
+NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet
 KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
 ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
 
@@ -122,16 +124,21 @@ class LaplaceEvidence:
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
 
-    def weigh(self, hypothesis: Hypothesis) -> Weighed:
-        """Evidence of a hypothesis and its optimum."""
-        price = np.log(max(self.num_families, 1))
+    def weigh(self, hypothesis: Hypothesis, wide: Mapping[int, float] = NORMAL) -> Weighed:
+        """Evidence of a hypothesis and its optimum.
+
+        Args:
+            hypothesis: Effects, and an unknown cause.
+            wide: How many times wider the prior of a base parameter is, by its index.
+        """
+        price = price_of_family(self.num_families)
         members = sorted(hypothesis.effects)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
         if hypothesis.unknown is None:
-            nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0)
+            nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0, wide)
             return Weighed(nats - len(members) * price, x, sd, chi2, 0.0)
         extra = self.unknown_columns[hypothesis.unknown]
-        tried = [self._gaussian(free, members, extra, a) for a in AMPLITUDES]
+        tried = [self._gaussian(free, members, extra, a, wide) for a in AMPLITUDES]
         evidences = np.array([t[0] for t in tried])
         best = int(np.argmax(evidences))
         mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
@@ -141,7 +148,12 @@ class LaplaceEvidence:
         return Weighed(mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
     def _gaussian(
-        self, free: list[int], members: list[int], extra: list[int], amplitude: float
+        self,
+        free: list[int],
+        members: list[int],
+        extra: list[int],
+        amplitude: float,
+        wide: Mapping[int, float],
     ) -> tuple[float, Array, Array, float]:
         idx = free + extra
         count, is_size = len(free), np.array([i >= self.problem.num_base for i in free], dtype=bool)
@@ -156,6 +168,8 @@ class LaplaceEvidence:
             best = optimum(*_without(gram, b, count), *near, is_size, self.scaled0[free])
             precision[is_size] = precision_at(best[is_size])
         width = np.concatenate([1.0 / np.sqrt(precision), np.ones(len(extra))])
+        for j, factor_of_sd in wide.items():  # base parameters come first, all of them
+            width[j] = factor_of_sd
         b, gram = width * b, gram * np.outer(width, width)
         unbounded = np.full(len(extra), np.inf)
         low = np.concatenate([low / width[:count], -unbounded])
@@ -209,6 +223,11 @@ def _within(
     # together the bounds cost what the optimum lost, not each one's share of it once more
     lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
     return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))
+
+
+def price_of_family(num_families: int) -> float:
+    """Nats that the choice of one more family costs."""
+    return float(np.log(max(num_families, 1)))
 
 
 def unrealized(fit: Fit, weighed: Weighed) -> float:

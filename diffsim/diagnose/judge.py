@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.referee import Referee, gain_over
@@ -38,12 +38,18 @@ class Decision:
     Attributes:
         verdict: "none", "named", "ambiguous" or "unknown"; the gates speak before.
         best: The set behind the verdict, without an unknown cause.
-        rivals: Other hypotheses within 3 nats, best first.
+        rivals: Other hypotheses within 3 nats of evidence, or of fit (``fits_as_well``), best
+            first.
         unknown: The unknown cause's hypothesis if the verdict is "unknown".
         share: Share of the misfit, chi2_null - N, that the best set explains.
         beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
             more before the best set although that explains enough; its lead is ``lead`` [nats].
         forms: Effects that may be the form of another one of the set, each with what they may be.
+        equal: Those of the rivals that fit as well.
+        sheets: Parameters whose data sheet is wrong in place of a cause: where a wide prior puts
+            them and their sd, in standard deviations of the data sheet.
+        instead: Wrong data sheets in place of a member of the best set: what it leaves, with the
+            data sheet in words and the evidence of both [nats].
     """
 
     verdict: str
@@ -54,10 +60,17 @@ class Decision:
     beside: Hypothesis | None = None
     lead: float = 0.0
     forms: Mapping[int, str] = field(default_factory=dict)
+    equal: tuple[Hypothesis, ...] = ()
+    sheets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    instead: Mapping[frozenset[int], tuple[str, float]] = field(default_factory=dict)
 
 
 def decide(
-    nats: Mapping[Hypothesis, float], chi2: Mapping[Hypothesis, float], num_free: float
+    nats: Mapping[Hypothesis, float],
+    chi2: Mapping[Hypothesis, float],
+    num_free: float,
+    pulls: Mapping[Hypothesis, float] | None = None,
+    num_sizes: Mapping[Hypothesis, int] | None = None,
 ) -> Decision:
     """Verdict from the evidence of all refitted hypotheses.
 
@@ -65,7 +78,12 @@ def decide(
         nats: Evidence; must hold the empty hypothesis.
         chi2: Misfit |W (y - S)|^2 of each hypothesis without unknown cause.
         num_free: Expected chi2 of a right model: samples less fitted parameters.
+        pulls: Squares of the coordinates at the optimum, by hypothesis: what data sheets and usual
+            sizes say against it. Added to the misfit; None: zero.
+        num_sizes: Components of all sizes of a hypothesis; None: one for each effect.
     """
+    cost = {h: value + (pulls or {}).get(h, 0.0) for h, value in chi2.items()}
+    free = num_sizes or {h: len(h.effects) for h in cost}
     named_only = {h: e for h, e in nats.items() if h.unknown is None}
     best = prune(named_only, max(named_only, key=lambda h: named_only[h]))
     missing = chi2[Hypothesis()] - num_free
@@ -76,16 +94,47 @@ def decide(
         return Decision("unknown", best.effects, (), strongest, explained)
     if not best.effects:
         return Decision("none", frozenset(), (), None, 0.0)
+    lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
+    # where the record holds more, what single samples say of two sets is not theirs alone
+    equal = fits_as_well(cost, free, best) if lead < KEEP_NATS else frozenset()
     rivals = [
         h
         for h, e in nats.items()
-        if nats[best] - e < ALONE_NATS and not h.effects >= best.effects and h != best
+        if (nats[best] - e < ALONE_NATS or h in equal)
+        and not h.effects >= best.effects
+        and h != best
     ]
     rivals = sorted((h for h in rivals if _is_kept(nats, h)), key=lambda h: -nats[h])
     verdict = "ambiguous" if rivals else "named"
-    lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
     beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
-    return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside)
+    as_well = tuple(h for h in rivals if h in equal)
+    return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside, equal=as_well)
+
+
+def fits_as_well(
+    cost: Mapping[Hypothesis, float], free: Mapping[Hypothesis, int], best: Hypothesis
+) -> frozenset[Hypothesis]:
+    """Other sets of no more effects than the best one that explain the records as well.
+
+    Evidence prefers the set whose freedom was used less: one weak rotor to a center of mass that
+    lies, by chance, on its arm. That tells which is likelier if one of the two acts, not which it
+    is: a name that stands alone must fit better than what would stand in its place.
+
+    Args:
+        cost: Misfit with pulls of each hypothesis without unknown cause.
+        free: Components of its sizes; one more than the best set has is allowed. What has many
+            fits anything.
+        best: Set with the best evidence.
+    """
+    return frozenset(
+        h
+        for h, value in cost.items()
+        if h.effects
+        and len(h.effects) <= len(best.effects)
+        and free[h] <= free[best] + 1
+        and not h.effects >= best.effects
+        and 0.5 * (value - cost[best]) < ALONE_NATS
+    )
 
 
 def prune(nats: Mapping[Hypothesis, float], best: Hypothesis) -> Hypothesis:
@@ -245,7 +294,17 @@ def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Deci
         {h: w.nats for h, w in weighed.items()},
         {h: w.chi2 for h, w in weighed.items() if h.unknown is None},
         null.num_samples - fitted,
+        {h: _pull(w) for h, w in weighed.items() if h.unknown is None},
+        {h: _num_sizes(search, h) for h in weighed},
     )
+
+
+def _num_sizes(search: Search, h: Hypothesis) -> int:
+    return sum(len(search.wide.effects[i].components) for i in h.effects)
+
+
+def _pull(weighed: Weighed) -> float:
+    return float(weighed.x @ weighed.x) if weighed.fit is None else weighed.fit.prior
 
 
 def confirmed(

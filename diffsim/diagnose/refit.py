@@ -22,11 +22,11 @@ from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.report import fit_to_dict, save_model
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
+from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]
@@ -155,6 +155,9 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     sets = list(dict.fromkeys(given if verdict == "named" and given else [named, *given]))
     known = [r for r in sets if set(r) <= effects]
     unknown = len(sets) - len(known)
+    if verdict == "data_sheet":
+        off = ", ".join(report.get("findings", ()))
+        return [], f"verdict data_sheet: no cause is open; measure {off} to confirm the number"
     if not named:
         return [], f"verdict {verdict}: no set of effects stands, none can be settled"
     if len(sets) > 1:

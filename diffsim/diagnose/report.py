@@ -28,7 +28,7 @@ from diffsim.identify.model_file import MODEL_FILE, save_extended
 
 Array = NDArray[np.float64]
 
-VERDICTS = ("none", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
+VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from diffsim.diagnose.records import (
     EFFECT,
     LIKELY,
     UNKNOWN,
+    WRONG_SHEET,
     CauseRow,
     ErrorRow,
     Interval,
@@ -122,6 +123,8 @@ def _said(answer: Answer) -> list[str]:
         ]
     if answer.verdict == "ambiguous":
         return _open(answer)
+    if answer.verdict == "data_sheet":
+        return _off_sheet([row for row in answer.causes if row.origin == DATA_SHEET])
     if named:
         return _missing(named)
     return ["Nothing is missing that these runs could show"]
@@ -134,9 +137,28 @@ def _open(answer: Answer) -> list[str]:
     parts = [[_plain(answer, n) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
     shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > MAX_NAMES else "")
+    if names and len(shown.split()) > MAX_OPEN:
+        shown = f"{names[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
         shown = "one of several causes"
-    return [f"{_capital(shown)} is missing; these runs cannot tell which"]
+    off = [
+        w.removeprefix(WRONG_SHEET)
+        for w in answer.decision.forms.values()
+        if w.startswith(WRONG_SHEET)
+    ]
+    also = f" or {off[0]} is off its data sheet" if off else ""
+    return [f"{_capital(shown)} is missing{also}; these runs cannot tell which"]
+
+
+def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
+    """Sentences on data sheets where no cause is missing, the longest first."""
+    row = rows[0].as_read()
+    value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
+    prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
+    others = "" if len(rows) == 1 else f" (and {len(rows) - 1} more)"
+    which = "a data sheet is" if len(rows) == 1 else "data sheets are"
+    off = f"{row.words} is {value.value:.3g}{unit}, not {prior}{unit}"
+    return [f"Only {which} off: {off}{others}", f"{_opened(off)}{others}", _opened(off)]
 
 
 def _missing(named: Sequence[CauseRow]) -> list[str]:
@@ -144,13 +166,6 @@ def _missing(named: Sequence[CauseRow]) -> list[str]:
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = [row for row in named if row.origin == EFFECT]
     effects = [row for row in effects if row.status == CERTAIN] or effects
-    if not effects:
-        row = sheet[0]
-        value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
-        prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
-        others = "" if len(sheet) == 1 else f" (and {len(sheet) - 1} more)"
-        said = f"{_opened(row.words)} is {value.value:.3g}{unit}"
-        return [f"{said}, the data sheet says {prior}{unit}{others}", f"{said}, not {prior}{unit}"]
     sure = "" if all(row.status == CERTAIN for row in effects) else " probably"
     words = [row.words for row in effects[:MAX_NAMES]]
     more = len(effects) - len(words)
@@ -285,8 +300,8 @@ def _first(answer: Answer) -> str:
     helping = [row for row in named if row.helps]
     if answer.verdict == "none":
         return "The misfit is noise: no effect of the library pays for itself."
-    if answer.verdict == "named" and not sure:
-        return "No effect of the library pays for itself."
+    if answer.verdict == "data_sheet":
+        return "The misfit is noise once a data sheet is mended: no cause is missing."
     if answer.verdict == "named":
         return f"The model lacks {_sizes(sure)}."
     if answer.verdict == "ambiguous":
@@ -314,7 +329,7 @@ def _first(answer: Answer) -> str:
 def _data_sheets(answer: Answer) -> list[str]:
     """One sentence per base parameter far off its data sheet."""
     out = []
-    for row in answer.causes:
+    for row in (row.as_read() for row in answer.causes):
         if row.origin == DATA_SHEET:
             unit = "" if row.unit == "-" else f" {row.unit}"
             size = next(iter(row.size.values()))

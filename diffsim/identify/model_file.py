@@ -33,12 +33,12 @@ from diffsim.core.check import require_choice, require_number
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
+from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect, is_of_run
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
-from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.sizes import PRIOR_WIDTH
 

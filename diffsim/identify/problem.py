@@ -20,6 +20,7 @@ from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
+from diffsim.identify.coordinates import effect_coordinates, touches
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import FIT_RTOL
@@ -375,22 +376,6 @@ class Problem:
                 contexts = [copy_context() for _ in self.runs]  # records of solves go along
                 return list(pool.map(lambda c, run: c.run(job, run), contexts, self.runs))
         return [job(run) for run in self.runs]
-
-
-def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Names of the components; the effect's own where it has only one."""
-    return tuple(
-        e.name if len(e.components) == 1 else f"{e.name}.{c}" for e in effects for c in e.components
-    )
-
-
-def touches(name: str, run: Run) -> bool:
-    """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only, "drag[frame=A]" where
-    the run's setup says so."""
-    if name.endswith("]") and "=" in name:
-        key, _, label = name[name.rindex("[") + 1 : -1].partition("=")
-        return key not in run.setup or str(run.setup[key]) == label
-    return "@" not in name or name.rsplit("@", 1)[1] == run.name
 
 
 def _inside(lower: float, log: bool) -> bool:

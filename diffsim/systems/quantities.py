@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     Inertia: TypeAlias = Quantity
     Length: TypeAlias = Quantity
     Mass: TypeAlias = Quantity
+    PerSecond: TypeAlias = Quantity
     Plain: TypeAlias = Quantity
     Resistance: TypeAlias = Quantity
     Time: TypeAlias = Quantity
@@ -20,6 +21,7 @@ else:
     Inertia = quantity("kg m^2")
     Length = quantity("m")
     Mass = quantity("kg")
+    PerSecond = quantity("1/s")
     Plain = quantity("-")
     Resistance = quantity("Pa s/m^3")
     Time = quantity("s")
@@ -30,6 +32,7 @@ __all__ = [
     "Inertia",
     "Length",
     "Mass",
+    "PerSecond",
     "Plain",
     "Resistance",
     "Time",

@@ -30,6 +30,7 @@ MAX_COMMANDS = 12  # in the menu of the force map
 MAX_NUISANCES = 40  # rows of the table of base parameters
 TONES = {
     "none": "good",
+    "data_sheet": "good",
     "named": "good",
     "ambiguous": "fair",
     "unknown": "fair",

@@ -104,13 +104,14 @@ def test_quantiles_are_those_of_the_mixture():
 
 def test_a_data_sheet_that_is_wrong_is_a_finding_and_never_noise():
     report = diagnosed({}, (PUSH,), base=(6.0, 0.5))
-    assert (report.verdict, report.named, report.findings) == ("named", (), ("mass",))
+    assert (report.verdict, report.named, report.findings) == ("data_sheet", (), ("mass",))
     row = causes(report)["mass"]
     assert (row.origin, row.status, row.unit) == ("data sheet", "certain", "kg")
     assert row.size["size"].low < 0.3 + 6.0 * 0.7 < row.size["size"].high
     assert not any("noise: no effect" in s for s in report.sentences)
     assert any("the data sheet says 0.3 +- 0.7 kg" in s for s in report.sentences)
-    assert report.headline.startswith("Mass is 4.") and "data sheet" in report.headline
+    assert report.headline.startswith("Only a data sheet is off: mass is 4.")
+    assert not report.answer.told("certain", "likely", origin="effect")
     base = {b.name: b for b in report.base}
     assert base["mass"].finding and base["mass"].pull == pytest.approx(6.0, abs=0.5)
     assert not base["gain"].finding
@@ -141,6 +142,18 @@ def test_of_many_data_sheets_one_is_far_off_by_chance():
 def test_symbols_keep_their_case():
     """m and M are two parameters of one cart."""
     assert [_opened(t) for t in ("m", "kp of a", "mass")] == ["m", "kp of a", "Mass"]
+
+
+def test_small_lengths_of_data_sheets_are_read_in_millimeters():
+    row = BaseRow("bore", "bore", "m", 9.12e-4, 5e-6, 9.04e-4, 9.2e-4, 1e-3, 1e-5, -8.8, 3.0)
+    read = row.as_read()
+    assert (read.unit, read.value, read.prior_sd) == (
+        "mm",
+        pytest.approx(0.912),
+        pytest.approx(0.01),
+    )
+    assert replace(row, value=0.3).as_read() == replace(row, value=0.3)
+    assert replace(row, unit="Pa").as_read() == replace(row, unit="Pa")
 
 
 def test_a_null_has_no_cause_and_no_finding():

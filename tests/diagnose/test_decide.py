@@ -9,7 +9,9 @@ N = 1000.0
 
 
 def verdict(nats, chi2_null=1200.0, chi2_a=1000.0):
-    chi2 = {h: chi2_a for h in nats if h.unknown is None} | {NULL: chi2_null}
+    named = {h: e for h, e in nats.items() if h.unknown is None}
+    chi2 = {h: chi2_a + 2.0 * (max(named.values()) - e) for h, e in named.items()}
+    chi2[NULL] = chi2_null
     return decide(nats, chi2, N)
 
 
@@ -24,6 +26,23 @@ def test_a_rival_within_three_nats(behind, expected):
     found = verdict({NULL: 0.0, A: 20.0, B: 20.0 - behind})
     assert found.verdict == expected
     assert found.rivals == ((B,) if expected == "ambiguous" else ())
+
+
+@pytest.mark.parametrize(
+    ("worse", "pull", "expected"),
+    [(5.9, 0.0, "ambiguous"), (6.1, 0.0, "named"), (-2.0, 7.9, "ambiguous"), (-2.0, 8.1, "named")],
+)
+def test_what_fits_as_well_is_a_rival_whatever_its_evidence(worse, pull, expected):
+    nats = {NULL: 0.0, A: 20.0, B: 8.0}
+    found = decide(nats, {NULL: 1200.0, A: 1000.0, B: 1000.0 + worse}, N, {B: pull})
+    assert found.verdict == expected and found.best == A.effects
+    strong = {**nats, AU: 24.1}
+    chi2 = {NULL: 1200.0, A: 1000.0, B: 1000.0 + worse}
+    assert decide(strong, chi2, N, {B: pull}).rivals == ()  # the record holds more than these
+    many = {NULL: 0, A: 1, B: 3}
+    assert decide(nats, chi2, N, {B: pull}, many).rivals == ()  # three sizes fit anything
+    larger = {NULL: 1200.0, A: 1000.0, H(frozenset({1, 2})): 990.0}
+    assert decide({NULL: 0.0, A: 20.0, H(frozenset({1, 2})): 8.0}, larger, N).verdict == "named"
 
 
 def test_a_larger_set_with_the_same_name_is_no_rival():

@@ -23,6 +23,8 @@ class Causes:
     speed_drag: float = 0.0  # N per (m/s rad/s) and rotor
     center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
     shares: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    torques: tuple[float, float, float, float] | None = None  # shares too; None: as the thrusts
+    tilt: tuple[float, float] = (0.0, 0.0)  # axis of the second rotor towards +x and +y, rad
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N
     gust: tuple[float, float] = (0.0, 0.0)  # N along x, Hz
     extra_mass: float = 0.0
@@ -128,12 +130,16 @@ def _rate(s: np.ndarray, command: np.ndarray, causes: Causes, t: float) -> np.nd
     thrusts = COEFFICIENT * speed**2 * np.array(causes.shares)
     arms = PLACES - np.array(causes.center_of_mass)
     forces = np.zeros((4, 3))
-    forces[:, 2] = thrusts
+    axes = np.tile([0.0, 0.0, 1.0], (4, 1))
+    east, north = causes.tilt
+    axes[1] = [np.sin(east) * np.cos(north), np.sin(north), np.cos(east) * np.cos(north)]
+    forces += thrusts[:, None] * axes
     if causes.speed_drag:
         hubs = turn.T @ s[3:6] + np.cross(rates, arms)
         forces[:, :2] -= causes.speed_drag * speed[:, None] * hubs[:, :2]
     torque = np.cross(arms, forces).sum(0)
-    torque[2] += TORQUE_RATIO * REACTION @ thrusts
+    taken = causes.shares if causes.torques is None else causes.torques
+    torque += (TORQUE_RATIO * COEFFICIENT * REACTION * speed**2 * np.array(taken)) @ axes
     mass = MASS + causes.extra_mass
     outside = np.array(causes.wind)
     outside[0] += causes.gust[0] * np.sin(2 * np.pi * causes.gust[1] * t)

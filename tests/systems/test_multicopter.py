@@ -17,7 +17,7 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter, coarse
 from diffsim.systems import actuator, library
 from diffsim.systems.multicopter import effects as causes
-from diffsim.systems.multicopter import flight_model, unknown_wrench
+from diffsim.systems.multicopter import flight_model, single_rotors, unknown_wrench
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.sensors import GROUND_SCALE
@@ -270,7 +270,7 @@ def test_inflow_ends_at_a_climb_speed():
 
 def test_weak_rotor_center_of_mass_and_curvature_push_as_levers_do():
     arm, thrust = 0.2, HOVER
-    weak, _ = straight_up(causes.weak_rotor(0), size(0.05), thrust=thrust, steps=5)
+    weak, _ = straight_up(single_rotors.weak_rotor(0), size(0.05), thrust=thrust, steps=5)
     # the front right rotor lacks 5 %: roll to the right, nose down, and yaw
     want = 0.05 * thrust * np.array([arm / 0.01, -arm / 0.012, -0.015 * 1.0 / 0.02 * -1.0])
     np.testing.assert_allclose(weak[0, 6:9] / DT, want, rtol=1e-3)
@@ -388,7 +388,7 @@ def test_needs_and_errors(flown):
 
 
 def test_weak_rotors_travel_between_processes():
-    again = pickle.loads(pickle.dumps(causes.weak_rotor(2)))
+    again = pickle.loads(pickle.dumps(single_rotors.weak_rotor(2)))
     assert (again.name, again.apply.keywords) == ("weak_rotor_3", {"index": 2})
 
 

@@ -214,6 +214,13 @@ CAUSES = {
         {"center_of_mass": ["4 mm", "-2 mm", "1 cm"]},
     ),
     "weak_rotor_1": (Causes(shares=(0.9, 1.0, 1.0, 1.0)), {"weak_rotor_1": 0.1}, {}),
+    "thrust_loss_2": (
+        Causes(shares=(1.0, 0.9, 1.0, 1.0), torques=(1.0, 1.0, 1.0, 1.0)),
+        {"thrust_loss_2": 0.1},
+        {},
+    ),
+    "torque_loss_3": (Causes(torques=(1.0, 1.0, 0.8, 1.0)), {"torque_loss_3": 0.2}, {}),
+    "rotor_tilt_2": (Causes(tilt=(0.03, -0.02)), {"rotor_tilt_2": [0.02, 0.03]}, {}),
     "wind": (Causes(wind=(0.1, 0.05, 0.0)), {"wind": [0.1, 0.05]}, {}),
     "rotor_speed_drag": (Causes(speed_drag=1e-4), {"rotor_speed_drag": 1e-4}, {}),
     "extra_mass": (Causes(extra_mass=0.05), {"extra_mass": 0.05}, {}),
@@ -455,3 +462,9 @@ def test_hidden_causes_are_named_and_nothing_else(name):
     assert report.verdict == ("none" if name == "none" else "named")
     if name != "none":
         assert list(report.named) == [name]
+
+
+def test_a_flight_that_the_nominal_vehicle_cannot_hold_is_not_offered():
+    short = {"rotors": [{**r, "at": [0.02 * x for x in r["at"]]} for r in MODEL["rotors"]]}
+    setup = setup_of(study(**short, inertia=[1e-7, 1e-7, 1e-9]))
+    assert len(setup.bank) < len(setup_of(study()).bank)

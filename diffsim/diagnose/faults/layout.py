@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from diffsim.core.check import did_you_mean
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import Run
+from diffsim.identify.coordinates import touches
 from diffsim.identify.model import Parameter
-from diffsim.identify.problem import touches
 
 Array = NDArray[np.float64]
 COMMON = -1

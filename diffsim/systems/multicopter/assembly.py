@@ -18,7 +18,7 @@ from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.dials import channels_of, clock_of
 from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
-from diffsim.systems.multicopter.described import DescribedFlights
+from diffsim.systems.multicopter.described import ESTIMATOR_GAINS, DescribedFlights
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
@@ -87,7 +87,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
 def with_shapes(
     of: MulticopterKeys, flights: DescribedFlights, study: Study, causes: Sequence[str]
 ) -> DescribedFlights:
-    """The recipe with what causes need beside a size: length of a string, frequency of a gust.
+    """The recipe with what causes need beside a size: length of a string, gains of an estimator.
 
     Args:
         of: Description of the multicopter.
@@ -104,6 +104,9 @@ def with_shapes(
             value, sd = strongest_frequency(flights, study.fit_runs)
             given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz")
         more["gust_frequency"] = given
+    if "blind_estimator" in causes:
+        assert of.estimator is not None
+        more |= {f"estimator_{k}": getattr(of.estimator, k) for k in ESTIMATOR_GAINS}
     quantities = {**flights.parameters.quantities, **more}
     return replace(flights, parameters=BaseParameters(quantities, study.runs))
 
@@ -137,6 +140,7 @@ def vehicle_of(
         has_speed=of.commands.meaning == "speed" and flights.law.is_squared,
         lags_speed=flights.lags_speed,
         battery=of.battery,
+        has_estimator=of.estimator is not None,
         states_sensors=states_sensors,
     )
 

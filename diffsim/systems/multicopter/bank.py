@@ -8,7 +8,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearize, lqr
+from diffsim.copter import (
+    GRAVITY,
+    Feedback,
+    FlightState,
+    Multicopter,
+    fly,
+    linearize,
+    lqr,
+)
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.paths import PATHS, Path
@@ -24,6 +33,8 @@ _PAYLOAD = 0.2  # of the vehicle's mass
 def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[Run, ...]:
     """Hover high and low, with a payload, fast forward, climb, weave and turn, without noise.
 
+    Flights that the nominal vehicle cannot hold are left out.
+
     Args:
         flights: Recipe of the scenes; its nominal vehicle flies under feedback about hover.
         runs: Recorded runs; the first one's set-up and other commands are kept.
@@ -33,9 +44,15 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
         return ()
     payload = _PAYLOAD * float(vehicle.mass)
     heavier = vehicle.replace(mass=vehicle.mass + payload)
-    out = [_flown(name, flights, vehicle, path, runs[0], 0.0) for name, path in PATHS.items()]
-    loaded = _flown("hover_with_payload", flights, heavier, PATHS["hover"], runs[0], payload)
-    return (*out, loaded)
+    wanted = [(name, vehicle, path, 0.0) for name, path in PATHS.items()]
+    wanted.append(("hover_with_payload", heavier, PATHS["hover"], payload))
+    out = []
+    for name, flying, path, load in wanted:
+        try:
+            out.append(_flown(name, flights, flying, path, runs[0], load))
+        except DiffsimError:  # nothing to record there, and no reason to stop
+            continue
+    return tuple(out)
 
 
 def _vehicle(flights: DescribedFlights) -> Multicopter:

@@ -13,6 +13,7 @@ from diffsim.identify.effect import Effect
 from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import sensors as seen
+from diffsim.systems.multicopter import single_rotors as single
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import EXTRA_MASS, GUST, SLUNG_LOAD
 from diffsim.systems.multicopter.moments import (
@@ -46,6 +47,7 @@ class Vehicle:
         has_speed: Whether commands tell the rotors' speed in rad/s.
         lags_speed: Whether it is the speed, not the thrust, that lags.
         battery: Name of the command that is the battery's voltage; None: none.
+        has_estimator: Whether an estimator shows velocity and attitude.
         states_sensors: Whether channels say which sensor shows them: each has a clock then.
     """
 
@@ -62,6 +64,7 @@ class Vehicle:
     has_speed: bool
     lags_speed: bool
     battery: str | None
+    has_estimator: bool = False
     states_sensors: bool = False
 
 
@@ -81,7 +84,7 @@ def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
         causes.THRUST_CURVATURE,
         *_of_vehicle(of, mass, arm, in_body),
         *_of_sensors(of, arm, in_body),
-        *(causes.weak_rotor(i) for i in range(of.num_rotors)),
+        *_of_rotors(of.num_rotors, in_body),
     ]
     if not of.has_lag:
         out.append(SPEED_LAG if of.lags_speed else HELD_LAG)
@@ -110,6 +113,14 @@ def _apply_there(
 ) -> CopterScene:
     is_there = all(run.setup.get(fact) == value for fact, value in facts.items())
     return inner(scene, size, run) if is_there else scene
+
+
+def _of_rotors(num_rotors: int, in_body: Callable[[Effect], Effect]) -> Iterator[Effect]:
+    for i in range(num_rotors):
+        yield single.weak_rotor(i)
+        yield single.thrust_loss(i)
+        yield single.torque_loss(i)
+        yield in_body(single.rotor_tilt(i))
 
 
 def _of_vehicle(
@@ -143,6 +154,8 @@ def _of_sensors(of: Vehicle, arm: float, in_body: Callable[[Effect], Effect]) ->
         yield seen.POSITION_SCALE
         if "velocity" in of.sensors:  # two sensors whose scales may disagree
             yield seen.GROUND_SCALE
+            if of.has_estimator:
+                yield seen.BLIND_ESTIMATOR
     if "body_rates" in of.sensors:
         yield seen.GYRO_OFFSET
     if "body_rates" in of.sensors or force:

@@ -113,6 +113,8 @@ class Cutter:
             sd=self.sd,
             latest=[],
             acceleration=motion.acceleration,
+            states=states,
+            rows=before,
             rigid_spread=self.rigid_spread,
             past_spread=self.past_spread,
         )

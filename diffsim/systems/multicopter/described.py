@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -22,6 +22,7 @@ from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import Windows
 from diffsim.systems.multicopter.thrust_law import ThrustLaw, described_fleet, designed_fleet
 
+ESTIMATOR_GAINS = ("velocity", "tilt", "heading")
 PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
 
 
@@ -141,6 +142,9 @@ class DescribedFlights:
         scene = scene.changed(
             sling_length=v["sling_length"].reshape(-1) if "sling_length" in v else None,
             gust_frequency=v["gust_frequency"].reshape(-1) if "gust_frequency" in v else None,
+            estimator_gains=_together(v, [f"estimator_{name}" for name in ESTIMATOR_GAINS])
+            if "estimator_velocity" in v
+            else None,
         )
         return self._on_the_way(scene, v)
 
@@ -162,5 +166,9 @@ class DescribedFlights:
 def _vector(v: Mapping[str, Tensor], name: str) -> Tensor:
     """(points, 3) of the quantities name_x, name_y, name_z; 0 where there are none."""
     zero = torch.zeros(1, dtype=torch.float64)
-    parts = [v.get(f"{name}_{axis}", zero).reshape(-1) for axis in "xyz"]
-    return torch.stack(torch.broadcast_tensors(*parts), -1)
+    return _together({"": zero, **v}, [n if n in v else "" for n in (f"{name}_{a}" for a in "xyz")])
+
+
+def _together(v: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
+    """(points, len(names)) of some quantities."""
+    return torch.stack(torch.broadcast_tensors(*(v[name].reshape(-1) for name in names)), -1)

@@ -169,12 +169,6 @@ def _ground_effect(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.with_schedule(cushion)
 
 
-def _weak_rotor(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
-    share = torch.zeros(scene.vehicle.num_rotors, dtype=size.dtype)
-    share[index] = 1.0
-    return scene.with_command(lambda u, dt: u * (1.0 - amount(size, 2) * share))
-
-
 def _needs_command(study: Study, *, name: str = _VOLTAGE) -> str | None:
     if all(name in run.command for run in study.runs):
         return None
@@ -326,20 +320,6 @@ def voltage_exponent(command: str) -> Effect:
     needs = partial(_needs_command, name=command)
     apply = partial(_voltage_exponent, name=command)
     return replace(VOLTAGE_EXPONENT, needs=needs, apply=apply)
-
-
-def weak_rotor(index: int) -> Effect:
-    """The effect of a certain rotor, counted from 0; named weak_rotor_1 for the first."""
-    return Effect(
-        name=f"weak_rotor_{index + 1}",
-        form="One rotor gives the share 1 - size of its thrust.",
-        family="balance",
-        kind="actuator",
-        unit="-",
-        typical=0.05,
-        also_looks_like=("center of mass without yaw data", "damaged or swapped propeller"),
-        apply=partial(_weak_rotor, index=index),
-    )
 
 
 COPTER: tuple[Effect, ...] = (

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.copter import FlightEffects
 from diffsim.copter.fleet import Fleet
+from diffsim.systems.multicopter.estimator import BlindEstimator, force_of
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.shooting import Windows
@@ -86,6 +87,9 @@ class CopterFlight:
             length, width).
         sling_length: Of a string that a load may hang on, (points,) [m]; None: 0.5 m.
         gust_frequency: Of a gust that there may be, (points,) [Hz]; None: no gust.
+        estimator_gains: Of an estimator that shows velocity and attitude, (points, 3), as
+            ``BlindEstimator`` has them; None: they are shown as they are.
+        estimator: Its errors; None: none.
     """
 
     vehicle: Fleet
@@ -116,6 +120,8 @@ class CopterFlight:
     readers: tuple[tuple[tuple[int, ...], Callable[[Tensor], Tensor]], ...] = ()
     sling_length: Tensor | None = None
     gust_frequency: Tensor | None = None
+    estimator_gains: Tensor | None = None
+    estimator: BlindEstimator | None = None
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some entries replaced."""
@@ -144,6 +150,12 @@ class CopterFlight:
     def with_flight_effect(self, name: str, value: Any) -> Self:
         """A copy with one entry of ``flight_effects`` replaced."""
         return self.changed(flight_effects=replace(self.flight_effects, **{name: value}))
+
+    def force_by_record(self) -> Tensor:
+        """Specific force of the commanded thrust at the recorded attitudes, (points, num_samples,
+        3) [m/s^2]."""
+        push = self.commands.sum(-1) / self.vehicle.mass[:, None]
+        return force_of(self.windows.states, push)
 
     def delivered(self, past: Tensor) -> Tensor:
         """Thrusts over the steps that end at the samples, (points, num_samples, n_rotors) [N].

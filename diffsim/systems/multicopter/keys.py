@@ -19,7 +19,7 @@ from diffsim.core.schema_numbers import (
     Volts,
 )
 from diffsim.systems.description import Quantity
-from diffsim.systems.quantities import Inertia, Length, Plain
+from diffsim.systems.quantities import Inertia, Length, PerSecond, Plain
 
 _NONE = Quantity(value=0.0)
 
@@ -233,6 +233,26 @@ class NuisanceKeys(Part):
     )
     clock: Seconds = Field(
         0.0, ge=0, description="Clock of the commands against that of the sensors, per run [s]"
+    )
+
+
+class EstimatorKeys(Part):
+    """How fast a state estimator on board corrects itself by the position that it is told.
+
+    Errors e of its velocity and d of its attitude: e' = ... - velocity e, d' = -gain (f x e), f the
+    specific force, with the gain `tilt` for roll and pitch and `heading` for yaw.
+    """
+
+    velocity: PerSecond = Field(
+        Quantity(value=4.0, percent=60.0, unit="1/s"), description="Of velocity [1/s]"
+    )
+    tilt: Plain = Field(
+        Quantity(value=0.05, percent=60.0, unit="s^2/m^2"),
+        description="Of roll and pitch by velocity [s^2/m^2]",
+    )
+    heading: Plain = Field(
+        Quantity(value=0.1, percent=60.0, unit="s^2/m^2"),
+        description="Of yaw by velocity [s^2/m^2]",
     )
 
 

@@ -11,6 +11,7 @@ from diffsim.systems.description import Description
 from diffsim.systems.dials import CLOCKS
 from diffsim.systems.multicopter.keys import (
     CommandKeys,
+    EstimatorKeys,
     FrameKeys,
     InertiaKeys,
     NuisanceKeys,
@@ -79,6 +80,11 @@ class MulticopterKeys(Description):
         None, description="Of a gust that there may be [Hz]; default: as the records suggest"
     )
     commands: CommandKeys = Field(description="Recorded commands of the rotors")
+    estimator: EstimatorKeys | None = Field(
+        None,
+        description="Velocity and attitude are those of a state estimator on board that is told "
+        "the position: that it knows no drag is a candidate cause",
+    )
     battery: str | None = Field(None, description="Command that is the battery's voltage [V]")
     sensors: SensorKeys = Field(description="Channels by what they measure")
     rate: PerSecond | None = Field(

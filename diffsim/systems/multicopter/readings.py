@@ -90,6 +90,7 @@ class _Shown:
         body_rates: Angular velocity in the body frame [rad/s].
         acceleration: Mean over the step, gravity not counted, world frame [m/s^2].
         halfway: World from body in the middle of the step.
+        facing: The same as it is shown.
     """
 
     scene: CopterFlight
@@ -100,6 +101,7 @@ class _Shown:
     body_rates: Tensor
     acceleration: Tensor
     halfway: Tensor
+    facing: Tensor
 
     @classmethod
     def of(cls, scene: CopterFlight, record: Record) -> _Shown:
@@ -108,6 +110,14 @@ class _Shown:
         body_rates = record.body_rates[:, :, 1:]
         acceleration = record.velocity.diff(dim=2) / scene.dt
         halfway = 0.5 * (record.rotation[:, :, :-1] + rotation)
+        facing = halfway
+        if scene.estimator is not None:
+            error, turned = _mistaken(scene, record, acceleration, halfway)
+            velocity = velocity + error[:, :, 1:]
+            turn = quaternion_from_rotation_vector(turned)
+            quaternion = quaternion_product(turn[:, :, 1:], quaternion)
+            rotation = matrix_from_quaternion(quaternion)
+            facing = matrix_from_quaternion(turn[:, :, :-1]) @ halfway
         if scene.camera_delay is not None:
             late = _wide(scene.camera_delay)[..., None]
             position = position - late * (velocity - 0.5 * late * acceleration)
@@ -116,7 +126,15 @@ class _Shown:
             quaternion = quaternion_product(quaternion, back)
             rotation = matrix_from_quaternion(quaternion)
         return cls(
-            scene, position, velocity, rotation, quaternion, body_rates, acceleration, halfway
+            scene,
+            position,
+            velocity,
+            rotation,
+            quaternion,
+            body_rates,
+            acceleration,
+            halfway,
+            facing,
         )
 
     def in_unit(self, value: Tensor) -> Tensor:
@@ -174,7 +192,7 @@ class _Shown:
         """The accelerometer's reading, turned into the recording's world."""
         frames = self.scene.frames
         reading = self.shown_specific_force()
-        return (frames.rotation(self.halfway) * reading[..., None, :]).sum(-1)
+        return (frames.rotation(self.facing) * reading[..., None, :]).sum(-1)
 
     def shown_acceleration(self) -> Tensor:
         """Likewise, with gravity taken off: zero at rest."""
@@ -194,6 +212,18 @@ class _Shown:
             if column in columns:
                 out[..., column - start] = measured[..., channel]
         return out
+
+
+def _mistaken(
+    scene: CopterFlight, record: Record, acceleration: Tensor, halfway: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Errors of the estimator's velocity and attitude, (points, num_windows, length + 1, 3)."""
+    assert scene.estimator is not None
+    gravity = acceleration.new_tensor([0.0, 0.0, GRAVITY])
+    axis = halfway[..., 2]
+    force = ((acceleration - gravity) * axis).sum(-1, keepdim=True) * axis
+    rows = scene.windows.rows
+    return scene.estimator.in_windows(rows, record.velocity, force, scene.dt)
 
 
 _GROUPS: dict[str, Callable[[_Shown], Tensor]] = {

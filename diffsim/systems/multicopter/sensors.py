@@ -6,6 +6,7 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
 
@@ -39,6 +40,29 @@ def _camera_delay(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.changed(camera_delay=before + amount(size, 0))
 
 
+def _blind_estimator(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    assert scene.estimator_gains is not None
+    drag, record = amount(size, 0), scene.windows
+    points = max(len(drag), len(scene.estimator_gains))
+    known = drag.expand(points), scene.estimator_gains.expand(points, -1)
+    force = scene.force_by_record()
+    blind = BlindEstimator.of(record.states, record.acceleration, force, scene.dt, known)
+    return scene.changed(estimator=blind)
+
+
+BLIND_ESTIMATOR = Effect(
+    name="blind_estimator",
+    form="Velocity and attitude are those of an estimator that lacks drag, size v per mass: "
+    "velocity is too large by e, attitude turned by d, e' = d x f + size v - a e, "
+    "d' = -(b, b, c) (f x e).",
+    family="sensor",
+    kind="sensor",
+    unit="1/s",
+    typical=0.3,
+    signed=False,
+    also_looks_like=("positions along the ground that are short", "a bias of the attitude"),
+    apply=_blind_estimator,
+)
 MARKER_PLACEMENT = Effect(
     name="placement",
     form="The captured point lies at size in the body frame instead of the center of mass.",

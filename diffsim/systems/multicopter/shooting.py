@@ -84,6 +84,8 @@ class Windows:
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
         acceleration: Recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2].
+        states: Recorded states of 12 at every sample, (num_samples, 12).
+        rows: Samples that the windows start from, (num_windows,).
         rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
             the guess.
         past_spread: Of the thrusts before the record [N].
@@ -97,6 +99,8 @@ class Windows:
     sd: Tensor
     latest: list[Tensor]
     acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
+    states: Tensor = field(default_factory=lambda: torch.zeros(1, RIGID, dtype=torch.float64))
+    rows: Tensor = field(default_factory=lambda: torch.zeros(1, dtype=torch.long))
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
     held: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))

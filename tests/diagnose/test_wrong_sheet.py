@@ -1,0 +1,70 @@
+"""A wrong data sheet, and causes that may stand in for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.wrong_sheet import off_sheet
+from diffsim.identify import fit
+from tests.diagnose import linear
+from tests.diagnose.test_causes import causes, diagnosed
+from tests.diagnose.test_evidence import linearized
+
+OWN = linear.line("tug")
+
+
+def tug(own: float):
+    """A cause that does what a larger mass does, and something of its own."""
+
+    def apply(scene, size, run):
+        moved = linear.shapes("mass", run)[..., 0] + own * linear.shapes("tug", run)[..., 0]
+        return replace(scene, record=scene.record + moved * size)
+
+    return replace(OWN, apply=apply)
+
+
+def test_a_wide_prior_weighs_as_one_of_that_width():
+    """Against ln N(y; 0, 1 + B B'), the column of the parameter ten times as long."""
+    problem = linear.problem()
+    y, columns = linear.matrices()
+    for wide in ({}, {0: 10.0}, {1: 3.0}):
+        scaled = columns * [wide.get(0, 1.0), wide.get(1, 1.0)]
+        spread = np.eye(len(y)) + scaled @ scaled.T
+        want = stats.multivariate_normal(np.zeros(len(y)), spread).logpdf(y)
+        found = linearized(problem, fit_of(problem).x, [], 1).weigh(Hypothesis(), wide=wide)
+        assert found.nats == pytest.approx(want + 0.5 * len(y) * np.log(2.0 * np.pi), abs=1e-8)
+        mean = scaled.T @ np.linalg.solve(spread, y) * [wide.get(0, 1.0), wide.get(1, 1.0)]
+        np.testing.assert_allclose(found.x, mean, atol=1e-8)
+
+
+def fit_of(problem):
+    return fit(problem.model, problem.runs, linear.CHANNELS, whitener=problem.whitener)
+
+
+def test_a_cause_that_takes_up_a_wrong_data_sheet_gives_way_to_it():
+    report = diagnosed({}, (tug(0.05),), base=(9.0, 0.0))
+    assert (report.verdict, report.named, report.findings) == ("data_sheet", (), ("mass",))
+    size = causes(report)["mass"].size["size"]
+    assert size.low < 0.3 + 9.0 * 0.7 < size.high
+    row = causes(report)["tug"]
+    assert row.status == "refuted" and row.rivals == (off_sheet("mass"),)
+    assert row.probability < 0.05
+    first = report.hypotheses[0]
+    assert (first.effects, first.unknown) == ((), off_sheet("mass"))
+
+
+def test_what_a_cause_alone_explains_stays_its_name():
+    cause = tug(1.0)
+    report = diagnosed({cause: 4.0}, (cause,))
+    assert (report.verdict, report.named, report.findings) == ("named", ("tug",), ())
+
+
+def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it():
+    report = diagnosed({}, (tug(0.0),), base=(9.0, 0.0))
+    assert report.verdict == "ambiguous"
+    row = causes(report)["tug"]
+    assert row.status in ("likely", "cannot be told from") and off_sheet("mass") in row.rivals
+    assert "mass is off its data sheet" in report.headline
