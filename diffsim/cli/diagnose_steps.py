@@ -300,8 +300,7 @@ def _next(args: argparse.Namespace) -> None:
     width = max(32, *(len(name) for name in advice.chi2_gain))
     for name, chi2 in sorted(advice.chi2_gain.items(), key=lambda item: -item[1]):
         print(f"{name:<{width}} {chi2:>12.4g}")
-    times = f"{advice.over_median:.3g} times the bank's median"
-    print(f"record {advice.best}: expected chi2 {advice.chi2_gain[advice.best]:.4g}, {times}")
+    print(advice.words)
     content = {"rivals": sets, "why": why, "best": advice.best, "chi2_gain": advice.chi2_gain}
     write_json_atomic(out / "next.json", {**content, "over_median": advice.over_median})
     print(f"wrote {out / 'next.json'}")

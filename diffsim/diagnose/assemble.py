@@ -144,7 +144,7 @@ def report_of(
         sentences=(),
         named=tuple(effects[i].name for i in sorted(named)),
         rivals=names,
-        hypotheses=hypothesis_rows(search, effects, case.unknowns),
+        hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
         confounding_names=screened.names,
         confounding=screened.confounding,
@@ -233,7 +233,8 @@ def _averaged(
 ) -> Averaged | None:
     if search is None:
         return None
-    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes)
+    instead = {members: nats for members, (_, nats) in judgment.decision.instead.items()}
+    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes, instead)
 
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:

@@ -196,6 +196,7 @@ def averaged(
     refuted: frozenset[int],
     fit: Fit,
     changes: Mapping[str, Array],
+    instead: Mapping[frozenset[int], float] | None = None,
 ) -> Averaged:
     """Weights of all sets and the widening of intervals.
 
@@ -205,9 +206,11 @@ def averaged(
         refuted: Unknown causes, by index, that repeats refuted.
         fit: Fit of the best set, whose parts are left out one after the other.
         changes: Change of the record by refining each numerical setting.
+        instead: Evidence of sets beside a wrong data sheet, where it is more [nats].
     """
     nats = {h: w.nats for h, w in {**search.linear, **search.weighed}.items()}
     nats = {h: e for h, e in nats.items() if not h.effects & withdrawn}
+    nats |= {Hypothesis(members): e for members, e in (instead or {}).items()}
     wider = widening(fit)
     kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in refuted}
     return Averaged(

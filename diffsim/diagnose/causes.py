@@ -237,8 +237,10 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
         rivals, is_best = _rivals_of(told, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         return (LIKELY if is_named else UNTOLD), rivals
+    if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
+        return REFUTED, (decision.forms[i],)
     if p >= POSSIBLE:
-        return UNTOLD, (decision.forms.get(i, NOISE),)
+        return UNTOLD, (NOISE,)
     added = about.added(decision.best | told.members, i)
     if added >= KEEP_NATS:  # sets of so many causes were not fitted
         return UNTOLD, (REST,)
@@ -328,6 +330,7 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         others = _sets_without_pull(told, about, row)
         if others:
             status, rivals = UNTOLD, others
+    read = row.as_read()
     return CauseRow(
         name=row.name,
         words=row.words,
@@ -337,7 +340,8 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         size={"size": Interval(row.value, row.low, row.high)},
         unit=row.unit,
         rivals=rivals,
-        note=f"data sheet: {row.prior_value:.4g} +- {row.prior_sd:.2g} (one standard deviation)",
+        note=f"data sheet: {read.prior_value:.4g} +- {read.prior_sd:.2g} (one standard deviation)",
+        shown_unit=None if read.unit == row.unit else read.unit,
     )
 
 

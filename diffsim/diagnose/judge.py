@@ -48,6 +48,8 @@ class Decision:
         equal: Those of the rivals that fit as well.
         sheets: Parameters whose data sheet is wrong in place of a cause: where a wide prior puts
             them and their sd, in standard deviations of the data sheet.
+        instead: Wrong data sheets in place of a member of the best set: what it leaves, with the
+            data sheet in words and the evidence of both [nats].
     """
 
     verdict: str
@@ -60,6 +62,7 @@ class Decision:
     forms: Mapping[int, str] = field(default_factory=dict)
     equal: tuple[Hypothesis, ...] = ()
     sheets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    instead: Mapping[frozenset[int], tuple[str, float]] = field(default_factory=dict)
 
 
 def decide(

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.data.study import Run
+from diffsim.diagnose.evidence import ALONE_NATS
 from diffsim.identify import Fit
 from diffsim.identify.problem import PredictionError
 
 Array = NDArray[np.float64]
+TELLING = 2.0 * ALONE_NATS  # expected chi2 from which on a set would be named alone
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,18 @@ class NextRun:
     best: str
     chi2_gain: dict[str, float]
     over_median: float
+
+    @property
+    def words(self) -> str:
+        """What to record, or that no run of the bank tells the rivals apart."""
+        most = self.chi2_gain[self.best]
+        if most < TELLING:
+            return (
+                f"none of these runs tells them apart: expected chi2 {most:.2g} at most, "
+                f"{TELLING:g} is needed; measure by other means what they differ in"
+            )
+        times = f"{self.over_median:.3g} times the bank's median"
+        return f"record {self.best}: expected chi2 {most:.4g}, {times}"
 
 
 def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:

@@ -17,6 +17,7 @@ CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
 STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
+SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # of base parameters
 WRONG_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
@@ -135,6 +136,19 @@ class BaseRow:
     def is_told(self) -> bool:
         """Whether the recordings say anything of it: a shape of a cause that is absent is not."""
         return abs(self.pull) > UNTOLD_PULL or self.sd < UNTOLD_SHARE * self.prior_sd
+
+    @property
+    def shown_unit(self) -> str:
+        """Unit in which it is read: small lengths in mm, short times in ms, small masses in g."""
+        small = max(abs(self.value), abs(self.prior_value), self.prior_sd) < SMALL
+        return SMALL_UNITS.get(self.unit, self.unit) if small else self.unit
+
+    def as_read(self) -> BaseRow:
+        """The same in the unit in which it is read."""
+        unit = self.shown_unit
+        times = 1.0 if unit == self.unit else factor(self.unit, unit)
+        names = ("value", "sd", "low", "high", "prior_value", "prior_sd")
+        return replace(self, unit=unit, **{name: times * getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True)

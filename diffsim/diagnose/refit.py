@@ -155,6 +155,9 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     sets = list(dict.fromkeys(given if verdict == "named" and given else [named, *given]))
     known = [r for r in sets if set(r) <= effects]
     unknown = len(sets) - len(known)
+    if verdict == "data_sheet":
+        off = ", ".join(report.get("findings", ()))
+        return [], f"verdict data_sheet: no cause is open; measure {off} to confirm the number"
     if not named:
         return [], f"verdict {verdict}: no set of effects stands, none can be settled"
     if len(sets) > 1:

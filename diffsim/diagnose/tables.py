@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,7 @@ class HypothesisRow:
 
     Attributes:
         effects: Names of the effects in the set.
-        unknown: Name of the generic cause, or None.
+        unknown: Name of the generic cause or wrong data sheet, or None.
         nats: Evidence relative to the plain model.
         chi2: |W (y - S)|^2, after the unknown cause's part.
         refitted: False: linear evidence of a set that is too far behind to be refitted.
@@ -149,9 +149,19 @@ def evidence_for(search: Search, i: int) -> float:
 
 
 def hypothesis_rows(
-    search: Search | None, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+    search: Search | None,
+    effects: Sequence[Effect],
+    unknowns: Sequence[Unknown],
+    instead: Mapping[frozenset[int], tuple[str, float]] | None = None,
 ) -> tuple[HypothesisRow, ...]:
-    """Rows of all weighed sets: refitted ones best first, then the rest."""
+    """Rows of all weighed sets: refitted ones best first, then the rest.
+
+    Args:
+        search: Sets that were weighed; None: nothing was searched.
+        effects: Candidates, in the order of their indices.
+        unknowns: Generic causes, in theirs.
+        instead: Sets beside a wrong data sheet: its words and the evidence [nats].
+    """
     if search is None:
         return ()
     base = search.nats(Hypothesis())
@@ -167,6 +177,9 @@ def hypothesis_rows(
 
     rows = [row(h, w, True) for h, w in search.weighed.items()]
     rows += [row(h, w, False) for h, w in search.linear.items()]
+    for members, (words, nats) in (instead or {}).items():
+        plain = row(Hypothesis(members), search.weighed[Hypothesis(members)], True)
+        rows.append(replace(plain, unknown=words, nats=nats - base))
     return tuple(sorted(rows, key=lambda r: (not r.refitted, -r.nats)))
 
 

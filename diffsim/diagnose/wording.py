@@ -152,7 +152,7 @@ def _open(answer: Answer) -> list[str]:
 
 def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     """Sentences on data sheets where no cause is missing, the longest first."""
-    row = rows[0]
+    row = rows[0].as_read()
     value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
     prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
     others = "" if len(rows) == 1 else f" (and {len(rows) - 1} more)"
@@ -329,7 +329,7 @@ def _first(answer: Answer) -> str:
 def _data_sheets(answer: Answer) -> list[str]:
     """One sentence per base parameter far off its data sheet."""
     out = []
-    for row in answer.causes:
+    for row in (row.as_read() for row in answer.causes):
         if row.origin == DATA_SHEET:
             unit = "" if row.unit == "-" else f" {row.unit}"
             size = next(iter(row.size.values()))

@@ -43,13 +43,17 @@ def without_wrong_sheets(decision: Decision, search: Search) -> Decision:
     if not found:
         return decision
     forms = {**decision.forms, **{i: off_sheet(sheet.name) for i, sheet in found.items()}}
+    own = search.nats(Hypothesis(decision.best))
+    instead = {
+        decision.best - {i}: (off_sheet(sheet.name), own + sheet.nats) for i, sheet in found.items()
+    }
     if len(decision.best) == 1 and all(sheet.nats >= ALONE_NATS for sheet in found.values()):
         at = {sheet.name: (sheet.x, sheet.sd) for sheet in found.values()}
         alone = replace(decision, verdict="none", best=frozenset(), rivals=(), equal=())
-        return replace(alone, forms=forms, sheets=at)
+        return replace(alone, forms=forms, sheets=at, instead=instead)
     rest = Hypothesis(decision.best - set(forms))
     rivals = (rest, *(h for h in decision.rivals if h != rest))
-    return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms)
+    return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms, instead=instead)
 
 
 def off_sheet(name: str) -> str:

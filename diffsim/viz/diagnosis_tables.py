@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.records import BaseRow, CauseRow, Interval
+from diffsim.diagnose.records import REFUTED, BaseRow, CauseRow, Interval
 from diffsim.diagnose.report import Report
 from diffsim.viz.report import Table
 
@@ -99,7 +99,8 @@ def outside(r: Report) -> list[Table]:
 def _cause(row: CauseRow) -> list[str]:
     row, status = row.as_read(), row.status
     if row.rivals:
-        status += f" {', '.join(row.rivals)}"
+        by = " by" if status == REFUTED else ""
+        status += f"{by} {', '.join(row.rivals)}"
     if row.helps:
         status += "; helps"
     return [
@@ -142,6 +143,7 @@ def sets(r: Report, most: int = 12) -> list[Table]:
 
 
 def _base(row: BaseRow) -> list[str]:
+    row = row.as_read()
     return [
         row.words,
         row.name,

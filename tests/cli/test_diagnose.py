@@ -20,7 +20,7 @@ from diffsim.data.labs import CopterLab
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
-from diffsim.diagnose import diagnose
+from diffsim.diagnose import NextRun, diagnose
 from diffsim.diagnose.refit import fit_null, refit, rival_sets
 from diffsim.identify import SimModel, extended_model, fit, save_extended
 from diffsim.identify.model_file import read_extended
@@ -359,6 +359,18 @@ def test_rivals_of_a_saved_report():
     sets, why = rival_sets({**report, "verdict": "named", "rivals": []})
     assert sets == [("a",), ("b",)] and "stands alone" in why  # a + b holds a: it is no rival
     assert rival_sets({**report, "verdict": "none", "named": [], "rivals": []})[0] == []
+    off = {"verdict": "data_sheet", "named": [], "rivals": [], "findings": ["mass", "arm"]}
+    assert rival_sets({**report, **off}) == (
+        [],
+        "verdict data_sheet: no cause is open; measure mass, arm to confirm the number",
+    )
+
+
+def test_a_bank_that_tells_nothing_apart_says_so():
+    made = NextRun("long", {"long": 4e-3, "short": 1e-3}, 4.0)
+    assert "none of these runs tells them apart" in made.words and "0.004" in made.words
+    found = replace(made, chi2_gain={"long": 6.1, "short": 1e-3}).words
+    assert found == "record long: expected chi2 6.1, 4 times the bank's median"
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,18 @@ def test_symbols_keep_their_case():
     assert [_opened(t) for t in ("m", "kp of a", "mass")] == ["m", "kp of a", "Mass"]
 
 
+def test_small_lengths_of_data_sheets_are_read_in_millimeters():
+    row = BaseRow("bore", "bore", "m", 9.12e-4, 5e-6, 9.04e-4, 9.2e-4, 1e-3, 1e-5, -8.8, 3.0)
+    read = row.as_read()
+    assert (read.unit, read.value, read.prior_sd) == (
+        "mm",
+        pytest.approx(0.912),
+        pytest.approx(0.01),
+    )
+    assert replace(row, value=0.3).as_read() == replace(row, value=0.3)
+    assert replace(row, unit="Pa").as_read() == replace(row, unit="Pa")
+
+
 def test_a_null_has_no_cause_and_no_finding():
     report = diagnosed({}, (PUSH, OTHER))
     assert (report.verdict, report.findings) == ("none", ())

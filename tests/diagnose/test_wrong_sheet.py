@@ -50,7 +50,10 @@ def test_a_cause_that_takes_up_a_wrong_data_sheet_gives_way_to_it():
     size = causes(report)["mass"].size["size"]
     assert size.low < 0.3 + 9.0 * 0.7 < size.high
     row = causes(report)["tug"]
-    assert row.status == "cannot be told from" and row.rivals == (off_sheet("mass"),)
+    assert row.status == "refuted" and row.rivals == (off_sheet("mass"),)
+    assert row.probability < 0.05
+    first = report.hypotheses[0]
+    assert (first.effects, first.unknown) == ((), off_sheet("mass"))
 
 
 def test_what_a_cause_alone_explains_stays_its_name():
