@@ -114,8 +114,30 @@ def main() -> None:
     print(HEAD + "\n" + "|---" * (HEAD.count("|") - 1) + "|")
     for kind in STARTS:
         for kinds in FITTED if STARTS[kind] else [()]:
+            if kind == "heading" and kinds == ("multisine",):
+                continue  # straight lines say nothing of the heading
             sizes = fitted(kind, kinds) if kinds else np.array([])
             _row(lambda w, k=kind, s=sizes: w.left(k, s), kind, kinds, sizes)
+    for kinds in (("square",), ("random1", "random2"), ("multisine",)):
+        share = swing_share(kinds, sizes.tolist())
+        print(f"Errors over those that a state alone suggests, {', '.join(kinds)}: {share:.2f}")
+
+
+def swing_share(kinds: Sequence[str], sizes: Sequence[float]) -> float:
+    """Errors of the estimator over those that a state alone suggests, by least squares.
+
+    Args:
+        kinds: Kinds of flights, together.
+        sizes: Drag and gains of the estimator.
+    """
+    known, over, square = torch.tensor([sizes]).double(), 0.0, 0.0
+    for way in (way_of(name) for kind in kinds for name in KINDS[kind]):
+        record = way.states, way.acceleration, way.force
+        blind = BlindEstimator.of(*record, DT, (known[:, 0], known[:, 1:]))
+        there = blind.errors[0, FIRST:, 0]
+        alone = blind.by_state_alone(way.states, way.force).errors[0, FIRST:, 0]
+        over, square = over + float((there * alone).sum()), square + float((alone**2).sum())
+    return over / square
 
 
 def _row(

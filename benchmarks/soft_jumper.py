@@ -36,12 +36,13 @@ PUBLISHED_STEPS = 6_000_000
 # folder of runs: what they are, and the published method that is nearest
 RUNS = {
     "sapo_clock": ("SAPO with a clock", "SAPO"),
-    "gradient_clock": ("Adam, a network with a clock", "APG"),
+    "gradient_clock": ("Adam, a network with a clock, whole episodes", "APG"),
+    "gradient_short": ("the same, first 100 steps of episodes", "APG"),
     "open_loop": ("Adam on one period, no network", "TrajOpt"),
     "sapo": ("SAPO, no clock", "SAPO"),
     "shac": ("SHAC, no clock", "SHAC"),
 }
-PLAIN = ("sapo", "shac")  # without a clock
+PLAIN = ("gradient_short", "sapo", "shac")  # dotted: what did not pay
 METHODS = ("newton_cholesky", "auto")  # linearly implicit steps refuse the floor
 SUBSTEPS = (1, 2, 4, 8, 16)
 SQUARE_WAVES = (2.0, 2.5, 3.0, 3.5, 4.0)  # [Hz]

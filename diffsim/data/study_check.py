@@ -61,7 +61,12 @@ def _check_plan(study: Study) -> Iterator[Problem]:
         yield Problem("error", f"run {name}", "the name is used twice; names must be unique")
     fit_groups = {run.group for run in study.fit_runs}
     if not study.fit_runs:
-        yield Problem("error", "study", "no run with use: fit; nothing can be fitted")
+        yield Problem(
+            "error",
+            "study",
+            "no run with use: fit; nothing can be fitted, "
+            "only `judge` works, with a model that was saved",
+        )
     elif len(fit_groups) < 2:
         yield Problem(
             "warning",

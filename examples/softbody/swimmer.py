@@ -6,11 +6,11 @@ legs near the flat side. The command repeats every 0.9 s; Adam moves its 12 knot
 body and water, so that the robot is fastest in the second and third period from rest. The gait it
 starts from opens and closes like a sine.
 
-Expected: the sine goes nowhere (0.7 mm/s backwards), eight iterations make it 5.9 mm/s forwards
-(5.5 and 5.4 when the same gait is simulated with half and a quarter of the time step, 9.1 with
-elements of a third of the edge): the robot learns to close fast and open slowly. The coefficients
-of water are those of Min et al. 2019 and the mesh is coarse: the numbers are a model's, not the
-robot's. Running time: about 15 s.
+Expected: the sine goes nowhere (0.7 mm/s backwards), eight iterations make it 5.9 mm/s forwards:
+the robot learns to close fast and open slowly. The same gait is simulated at 5.5 and 5.4 mm/s with
+half and a quarter of the time step, at 9.1 with elements of a third of the edge, and at 6.6 with
+both fine enough. The coefficients of water are those of Min et al. 2019 and the mesh is coarse: the
+numbers are a model's, not the robot's. Running time: about 15 s.
 
     python examples/softbody/swimmer.py --plot runs/swimmer.png
 """

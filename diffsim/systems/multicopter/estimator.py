@@ -70,19 +70,21 @@ class BlindEstimator:
         shown = (drag, gains[:, 0] + drag, gains)
         return cls(drag, gains, _followed(velocity, force[:, :-1], start, shown, dt))
 
-    def by_state_alone(self, states: Tensor, force: Tensor) -> BlindEstimator:
+    def by_state_alone(self, states: Tensor, force: Tensor, share: float = 1.0) -> BlindEstimator:
         """With errors that follow from each sample by itself, whatever was before.
 
-        They are those of a steady swing at the estimator's own frequency, g sqrt(b).
+        They are a share of those of a steady swing at the estimator's own frequency, g sqrt(b),
+        where they are largest.
 
         Args:
             states: Recorded states of 12, (num_samples, 12).
             force: As ``force_of`` says, (points, num_samples, 3).
+            share: That flights have of it on average [-].
         """
         gravity = force.new_tensor([0.0, 0.0, GRAVITY])
         frequency = GRAVITY * self.gains[:, 1].sqrt()
         errors = self._swinging(states[:, 6:9], (force + gravity)[0], frequency)
-        return BlindEstimator(self.drag, self.gains, errors)
+        return BlindEstimator(self.drag, self.gains, share * errors)
 
     def in_windows(
         self, rows: Tensor, velocity: Tensor, force: Tensor, dt: float

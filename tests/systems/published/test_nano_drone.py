@@ -129,12 +129,10 @@ def test_named_physics_beats_every_published_column():
     rows = dict(scores("melon_a", {"named": MODEL}, every=20))
     most = (0.6, 0.62, 0.66, 0.66)
     assert all(a < m * b for a, m, b in zip(rows["named"], most, published_best, strict=True))
-    # without the flight before each start what the estimator got wrong cannot be known
+    # from the state at the start alone, which is what the published models are given
     alone = dict(scores("melon_a", {"named": MODEL}, every=20, is_past_known=False))
-    assert 0.98 * published_best[0] < alone["named"][0] < 1.04 * published_best[0]
-    most = (0.8, 0.72, 0.72)
-    rest = zip(alone["named"][1:], most, published_best[1:], strict=True)
-    assert all(a < m * b for a, m, b in rest)
+    most = (0.96, 0.78, 0.72, 0.72)
+    assert all(a < m * b for a, m, b in zip(alone["named"], most, published_best, strict=True))
 
 
 @pytest.mark.slow
