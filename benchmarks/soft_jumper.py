@@ -156,7 +156,7 @@ def draw_curves(records: Path, out: Path) -> None:
             rows = read_rows(path)
             returns = [EPISODE * row["reward"] for row in rows]
             style_of = {"color": colors[method], "ls": dashes, "marker": ".", "lw": 1.3}
-            label = f"{words}, here" if k == 0 else None
+            label = f"{words}, here" if k == 0 else "_"  # matplotlib lists no label of these
             for ax, axis in zip(panels, ("steps", "seconds"), strict=True):
                 ax.plot([row[axis] for row in rows], returns, label=label, **style_of)
     for ax in panels:

@@ -65,8 +65,9 @@ def evaluate(
         elif name in there:
             values[word] = torch.as_tensor(np.array(value_of(name), dtype=np.float64))
         else:
+            written = [n if n.isidentifier() else f"`{n}`" for n in there]
             raise ValueError(
-                f"formula {text!r}: no column or fact {name!r}{did_you_mean(name, there)}; "
-                f"there are {', '.join(there)}, and {CLOCK}"
+                f"formula {text!r}: no column or fact {name!r}{did_you_mean(name, written)}; "
+                f"there are {', '.join(written)}, and {CLOCK}"
             )
     return np.array(np.broadcast_to(parsed(values).numpy(), clock.shape))

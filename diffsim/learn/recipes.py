@@ -59,10 +59,19 @@ _SWIM = Recipe(
     budget={"steps": 1_200, "evaluate_every": 600},
     gradient={"batch": 1, "learning_rate": 3e-3},
 )
+# of a stride of 3 Hz, the best square wave of all its muscles, and half of it
+JUMP_CLOCK = (1.5, 3.0)
 _COPTER_BUDGET = {"steps": 24_000, "evaluate_every": 2_400}
 RECIPES: dict[str, Recipe] = {
     "StarfishSwim": _SWIM,
     "SharkSwim": _SWIM,
+    # two seeds; a gradient of whole episodes that is cut every three strides
+    "SoftJumper": Recipe(
+        task_options={"clock": JUMP_CLOCK},
+        setup={"output_gain": 0.5, "balance_clock": True, "evaluation_episodes": 4},
+        budget={"steps": 60_000, "evaluate_every": 6_000},
+        gradient={"batch": 1, "cut_every": 60, "learning_rate": 2e-3},
+    ),
     # the search's winner, and what did better than it afterwards
     "CopterHover": Recipe(
         budget=_COPTER_BUDGET, gradient={"batch": 16, "horizon": 100, "learning_rate": 1e-2}

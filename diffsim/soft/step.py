@@ -21,6 +21,11 @@ from diffsim.soft.problem import Problem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
+BDF2_BREAKS_GRAPHS = (
+    "BDF2 among obstacles asks at each step whether something touches, which breaks the graph: "
+    "compile without fullgraph=True, or make the body with integrator='implicit_euler'"
+)
+
 
 def step(
     body: Solid,
@@ -101,6 +106,8 @@ def _contact_step(body: Solid, state: State, obstacles: Sequence[Obstacle], load
     BDF2 takes velocities from positions before an impact, and an impact forgets those: it is used
     in free flight only, and steps that touch are implicit Euler's.
     """
+    if body.integrator == "bdf2" and torch.compiler.is_compiling():
+        torch._dynamo.graph_break(msg=BDF2_BREAKS_GRAPHS)
     if body.integrator == "bdf2" and not in_contact(state):
         stage = make_stage("bdf2", body.dt, state)
         planes = contact_planes(body, obstacles, state.x, stage.y)

@@ -150,7 +150,9 @@ def test_proposed_domains_have_the_gradient_of_what_they_return(module, wrt, of,
     cotangent = rng.standard_normal(module.apply(given)[of].shape).astype(np.float32)
     slope = module.vector_jacobian_product(given, {wrt}, {of}, {of: cotangent})[wrt]
     along = rng.standard_normal(given[wrt].shape) * scale
-    step = 1e-2 if module is soft_dynamics else 3e-4  # outputs are float32
+    # Outputs are float32. Along noise the places where a wall crosses lines of the grid bend: at
+    # 3e-4 central differences are 5 % off, at 3e-5 0.1 %.
+    step = 1e-2 if module is soft_dynamics else 3e-5
     ends = [
         (module.apply({**given, wrt: given[wrt].astype(float) + s * step * along})[of] * cotangent)
         .astype(float)

@@ -382,6 +382,40 @@ def test_a_distance_function_breaks_the_graph_and_stays_right():
         torch.compile(layer, fullgraph=True, backend="aot_eager")(v)
 
 
+def landing_by_bdf2(steps: int):
+    """A function of velocities: bodies that fly, then land."""
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m, integrator="bdf2")
+    x = m.x_rest - torch.tensor([0.0, 0.0, 1.0]) * (m.x_rest[:, 2].min() - 0.6)
+    v = leaf(torch.tensor([-0.8, 0.3, -4.0]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
+
+    floor = contact.floor(friction=0.3)
+
+    def layer(v):
+        end = soft.State(x, v)
+        for _ in range(steps):
+            end = soft.step(body, end, obstacles=floor)
+        return torch.cat([end.x, end.contact_force])
+
+    return layer, v, m.num_nodes
+
+
+def test_bdf2_among_obstacles_says_why_it_is_not_one_graph():
+    layer, v, _ = landing_by_bdf2(1)
+    with pytest.raises(torch._dynamo.exc.Unsupported, match="integrator='implicit_euler'"):
+        torch.compile(layer, fullgraph=True, backend="aot_eager")(v)
+
+
+@pytest.mark.slow
+def test_bdf2_among_obstacles_breaks_the_graph_and_stays_right():
+    layer, v, num_nodes = landing_by_bdf2(2)
+    assert not bool((landing_by_bdf2(1)[0](v)[num_nodes:] != 0.0).any())
+    assert bool((layer(v)[num_nodes:] != 0.0).any())
+    whole = torch.compile(layer, backend="aot_eager")
+    plain, compiled = (torch.autograd.grad(f(v).square().sum(), v)[0] for f in (layer, whole))
+    torch.testing.assert_close(plain, compiled, rtol=1e-12, atol=1e-12)
+
+
 def test_a_copied_shape_is_another_one():
     ball = contact.Sphere(1.0)
     for other in (copy.deepcopy(ball), pickle.loads(pickle.dumps(ball))):

@@ -402,7 +402,7 @@ def test_mistakes_in_the_files_are_told_at_once(folder):
         "unit 'N' is no unit of the quantity that is wanted in 'mm'",
         "study.yaml: runs[7].file: no file fits 'step_*.csv'",
         "study.yaml: runs[8].setup.load: the column is not constant in the run",
-        "a.csv: formula '2*pos': no column or fact 'pos'; did you mean 'pos (mm)'",
+        "a.csv: formula '2*pos': no column or fact 'pos'; did you mean '`pos (mm)`'",
         "study.yaml: runs[11].blocks.use: no piece 3; run h has 2",
     ):
         assert part in message, message

@@ -30,6 +30,14 @@ def test_the_recipe_is_the_default() -> None:
     assert (options.batch, options.learning_rate) == (1, 3e-3)
 
 
+def test_the_jumper_has_whole_episodes_and_a_clock_of_its_stride() -> None:
+    setup, options = parsed("--task", "SoftJumper")
+    assert setup.task_options == {"clock": (1.5, 3.0)}
+    assert (setup.output_gain, setup.balance_clock, setup.steps) == (0.5, True, 60_000)
+    assert (options.batch, options.horizon, options.cut_every) == (1, 0, 60)
+    assert setup.make_task().dt * 20 == pytest.approx(1.0 / max(setup.task_options["clock"]))
+
+
 def test_what_is_given_goes_first() -> None:
     setup, options = parsed(
         "--task",

@@ -17,7 +17,9 @@ bool sums(diffsim::ThreadPool& pool, std::int64_t tasks) {
   pool.run(tasks, [&](std::int64_t i) {
     for (std::int64_t k = 0; k < 50; ++k) part[static_cast<std::size_t>(i)] += i * k;
 #ifdef MISTAKE  // what the sanitizers must see: a race, and a write past the end
-    part[0] += i - i;
+    const volatile std::int64_t nothing = 0;
+    part[0] += nothing;
+    std::this_thread::sleep_for(std::chrono::microseconds(100));  // others take tasks meanwhile
     if (i == tasks - 1) part.data()[MISTAKE] = 0;
 #endif
   });

@@ -311,3 +311,18 @@ def test_a_mistake_is_told_with_its_place_in_the_file(message):
         setup_of(cart_study(model=described(**MISTAKES[message])))
     assert message in str(refused.value)
     assert str(refused.value).startswith(("study.yaml: model", "model", "effects"))
+
+
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [
+        ("400 mbar", "states level as text, '400 mbar': write a number, or with its unit"),
+        (None, f"setup of run {PLAIN.runs[0].name} does not state level"),
+    ],
+)
+def test_a_fact_that_is_no_number_of_every_run_is_told(level, message):
+    facts = [{} if level is None else {"level": level}, *({"level": 1.0} for _ in PLAIN.runs[1:])]
+    runs = tuple(replace(r, setup=f) for r, f in zip(PLAIN.runs, facts, strict=True))
+    model = described(rates={"x": "v", "v": "(level*force - c*v - k*x)/m"})
+    with pytest.raises(ValueError, match=message):
+        setup_of(replace(PLAIN, runs=runs, model=model))

@@ -9,12 +9,11 @@ from torch import Tensor
 
 from diffsim.core.check import require_number
 from diffsim.stokes.devices.corner import CASES, OUTLETS, conditions, inputs, walls
-from diffsim.stokes.devices.device import Device, Parameter, State, scaled
+from diffsim.stokes.devices.device import SOLVER, Device, Parameter, State, scaled
 from diffsim.stokes.devices.losses import angle_difference
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import StokesFlow
 from diffsim.stokes.grid import Grid
-from diffsim.stokes.options import SolverOptions
 from diffsim.stokes.shapes import Custom, Shape
 
 _HEIGHT = 16.0 / 64.0  # of the box [m]
@@ -41,8 +40,6 @@ def funnel(resolution: float = 1.0, *, bump: float = 0.06) -> Device:
     def loss(field: FlowField) -> Tensor:
         return angle_difference(field, OUTLETS, math.pi / 4.0)
 
-    # one factor serves both inputs; finer grids are left to the iteration
-    solver = SolverOptions(method="direct" if resolution <= 1.0 else "auto")
     bounds = [
         ("near corner, first point, x", 0.01, 0.59),
         ("near corner, first point, y", 0.01, 0.39),
@@ -57,7 +54,7 @@ def funnel(resolution: float = 1.0, *, bump: float = 0.06) -> Device:
     ]
     return Device(
         name="funnel",
-        flow=StokesFlow(grid, conditions(grid), wall="no_separation", solver=solver),
+        flow=StokesFlow(grid, conditions(grid), wall="no_separation", solver=SOLVER),
         parameters=tuple(Parameter(*b) for b in bounds),
         states=(State("funnel", shape, inputs(), loss),),
         num_samples=10,

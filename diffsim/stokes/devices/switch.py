@@ -11,7 +11,15 @@ from torch import Tensor
 from diffsim.core.check import require_choice
 from diffsim.stokes.boundary import Inlet, Open, Wall
 from diffsim.stokes.devices.column import NUM_AROUND, column
-from diffsim.stokes.devices.device import Device, Parameter, State, between, points2d, scaled
+from diffsim.stokes.devices.device import (
+    SOLVER,
+    Device,
+    Parameter,
+    State,
+    between,
+    points2d,
+    scaled,
+)
 from diffsim.stokes.devices.losses import squared_difference
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import StokesFlow
@@ -71,7 +79,7 @@ def switch(resolution: float = 1.0, *, profile: str = "paths") -> Device:
     ]
     return Device(
         name="switch",
-        flow=StokesFlow(grid, conditions, wall="no_slip"),
+        flow=StokesFlow(grid, conditions, wall="no_slip", solver=SOLVER),
         parameters=(*radii, *angles),
         states=states,
         num_samples=100,

@@ -8,7 +8,7 @@ from torch import Tensor
 from diffsim.core.check import require_choice
 from diffsim.stokes.boundary import Inlet, Open
 from diffsim.stokes.devices.column import NUM_AROUND, column
-from diffsim.stokes.devices.device import Device, Parameter, State, scaled
+from diffsim.stokes.devices.device import SOLVER, Device, Parameter, State, scaled
 from diffsim.stokes.devices.losses import vertical_curl
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import WALL_KINDS, StokesFlow
@@ -63,7 +63,7 @@ def twister(resolution: float = 1.0, *, wall: str = "no_separation") -> Device:
     slip = wall == "no_separation"
     return Device(
         name="twister",
-        flow=StokesFlow(grid, [Inlet("z+", "top", on_top), Open("z-")], wall=wall),
+        flow=StokesFlow(grid, [Inlet("z+", "top", on_top), Open("z-")], wall=wall, solver=SOLVER),
         parameters=parameters,
         states=(State("twister", shape, inlet, loss),),
         num_samples=100,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -112,11 +113,31 @@ class Reader:
 
     def parse(self, key: str, text: str, known: Iterable[str]) -> Expression:
         """The formula; that of zero where it is mistaken."""
+        known = tuple(known)
         try:
             return parse_expression(text, known)
         except ValueError as error:
-            self.report(key, str(error))
+            self.report(key, f"{error}{self._about_facts(text, known)}")
             return parse_expression("0")
+
+    def _about_facts(self, text: str, known: Iterable[str]) -> str:
+        """Facts that a formula names and that are no numbers in all runs, as the end of a message.
+
+        It is said of the first one; may be empty.
+        """
+        runs = self.study.runs
+        for name in sorted(set(re.findall(r"[A-Za-z_]\w*", text)) - set(known)):
+            stated = [run for run in runs if name in run.setup]
+            for run in stated:
+                if isinstance(run.setup[name], str):
+                    return (
+                        f"; setup of run {run.name} states {name} as text, {run.setup[name]!r}: "
+                        "write a number, or with its unit {value: 3, unit: mm}"
+                    )
+            if stated and len(stated) < len(runs):
+                lacks = next(run.name for run in runs if name not in run.setup)
+                return f"; setup of run {lacks} does not state {name}"
+        return ""
 
     def require_names(self, groups: Mapping[str, Iterable[str]]) -> None:
         """Names must be plain words, and one thing each.

@@ -149,7 +149,9 @@ def test_the_moment_of_the_air_is_named():
         settings=setup.settings,
     )
     assert report.verdict == "named"
-    assert "flow_moment" in {row.name for row in report.causes if row.status == "certain"}
+    certain = {row.name for row in report.causes if row.status == "certain"}
+    assert {"flow_moment", "blind_estimator"} <= certain
+    assert "ground_scale" not in certain
     assert "inertia_zz" in report.findings
     (rates,) = (row for row in report.errors if row.kind == "angular_velocity")
     assert rates.after < 0.5 * rates.before
