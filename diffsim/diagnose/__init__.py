@@ -19,8 +19,8 @@ order:
 10. ``averaging``, ``form``, ``wrong_sheet``, ``causes``, ``data_sheet``: a verdict per cause; the
     answer is frozen here.
 11. ``unseen``, ``gain``, ``outside``: test runs, looked at once; ``frozen``: new runs later.
-12. ``wording``, ``records``, ``tables``, ``assemble``, ``report``, ``force_map``: the answer as it
-    is read and saved.
+12. ``answer``, ``headline``, ``wording``, ``records``, ``tables``, ``assemble``, ``report``,
+    ``force_map``: the answer as it is read and saved.
 
 ``faults`` is a way of its own through the same parts: groups of runs with a fault each.
 

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
+from diffsim.diagnose.answer import Answer
 from diffsim.diagnose.averaging import Averaged, averaged, widening
 from diffsim.diagnose.causes import Told, cause_rows, certain_of, open_rivals, vetoed
 from diffsim.diagnose.data_sheet import base_rows
@@ -21,6 +22,7 @@ from diffsim.diagnose.fit import Null
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.form import without_forms
 from diffsim.diagnose.gates import NUMERICS_GATES, GateResult
+from diffsim.diagnose.headline import headline
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.left_out import unmet_by
 from diffsim.diagnose.next_run import next_run
@@ -36,7 +38,7 @@ from diffsim.diagnose.simulations import NONE, Center
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
 from diffsim.diagnose.unseen import on_unseen
 from diffsim.diagnose.weighed_sets import Search
-from diffsim.diagnose.wording import Answer, headline, sentences
+from diffsim.diagnose.wording import sentences
 from diffsim.diagnose.wrong_sheet import without_wrong_sheets
 from diffsim.identify import Fit
 from diffsim.identify.unknown import UnknownForce

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
+from diffsim.diagnose.answer import Answer
 from diffsim.diagnose.force_map import ForceMap
 from diffsim.diagnose.frozen import facts_of
 from diffsim.diagnose.gain import Gain
@@ -20,7 +21,6 @@ from diffsim.diagnose.next_run import NextRun
 from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.tables import EffectRow, HypothesisRow
-from diffsim.diagnose.wording import Answer
 from diffsim.identify import Fit
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel

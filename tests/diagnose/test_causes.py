@@ -10,13 +10,14 @@ from scipy import stats
 
 from diffsim.data.study import Study
 from diffsim.diagnose import Report, assemble, diagnose
+from diffsim.diagnose.answer import Answer, opened
 from diffsim.diagnose.averaging import Widening, _interval, widening
 from diffsim.diagnose.causes import certain_of
 from diffsim.diagnose.data_sheet import _pulled_together, base_rows, pull_limit, words_of
 from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.headline import _on_unseen, headline
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
-from diffsim.diagnose.wording import Answer, _on_unseen, _opened, headline
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from diffsim.identify.model import Parameter
 from tests.diagnose import linear
@@ -141,7 +142,7 @@ def test_of_many_data_sheets_one_is_far_off_by_chance():
 
 def test_symbols_keep_their_case():
     """m and M are two parameters of one cart."""
-    assert [_opened(t) for t in ("m", "kp of a", "mass")] == ["m", "kp of a", "Mass"]
+    assert [opened(t) for t in ("m", "kp of a", "mass")] == ["m", "kp of a", "Mass"]
 
 
 def test_small_lengths_of_data_sheets_are_read_in_millimeters():

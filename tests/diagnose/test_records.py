@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from diffsim.diagnose.answer import size_range
 from diffsim.diagnose.records import BaseRow, CauseRow, Interval
-from diffsim.diagnose.wording import _range
 
 PLAY = CauseRow(
     name="sensor_backlash",
@@ -23,8 +23,8 @@ PLAY = CauseRow(
 
 
 def test_sizes_are_said_in_the_unit_of_the_user_and_kept_in_si():
-    assert _range(PLAY) == "0.87 to 0.91 mm"
-    assert _range(replace(PLAY, shown_unit=None)) == "0.00087 to 0.0009 m"
+    assert size_range(PLAY) == "0.87 to 0.91 mm"
+    assert size_range(replace(PLAY, shown_unit=None)) == "0.00087 to 0.0009 m"
     read = PLAY.as_read()
     assert read.unit == "mm" and read.as_read() is read
     assert read.smallest_visible["size"] == pytest.approx(0.01)

@@ -1,0 +1,87 @@
+"""What is put into words, and the small words of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diffsim.diagnose.gates import GateResult
+from diffsim.diagnose.judge import Decision
+from diffsim.diagnose.noise import NoiseFloor
+from diffsim.diagnose.records import (
+    EFFECT,
+    UNKNOWN,
+    CauseRow,
+    Interval,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What is put into words.
+
+    Attributes:
+        verdict: Verdict of the report.
+        decision: Decision of the evidence behind it.
+        causes: All causes with their status.
+        rivals: Names of the rival sets.
+        gates: Checks.
+        noise: Noise floor of the fitted runs.
+        named: Effects that the verdict names.
+        best_names: Effects of the best set.
+        beside: Name of an unknown cause that leads beside the named set; empty if none.
+        chosen_by: What chose between causes.
+    """
+
+    verdict: str
+    decision: Decision
+    causes: tuple[CauseRow, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    gates: tuple[GateResult, ...]
+    noise: NoiseFloor
+    named: tuple[str, ...] = ()
+    best_names: tuple[str, ...] = ()
+    beside: str = ""
+    chosen_by: str = ""
+
+    def told(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
+        """Causes with a status, unknown ones left out."""
+        return [
+            row
+            for row in self.causes
+            if row.status in statuses
+            and row.origin != UNKNOWN
+            and (origin is None or row.origin == origin)
+        ]
+
+
+def effects_of(answer: Answer) -> list[CauseRow]:
+    return [row for row in answer.causes if row.origin == EFFECT]
+
+
+def plain_name(answer: Answer, name: str) -> str:
+    return next((row.words for row in answer.causes if row.name == name), name)
+
+
+def size_range(row: CauseRow) -> str:
+    row = row.as_read()
+    unit = "" if row.unit == "-" else f" {row.unit}"
+    return f"{ends(next(iter(row.size.values())))}{unit}"
+
+
+def ends(size: Interval) -> str:
+    """Both ends with as many digits as tell them apart, two at least."""
+    width = size.high - size.low
+    for digits in range(2, 6):
+        low, high = f"{size.low:.{digits}g}", f"{size.high:.{digits}g}"
+        if low != high and abs(float(high) - float(low) - width) <= 0.25 * width:
+            return f"{low} to {high}"
+    return f"{size.value:.4g}"
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def opened(name: str) -> str:
+    """The name of a parameter at the begin of a sentence; m and M are two parameters."""
+    return name if len(name.partition(" ")[0]) <= 2 else capital(name)
