@@ -54,6 +54,11 @@ def test_parts_are_kept(out, results):
     assert again["scaling"] == results["scaling"]
 
 
+def test_flows_that_were_iterated_have_no_rate_of_a_factor(results):
+    row = {k: v for k, v in results["devices"][0].items() if k != "factor_gflops"}
+    assert stokes_tables.device_table([row])[-1].startswith("| amplifier | 16 x 12 |")
+
+
 def test_exponents_are_slopes():
     def row(nodes: int) -> dict:
         return {
