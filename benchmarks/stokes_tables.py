@@ -83,11 +83,11 @@ def device_table(rows: Rows) -> list[str]:
         full = row["resolution"] == 1.0
         thesis = devices.make(row["name"], 0.25, **row["options"]).reference["seconds"]
         ours = row["both_cpu_s"]["median"]  # of all threads: no smaller than the wall's when quiet
-        rate = row.get("factor_gflops")  # none where the flow was iterated
+        rate = f"{row['factor_gflops']:.1f}" if "factor_gflops" in row else "-"  # iterated
         lines.append(
             f"| {name} | {' x '.join(map(str, row['shape']))} "
             f"| {len(row['shape']) * row['num_nodes']:,} | {row['threads']} "
-            f"| {times(row, 'forward')} | {times(row, 'both')} | {'-' if rate is None else f'{rate:.1f}'} "
+            f"| {times(row, 'forward')} | {times(row, 'both')} | {rate} "
             f"| {row['memory_peak_B'] / 2**30:.2f} "
             f"| {PROTOTYPE.get(row['name'], '') if full else ''} "
             f"| {thesis if full else ''} | {f'{thesis / ours:.1f}' if full else ''} |"
