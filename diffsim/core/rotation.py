@@ -36,6 +36,11 @@ _TERMS = torch.tensor(
 )
 
 
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross products of vectors (..., 3) whose leading axes broadcast."""
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+
+
 def skew(v: Tensor) -> Tensor:
     """Matrix [v] of the cross product, [v] w = v x w.
 

@@ -8,15 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter import (
-    GRAVITY,
-    Feedback,
-    FlightState,
-    Multicopter,
-    fly,
-    linearize,
-    lqr,
-)
+from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearize, lqr
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights

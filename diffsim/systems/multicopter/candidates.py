@@ -84,7 +84,7 @@ def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
         causes.THRUST_CURVATURE,
         *_of_vehicle(of, mass, arm, in_body),
         *_of_sensors(of, arm, in_body),
-        *_of_rotors(of.num_rotors, in_body),
+        *(in_body(e) if len(e.components) > 1 else e for e in single.of_each_rotor(of.num_rotors)),
     ]
     if not of.has_lag:
         out.append(SPEED_LAG if of.lags_speed else HELD_LAG)
@@ -113,14 +113,6 @@ def _apply_there(
 ) -> CopterScene:
     is_there = all(run.setup.get(fact) == value for fact, value in facts.items())
     return inner(scene, size, run) if is_there else scene
-
-
-def _of_rotors(num_rotors: int, in_body: Callable[[Effect], Effect]) -> Iterator[Effect]:
-    for i in range(num_rotors):
-        yield single.weak_rotor(i)
-        yield single.thrust_loss(i)
-        yield single.torque_loss(i)
-        yield in_body(single.rotor_tilt(i))
 
 
 def _of_vehicle(

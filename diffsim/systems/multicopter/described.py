@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -142,7 +142,7 @@ class DescribedFlights:
         scene = scene.changed(
             sling_length=v["sling_length"].reshape(-1) if "sling_length" in v else None,
             gust_frequency=v["gust_frequency"].reshape(-1) if "gust_frequency" in v else None,
-            estimator_gains=_together(v, [f"estimator_{name}" for name in ESTIMATOR_GAINS])
+            estimator_gains=_together(v[f"estimator_{name}"] for name in ESTIMATOR_GAINS)
             if "estimator_velocity" in v
             else None,
         )
@@ -166,9 +166,9 @@ class DescribedFlights:
 def _vector(v: Mapping[str, Tensor], name: str) -> Tensor:
     """(points, 3) of the quantities name_x, name_y, name_z; 0 where there are none."""
     zero = torch.zeros(1, dtype=torch.float64)
-    return _together({"": zero, **v}, [n if n in v else "" for n in (f"{name}_{a}" for a in "xyz")])
+    return _together(v.get(f"{name}_{axis}", zero) for axis in "xyz")
 
 
-def _together(v: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
-    """(points, len(names)) of some quantities."""
-    return torch.stack(torch.broadcast_tensors(*(v[name].reshape(-1) for name in names)), -1)
+def _together(quantities: Iterable[Tensor]) -> Tensor:
+    """Some quantities beside each other, (points, number of them)."""
+    return torch.stack(torch.broadcast_tensors(*(q.reshape(-1) for q in quantities)), -1)

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle import GRAVITY
-from diffsim.core.rotation import matrix_from_rpy
+from diffsim.core.rotation import cross, matrix_from_rpy, skew
 
 _FEW_STEPS = 64  # beyond these steps are chained
 _SLOWEST = 0.1  # frequency of a motion [rad/s]: below it there is no error to speak of
@@ -170,7 +170,7 @@ def _stepped(
     out = [start]
     for k in range(force.shape[-2]):
         thrust = force[..., k, :]
-        lean, change = _flat(_cross(attitude, thrust)), turning * _cross(thrust, error)
+        lean, change = _flat(cross(attitude, thrust)), turning * cross(thrust, error)
         error = error + dt * lean + pull[..., k, :] - decay[..., None] * error
         attitude = attitude - change
         out.append(torch.stack(torch.broadcast_tensors(error, attitude), -2))
@@ -181,7 +181,7 @@ def _chained(
     pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
 ) -> Tensor:
     """All steps at once: they are linear in the errors, and are chained in pairs."""
-    across = _cross_matrix(force)  # f x
+    across = skew(force)  # f x
     keep = torch.eye(3, dtype=force.dtype).expand_as(across)
     lean = -dt * _flat(across.mT).mT  # (d x f) along the ground
     upper = torch.cat([(1.0 - decay[..., None, None, None]) * keep, lean.expand_as(keep)], -1)
@@ -205,19 +205,6 @@ def _chained(
     first = start.flatten(-2)[..., None, :, None]
     after = (factor @ first + added)[..., 0].unflatten(-1, (2, 3))
     return torch.cat([start[..., None, :, :].expand(*shape[:-1], 1, 2, 3), after], -3)
-
-
-def _cross_matrix(a: Tensor) -> Tensor:
-    """Matrix of a x, (..., 3, 3)."""
-    x, y, z = a.unbind(-1)
-    zero = torch.zeros_like(x)
-    rows = [torch.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    return torch.stack(rows, -2)
-
-
-def _cross(a: Tensor, b: Tensor) -> Tensor:
-    a, b = torch.broadcast_tensors(a, b)
-    return torch.linalg.cross(a, b)
 
 
 def _flat(vectors: Tensor) -> Tensor:

@@ -8,11 +8,13 @@ error of second order.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import torch
 from torch import Tensor
 
+from diffsim.core.rotation import cross
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
@@ -48,8 +50,8 @@ def _torque_loss(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> C
 
 def _rotor_tilt(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
     turn = vector(size)[:, None] * _only(scene, index)[:, None]
-    axis, d = torch.broadcast_tensors(turn, scene.vehicle.directions)
-    turned = d + torch.linalg.cross(axis, d)
+    directions = scene.vehicle.directions
+    turned = directions + cross(turn, directions)
     turned = turned / turned.norm(dim=-1, keepdim=True)
     return scene.changed(vehicle=scene.vehicle.replace(directions=turned))
 
@@ -109,3 +111,10 @@ def rotor_tilt(index: int) -> Effect:
         also_looks_like=("a bent arm", "body tilt with a torque of the rotors"),
         apply=partial(_rotor_tilt, index=index),
     )
+
+
+def of_each_rotor(num_rotors: int) -> Iterator[Effect]:
+    """All causes of single rotors, rotor after rotor."""
+    for i in range(num_rotors):
+        for cause in (weak_rotor, thrust_loss, torque_loss, rotor_tilt):
+            yield cause(i)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
+
+from diffsim.core.rotation import skew
 
 WIDTH_PX, HEIGHT_PX = 1280.0, 720.0
 LEAST_SEEN = 6  # samples that show how a ball falls
@@ -97,14 +98,4 @@ def in_free_flight(
 def _pose(values: Mapping[str, Tensor], rotation: Tensor) -> tuple[Tensor, Tensor]:
     turn = torch.stack([values[n] for n in ("turn_x", "turn_y", "turn_z")], -1)
     shift = torch.stack([values[n] for n in ("shift_x", "shift_y", "shift_z")], -1)
-    return torch.linalg.matrix_exp(_cross_matrix(turn)) @ rotation, shift
-
-
-def _cross_matrix(v: Tensor) -> Tensor:
-    zero = torch.zeros_like(v[..., 0])
-    rows: list[list[Any]] = [
-        [zero, -v[..., 2], v[..., 1]],
-        [v[..., 2], zero, -v[..., 0]],
-        [-v[..., 1], v[..., 0], zero],
-    ]
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+    return torch.linalg.matrix_exp(skew(turn)) @ rotation, shift

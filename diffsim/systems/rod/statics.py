@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
-from diffsim.core.rotation import matrix_from_rotation_vector
+from diffsim.core.rotation import cross, matrix_from_rotation_vector
 from diffsim.systems.rod.shape import Points, RodShape
 
 STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
@@ -125,7 +125,7 @@ class Rod:
             (..., N, 3) [N m].
         """
         tension = self.tension(u)[..., None]
-        side = _cross(u[..., None, :, :], self.offset) + self.slope
+        side = cross(u[..., None, :, :], self.offset) + self.slope
         along = torch.tensor([1.0, 0.0, 0.0], dtype=u.dtype)
         v = along + force / self.stretch
         for _ in range(STRETCH_ROUNDS):
@@ -135,7 +135,7 @@ class Rod:
         bent = u - self.rest
         strain = (bent[..., 1:].square().sum(-1) * self.shape.radius**2)[..., None]
         moment = self.bending * bent * (1.0 + self.stiffening[..., None, None] * strain)
-        levers = _cross(self.offset, pull)
+        levers = cross(self.offset, pull)
         return v, moment + levers.sum(-3)
 
     def at_points(self, points: Points, offset: Tensor, u: Tensor) -> Tensor:
@@ -170,14 +170,14 @@ class Rod:
         force, beyond = self._forces(middles)
         v, moment = self.section(u, _into(middles, force))
         nodes, centers = self._places(middles, v)
-        torque = _cross(centers, self.weight)
+        torque = cross(centers, self.weight)
         outer = torque.flip(-2).cumsum(-2).flip(-2) - torque  # of all elements beyond
         lever = 0.25 * self.shape.lengths[:, None] * (middles @ v[..., None])[..., 0]
-        outer = outer + _cross(centers + lever, 0.5 * self.weight)
+        outer = outer + cross(centers + lever, 0.5 * self.weight)
         if len(self.points.names):
             at = _points(self.shape, self.points, self.points.offset, u, v, edges, nodes)
-            outer = outer + beyond @ _cross(at, self.loads)
-        return moment - _into(middles, outer - _cross(centers, force))
+            outer = outer + beyond @ cross(at, self.loads)
+        return moment - _into(middles, outer - cross(centers, force))
 
     def _forces(self, middles: Tensor) -> tuple[Tensor, Tensor]:
         """Force that acts beyond the middles, (..., N, 3) [N], and (N, P) which points do."""
@@ -202,11 +202,6 @@ _AXES = {
     "place": 1, "offset": 3, "slope": 3, "share": 2, "pull": 1, "friction": 0, "wobble": 0,
 }  # fmt: skip
 """Own axes of the tensors of a rod, behind the leading ones."""
-
-
-def _cross(a: Tensor, b: Tensor) -> Tensor:
-    """Cross products of vectors (..., 3) whose leading axes broadcast."""
-    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
 
 
 def _into(frames: Tensor, vectors: Tensor) -> Tensor:
