@@ -19,7 +19,12 @@ from diffsim.diagnose.separate import require_separate
 from diffsim.diagnose.unseen import At, Unseen, on_unseen
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
-from diffsim.identify.model_file import SavedModel, rebuilt, without_effects
+from diffsim.identify.model_file import (
+    SavedModel,
+    rebuilt,
+    without_effects,
+    without_values_of,
+)
 
 
 def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
@@ -63,6 +68,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
     """
     study, facts = inputs.study, saved.facts
     runs = _chosen(study, saved, names)
+    saved = without_values_of(saved, [run.name for run in runs])
     models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved)]
     noise = _noise_of(saved, study)
     spans = {

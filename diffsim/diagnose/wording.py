@@ -83,7 +83,8 @@ def _first(answer: Answer) -> str:
     if answer.verdict == "unknown":
         text = "Something real and repeatable is missing that the library does not hold"
         if helping:
-            return f"{text}; {_sizes(helping)} helps, but is not named."
+            do = "helps, but is not" if len(helping) == 1 else "help, but are not"
+            return f"{text}; {_sizes(helping)} {do} named."
         mimics = _members(answer)
         return f"{text}; {_sizes(mimics)} would mimic part of it." if mimics else f"{text}."
     if answer.verdict == "unrepeatable":

@@ -21,7 +21,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -237,6 +237,24 @@ def without_effects(saved: SavedModel) -> SavedModel:
             "`diffsim diagnose explain` or `extend`"
         )
     return replace(saved, values=saved.plain, parameters=tuple(saved.plain), components=())
+
+
+def without_values_of(saved: SavedModel, runs: Collection[str]) -> SavedModel:
+    """A saved model without what single runs had of their own ("offset@run_9").
+
+    Args:
+        saved: Content of the file.
+        runs: Names of runs that the model has not met. A fitted run may have had such a name: its
+            clock, its start, ... say nothing of another recording.
+    """
+    ends = tuple(f"@{name}" for name in runs)
+
+    def others(values: Mapping[str, float]) -> dict[str, float]:
+        return {name: value for name, value in values.items() if not name.endswith(ends)}
+
+    return replace(
+        saved, values=others(saved.values), sd=others(saved.sd), plain=others(saved.plain)
+    )
 
 
 def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:

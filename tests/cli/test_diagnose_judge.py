@@ -123,6 +123,18 @@ def test_what_was_fitted_proves_nothing(model_folder, study, tmp_path):
         judge_saved(inputs, saved, ["old_name"])
 
 
+def test_a_new_run_owes_nothing_to_a_fitted_one_of_the_same_name(model_folder, new_folder, study):
+    later, saved = load_study(new_folder), read_extended(model_folder)
+    fitted = study.fit_runs[0].name
+    assert any(name.endswith(f"@{fitted}") for name in saved.values)
+    errors = []
+    for name in ("fresh", fitted):
+        runs = tuple(replace(run, name=name) for run in later.runs)
+        inputs = inputs_of(replace(later, runs=runs), seed=0, setup_file=Path(SETUP))
+        errors.append([(row.before, row.after) for row in judge_saved(inputs, saved).errors])
+    assert errors[0] == errors[1]
+
+
 def test_refined_settings_are_those_of_the_saved_model(study, tmp_path):
     model, finer = toy.model(study.runs, 0.02), Numerics(time_step=0.5)
     runs, channels = study.fit_runs[:1], study.channels
