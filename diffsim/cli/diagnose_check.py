@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from diffsim.core.units import factor
 from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.data.study_check import TODO, Problem, check_study
+from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.systems.instrument import PLAY_START
@@ -43,12 +44,21 @@ def check(study: Study, given: str) -> None:
     """
     for line in (*_summary(study), ""):
         print(line)
-    problems = problems_of(study)
+    only_judged = bool(study.test_runs) and not study.fit_runs
+    problems = [_as_note(p) if only_judged else p for p in problems_of(study)]
     if not any(p.severity == "error" for p in problems) and study.model is not None:
         problems, made = [*problems, *(found := _of_setup(study))[0]], found[1]
         print(made) if made else None
     _tell(problems, given)
-    print("ready for a diagnosis: diffsim diagnose explain", given)
+    if only_judged:
+        print(f"ready to be judged: diffsim diagnose judge {given} --model FOLDER")
+    else:
+        print("ready for a diagnosis: diffsim diagnose explain", given)
+
+
+def _as_note(problem: Problem) -> Problem:
+    """Of a study of test runs alone: that nothing can be fitted is no mistake."""
+    return replace(problem, severity="note") if problem.message == NO_FIT_RUN else problem
 
 
 def require_ready(study: Study, given: str, *, plan: bool = True) -> None:

@@ -269,8 +269,9 @@ def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:
     shown = sorted(rows, key=lambda row: not row.is_fact)[:MAX_OUTSIDE]
     for row in shown:
         print(row.words)
-    if len(rows) > len(shown):
-        print(f"Run {name}: {len(rows) - len(shown)} more quantities outside.")
+    if more := len(rows) - len(shown):
+        what = "quantity" if more == 1 else "quantities"
+        print(f"Run {name}: {more} more {what} outside, in {JUDGE_FILE}.")
 
 
 def _faults(args: argparse.Namespace) -> None:

@@ -13,6 +13,9 @@ from diffsim.core.units import factor, to_si
 from diffsim.data.rounding import step_of
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
+NO_FIT_RUN = (
+    "no run with use: fit; nothing can be fitted, only `judge` works, with a model that was saved"
+)
 TODO = "TODO"  # what a user is still to fill in
 MIN_SAMPLES = 10
 LATE = 1e6  # s: a clock that starts here counts from some other epoch than the run
@@ -64,8 +67,7 @@ def _check_plan(study: Study) -> Iterator[Problem]:
         yield Problem(
             "error",
             "study",
-            "no run with use: fit; nothing can be fitted, "
-            "only `judge` works, with a model that was saved",
+            NO_FIT_RUN,
         )
     elif len(fit_groups) < 2:
         yield Problem(

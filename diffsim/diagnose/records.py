@@ -209,7 +209,7 @@ class OutsideRow:
     @property
     def words(self) -> str:
         """The row in a sentence."""
-        unit = f" {self.unit}" if self.unit else ""
+        unit = f" {self.unit}" if self.unit not in ("", "-") else ""
         if isinstance(self.value, str) or self.low is None or self.high is None:
             return f"Run {self.run}: no fitted run has {self.what} {self.value}."
         per, unit = (1000.0, " mm") if self._in_mm else (1.0, unit)

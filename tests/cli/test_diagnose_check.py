@@ -86,6 +86,18 @@ def test_without_select_and_test_runs(folder, capsys):
     assert "warning: study: all fit runs have one command" in out
 
 
+def test_a_study_of_test_runs_is_checked_for_judge(folder, capsys):
+    runs = [{"name": "new", "file": "c.csv", "use": "test"}]
+    code, out, _ = check(folder, capsys, runs=runs)
+    assert code == 0
+    assert "note: study: no run with use: fit" in out
+    assert "model: 1 base parameters" in out
+    assert f"ready to be judged: diffsim diagnose judge {folder} --model" in out
+    (folder / "sim.py").write_text("def predict(parameters, run):\n    return 1 +\n")
+    code, out, _ = check(folder, capsys, runs=runs)
+    assert code == 2 and "error: model: " in out
+
+
 def test_mistakes_of_the_description_are_told_together(folder, capsys):
     model = {**BASE["model"], "simulater": "x", "workers": 0, "parameters": {"gain": "TODO"}}
     code, out, err = check(folder, capsys, model=model, todo=["Weigh the cart"])
