@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import torch
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from torch import Tensor
 
 from diffsim.core.check import did_you_mean
@@ -60,6 +60,10 @@ class Quantity(Part):
             raise ValueError(f"percent needs a value above 0, got {self.value:g}; give sd")
         if self.per is not None and not self.is_fitted:
             raise ValueError("per needs sd or percent: a value of its own is a fitted one")
+        if not self.lower <= self.value <= self.upper:
+            ends = f"[{self.lower:g}, {self.upper:g}]"
+            unit = "" if self.unit == "-" else f" {self.unit}"
+            raise ValueError(f"value must lie within {ends}{unit}, got {self.value:g}")
         return self
 
     @property
@@ -106,6 +110,17 @@ def quantity(unit: str) -> Any:
 
     said = Said("quantity" if unit == "-" else f"quantity in {unit}")
     return Annotated[Quantity, BeforeValidator(read), said]
+
+
+def positive_quantity(unit: str) -> Any:
+    """Type of a key that is a :class:`Quantity` above 0, such as a mass."""
+
+    def above_zero(given: Quantity) -> Quantity:
+        if given.value <= 0.0:
+            raise ValueError(f"value must be above 0, got {given.value:g}")
+        return given
+
+    return Annotated[quantity(unit), AfterValidator(above_zero)]
 
 
 def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> Iterator[Problem]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
-from diffsim.systems.description import Quantity, quantity
+from diffsim.systems.description import Quantity, positive_quantity, quantity
 
 if TYPE_CHECKING:
     Hertz: TypeAlias = Quantity
     Inertia: TypeAlias = Quantity
     Length: TypeAlias = Quantity
     Mass: TypeAlias = Quantity
+    Moment: TypeAlias = Quantity
     PerSecond: TypeAlias = Quantity
     Plain: TypeAlias = Quantity
     Resistance: TypeAlias = Quantity
@@ -20,7 +21,8 @@ else:
     Hertz = quantity("Hz")
     Inertia = quantity("kg m^2")
     Length = quantity("m")
-    Mass = quantity("kg")
+    Mass = positive_quantity("kg")
+    Moment = positive_quantity("kg m^2")
     PerSecond = quantity("1/s")
     Plain = quantity("-")
     Resistance = quantity("Pa s/m^3")
@@ -32,6 +34,7 @@ __all__ = [
     "Inertia",
     "Length",
     "Mass",
+    "Moment",
     "PerSecond",
     "Plain",
     "Resistance",

@@ -296,6 +296,7 @@ WRONG = {
     ),
     "torque": ({"torque_ratio": None}, "give torque_ratio or torque_coefficient"),
     "design": ({"design": "quadcopter"}, "leave these keys out"),
+    "weightless": ({"mass": 0}, "model.mass: value must be above 0, got 0"),
 }
 
 

@@ -285,6 +285,9 @@ MISTAKES = {
     "inputs[0]: no command 'forc'": {"inputs": ["forc"]},
     "places[0].velocity: no state 'w'": {"places": [{"position": "x", "velocity": "w"}]},
     "parameters.m.sd: must be above 0": {"parameters": {"m": {"value": 1, "sd": -1}}},
+    "parameters.m: value must lie within [2, 3] kg, got 1": {
+        "parameters": {"m": {"value": "1 kg", "sd": 1, "lower": 2, "upper": 3, "unit": "kg"}}
+    },
     "parameters.k: unit 'parsnips' is unknown": {"parameters": {"k": "3 parsnips"}},
     "parameters.k: per: run step states no frame in its setup": {
         "parameters": {"k": {"value": 1, "sd": 1, "per": "frame"}, "m": 1, "c": 1}

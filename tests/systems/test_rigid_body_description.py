@@ -119,6 +119,9 @@ def test_typical_drag_is_that_of_the_ball():
         ({"measures": [{"body": "ball", "position": {"q": "x"}}]}, "position has no 'q'"),
         ({"gravty": 9.81}, "did you mean 'gravity'"),
         ({"gravity": "9.81 kg"}, "gravity"),
+        ({"bodies": [{"name": "ball", "sphere": "0 mm"}]}, r"bodies\[0\].sphere: .* above 0"),
+        ({"bodies": [{"name": "box", "box": ["1 m", "-1 m", "1 m"]}]}, r"box\[1\]: .* above 0"),
+        ({"bodies": [{"name": "ball", "sphere": "1 m", "mass": "-1 kg"}]}, r"mass: .* above 0"),
     ],
 )
 def test_mistakes_are_told_by_their_key(change, message):

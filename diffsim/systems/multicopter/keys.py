@@ -19,7 +19,7 @@ from diffsim.core.schema_numbers import (
     Volts,
 )
 from diffsim.systems.description import Quantity
-from diffsim.systems.quantities import Inertia, Length, PerSecond, Plain
+from diffsim.systems.quantities import Inertia, Length, Moment, PerSecond, Plain
 
 _NONE = Quantity(value=0.0)
 
@@ -40,9 +40,9 @@ class FrameKeys(Part):
 class InertiaKeys(Part):
     """Inertia about the center of mass, along the body's axes."""
 
-    xx: Inertia = Field(description="About x [kg m^2]")
-    yy: Inertia = Field(description="About y [kg m^2]")
-    zz: Inertia = Field(description="About z [kg m^2]")
+    xx: Moment = Field(description="About x [kg m^2]")
+    yy: Moment = Field(description="About y [kg m^2]")
+    zz: Moment = Field(description="About z [kg m^2]")
     xy: Inertia = Field(_NONE, description="Entry of row x and column y [kg m^2]")
     xz: Inertia = Field(_NONE, description="Entry of row x and column z [kg m^2]")
     yz: Inertia = Field(_NONE, description="Entry of row y and column z [kg m^2]")

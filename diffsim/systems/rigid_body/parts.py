@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.systems.description import Part, Quantity, number, quantity
+from diffsim.systems.description import Part, Quantity, number, positive_quantity, quantity
 
 GROUND = "ground"
 AXES = ("x", "y", "z")
@@ -30,14 +30,14 @@ class Body(Part):
     """One rigid body."""
 
     name: str = Field(description="Name of the body")
-    box: tuple[quantity("m"), ...] | None = Field(  # type: ignore[valid-type]
+    box: tuple[positive_quantity("m"), ...] | None = Field(  # type: ignore[valid-type]
         None, description="Lengths of a box's three edges, or one for a cube"
     )
-    sphere: quantity("m") | None = Field(None, description="Diameter of a ball")  # type: ignore[valid-type]
+    sphere: positive_quantity("m") | None = Field(None, description="Diameter of a ball")  # type: ignore[valid-type]
     like: str | None = Field(
         None, description="Another ball that this one equals: the same diameter and inertia"
     )
-    mass: number("kg") | None = Field(None, description="Mass; sizes what air may do")  # type: ignore[valid-type]
+    mass: number("kg") | None = Field(None, gt=0, description="Mass; sizes what air may do")  # type: ignore[valid-type]
     inertia: tuple[number("kg m^2"), ...] | None = Field(  # type: ignore[valid-type]
         None, description="Moments of inertia about the body's x, y, z; needs mass"
     )

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema import Part, number
 from diffsim.core.units import in_unit
-from diffsim.systems.description import Description, Quantity, quantity
+from diffsim.systems.description import Description, Quantity, positive_quantity, quantity
 
 Vector = tuple[float, float, float]
 
@@ -39,11 +39,11 @@ class Station(Part):
 class RodMaterial(Part):
     """Material of the rod, linear in bending, twist and stretch."""
 
-    youngs_modulus: quantity("Pa") = Field(description="Young's modulus [Pa]")  # type: ignore[valid-type]
+    youngs_modulus: positive_quantity("Pa") = Field(description="Young's modulus [Pa]")  # type: ignore[valid-type]
     poissons_ratio: quantity("-") = Field(  # type: ignore[valid-type]
         _known(0.45), description="Poisson's ratio; it says how stiff the rod is against twist"
     )
-    density: quantity("kg/m^3") = Field(description="Density [kg/m^3]")  # type: ignore[valid-type]
+    density: positive_quantity("kg/m^3") = Field(description="Density [kg/m^3]")  # type: ignore[valid-type]
 
 
 class Base(Part):

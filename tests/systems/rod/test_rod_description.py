@@ -88,6 +88,7 @@ def test_the_description_is_complete():
         (lambda m: m["base"].update(across=[0, 1, 1]), "right angles"),
         (lambda m: m["stations"][0].update(at="0.1 m"), "the first is at 0"),
         (lambda m: m["tendons"][0].update(name="right"), "used twice"),
+        (lambda m: m["material"].update(density=0), "material.density: .* above 0"),
         (lambda m: m.update(channels={"tip_x": {"marker": "tp", "axis": "x"}}), "no marker 'tp'"),
     ],
 )
