@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.copter.fleet import Fleet
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.flight import SENSORS
@@ -22,6 +23,7 @@ LONGEST = "longest_window_s"  # its place in a study's frame
 LONGEST_S = 1.0  # of a window whose length is left to the model
 FEWEST = 5  # samples of a window
 _EASY_STEPS = 6  # in which initial states settle where windows are not too long
+_SEEN = 1e-3  # of the strongest way to move the vehicle: weaker ones are none
 _UNEVEN = 1e-3  # of the mean step
 
 
@@ -39,6 +41,20 @@ def spacing(run: Run) -> float:
             f"to {steps.max():.4g} s; resample the record"
         )
     return dt
+
+
+def idle_thrusts(vehicle: Fleet) -> Tensor | None:
+    """Projector onto thrusts that leave force and torque as they are, (n_rotors, n_rotors).
+
+    Returns:
+        None where there are none: up to four rotors, as a rule.
+    """
+    moves = torch.cat([vehicle.directions[0].mT, vehicle.torque_matrix[0]])
+    _, size, ways = torch.linalg.svd(moves, full_matrices=False)
+    seen = ways[size > _SEEN * size.max()]
+    if len(seen) == vehicle.num_rotors:
+        return None
+    return torch.eye(vehicle.num_rotors, dtype=torch.float64) - seen.mT @ seen
 
 
 class Recorded(NamedTuple):
@@ -71,29 +87,37 @@ class Cutter:
     past_spread: float = PAST_SPREAD
     longest_s: float = LONGEST_S
 
-    def cut(self, run: Run, past: Tensor, scene: Callable[[Windows], CopterScene]) -> Windows:
+    def cut(
+        self,
+        run: Run,
+        past: Tensor,
+        scene: Callable[[Windows], CopterScene],
+        vehicle: Fleet | None = None,
+    ) -> Windows:
         """Windows of a run.
 
         Args:
             run: Recorded run.
             past: Guess of the thrusts before the record, (1, n_rotors) [N].
             scene: Function of windows: the run in them, as the model with its prior flies it.
+            vehicle: The one that flies, where more rotors may pull than move it apart.
         """
+        idle = None if vehicle is None else idle_thrusts(vehicle)
         dt = spacing(run)
         length = min(max(FEWEST, round((self.window_s or self.longest_s) / dt)), len(run.time_s))
-        windows = self._windows(run, past, length)
+        windows = self._windows(run, past, length, idle)
         while self.window_s is None and length > FEWEST:
             try:
                 scene(windows).settled(_EASY_STEPS)
             except DiffsimError:  # the model leaves the record within a window
                 length = max(FEWEST, length // 2)
-                windows = self._windows(run, past, length)
+                windows = self._windows(run, past, length, idle)
             else:
                 windows.latest.clear()
                 break
         return windows
 
-    def _windows(self, run: Run, past: Tensor, length: int) -> Windows:
+    def _windows(self, run: Run, past: Tensor, length: int, idle: Tensor | None) -> Windows:
         """Start one sample early, for the accelerometer shows the mean over the step before."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
         if measured.shape[1] != len(self.sd):
@@ -117,6 +141,7 @@ class Cutter:
             rows=before,
             rigid_spread=self.rigid_spread,
             past_spread=self.past_spread,
+            idle=idle,
         )
 
     def record(self, run: Run) -> Recorded:

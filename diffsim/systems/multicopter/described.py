@@ -65,7 +65,7 @@ class DescribedFlights:
             nominal = self.nominal()
             past = self.asked(run, self.in_run(nominal, run)).mean(1)
             self.known[run] = self.cutter.cut(
-                run, past, partial(self._scene, nominal, run, Numerics())
+                run, past, partial(self._scene, nominal, run, Numerics()), self.nominal_fleet()
             )
         return self._scene(values, run, numerics, self.known[run])
 

@@ -223,7 +223,7 @@ class Flights:
             past = _columns(run, self.commands).mean(1)
             nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
             scene = partial(self._scene, nominal, run, Numerics())
-            self.known[run] = self.cutter.cut(run, past, scene)
+            self.known[run] = self.cutter.cut(run, past, scene, self.vehicle)
         return self._scene(values, run, numerics, self.known[run])
 
     def _scene(

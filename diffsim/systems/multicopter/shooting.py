@@ -21,6 +21,7 @@ RIGID = 12  # entries of the rigid body's state; thrusts held before the record 
 # What is known of an initial state beyond its first guess: hardly anything.
 SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
 PAST_SPREAD = 2.0  # of the thrusts before the record [N]
+_IDLE = 1e-2  # of that, where thrusts only work against each other
 _NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
@@ -92,6 +93,9 @@ class Windows:
         held: Which of these thrusts stay as they are in the guess, (n_rotors,) bool; none if left
             out.
         is_at_zero: Whether those are held because they are zero, and may rise.
+        idle: Projector onto thrusts that leave force and torque on the vehicle as they are,
+            (n_rotors, n_rotors); none if left out. No record shows them, and squares of them bend
+            the way of every search, so that they are small beforehand.
     """
 
     guess: Tensor
@@ -105,6 +109,7 @@ class Windows:
     past_spread: float = PAST_SPREAD
     held: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
     is_at_zero: bool = True
+    idle: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not len(self.held):
@@ -116,6 +121,14 @@ class Windows:
         """Spread of the initial states about the guess, (12 + n_rotors,)."""
         rigid = [s for s in self.rigid_spread for _ in range(3)]
         return self.guess.new_tensor(rigid + [self.past_spread] * (self.guess.shape[1] - RIGID))
+
+    @property
+    def precision(self) -> Tensor:
+        """Of the initial states about the guess, (12 + n_rotors, 12 + n_rotors)."""
+        precision = torch.diag(self.spread**-2)
+        if self.idle is not None:
+            precision[RIGID:, RIGID:] += self.idle / (_IDLE * self.past_spread) ** 2
+        return precision
 
     def settled(self, predict: Predict, max_steps: int = MAX_STEPS) -> Shooting:
         """The best initial states for one model, by Gauss-Newton with new tangents at every step.
@@ -236,7 +249,8 @@ class Windows:
     def _cost(self, predict: Predict, change: Tensor) -> float:
         """Misfit and departure from the guess, in units of their spreads, squared."""
         off = (predict((self.guess + change)[None])[0] - self.measured) / self.sd
-        return float(off.nan_to_num(0.0).square().sum() + (change / self.spread).square().sum())
+        prior = (change @ self.precision * change).sum()
+        return float(off.nan_to_num(0.0).square().sum() + prior)
 
     def _step(self, predict: Callable[[Tensor], Tensor], change: Tensor) -> tuple[Shooting, Tensor]:
         """Tangents by central differences, and the step to be taken, (num_windows, m)."""
@@ -253,7 +267,7 @@ class Windows:
         tangent[1:, :, RIGID:] = 0.0
         tangent[:, :, RIGID:] *= ~self.held
         weight = (torch.isfinite(self.measured) / self.sd**2).reshape(windows, -1, 1)
-        normal = tangent.mT @ (weight * tangent) + torch.diag(spread**-2)
+        normal = tangent.mT @ (weight * tangent) + self.precision
         gain = torch.linalg.solve(normal, (weight * tangent).mT)
         measured = self.measured.nan_to_num(0.0).reshape(windows, -1, 1)
         shooting = Shooting(self, measured, change[..., None], tangent, gain)
