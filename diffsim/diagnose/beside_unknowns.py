@@ -67,22 +67,43 @@ def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> 
     assert key.unknown is not None
     problem, cause = search.simulations.narrow(key.effects), search.unknowns[key.unknown]
     own = search.simulations.coordinates(key.effects)
-    weighed, x0, last = search.weighed[key], evidence.x0, None
+    weighed, x0, last = search.weighed[key], evidence.x0[own], None
     try:
         for _ in range(search.settings.unknown_steps - 1):
-            x = weighed.x[own]
-            if np.abs(weighed.x - x0).max(initial=0.0) < STEP_ATOL:
+            if np.abs(weighed.x[own] - x0).max(initial=0.0) < STEP_ATOL:
                 break
-            last = linearization_at(problem, x), cause.responses(problem, x)
-            x0, weighed = weighed.x, _weighed_beside(search, problem, *last, own)
-        if last is not None and np.abs(weighed.x - x0).max(initial=0.0) > LONG_STEP:
-            x = weighed.x[own]
-            there = replace(last[0], x=x, record=record_at(problem, x))
+            at, search = _linearized(search, key.effects, weighed.x[own])
+            last = at, cause.responses(problem, at.x)
+            x0, weighed = at.x, _weighed_beside(search, problem, *last, own)
+        if last is not None and np.abs(weighed.x[own] - x0).max(initial=0.0) > LONG_STEP:
+            at, search = _recorded(search, key.effects, weighed.x[own])
+            there = replace(last[0], x=at.x, record=at.record)
             simulated = _weighed_beside(search, problem, there, last[1], own)
             weighed = min(weighed, simulated, key=lambda w: w.nats)
     except DiffsimError as error:  # the step left what can be simulated: keep the last
         search = replace(search, failed={**search.failed, key: str(error)})
     return replace(search, weighed={**search.weighed, key: weighed})
+
+
+def _linearized(search: Search, members: Members, x: Array) -> tuple[Linearization, Search]:
+    """A set at a point, or as near as makes no difference where another cause has led."""
+    made = search.simulations
+    at = made.near(members, x, STEP_ATOL)
+    if at is None or len(at.idx) < len(x):
+        at = linearization_at(made.narrow(members), x)
+        search = replace(search, simulations=made.noted(members, at))
+    return at, search
+
+
+def _recorded(search: Search, members: Members, x: Array) -> tuple[Linearization, Search]:
+    """The same without slopes."""
+    made = search.simulations
+    at = made.near(members, x, STEP_ATOL)
+    if at is None:
+        record = record_at(made.narrow(members), x)
+        at = Linearization(x, record, (), np.zeros((len(record), 0)))
+        search = replace(search, simulations=made.noted(members, at))
+    return at, search
 
 
 def _weighed_beside(

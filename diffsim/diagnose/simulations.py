@@ -81,6 +81,8 @@ class Simulations:
         screened: Linearization of each set with the slopes of all candidates.
         unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
             the cause.
+        at_unknowns: Where sets with an unknown cause have their optimum, in the coordinates of
+            ``narrow``: simulations serve every unknown cause, as only its response differs.
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_seconds: CPU time that these took [s].
         scans_late: Groups of effects that were not tried because that time was over.
@@ -94,6 +96,7 @@ class Simulations:
     fitted: Mapping[Members, Linearization] = field(default_factory=dict)
     screened: Mapping[Members, Linearization] = field(default_factory=dict)
     unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
+    at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_seconds: float = 0.0
     scans_late: frozenset[tuple[Members, Members]] = frozenset()
@@ -125,6 +128,7 @@ class Simulations:
             store=store,
             fitted={k: of(at) for k, at in self.fitted.items()},
             screened={k: of(at) for k, at in self.screened.items()},
+            at_unknowns={k: tuple(of(at) for at in v) for k, v in self.at_unknowns.items()},
             scans=tried(self.scans),
             sheet=None if self.sheet is None else of(self.sheet),
             sheet_scans=tried(self.sheet_scans),
@@ -181,6 +185,23 @@ class Simulations:
             label, first = f"begin of {self._label(members)}", partial(begin, narrow, at)
             at = self.remembered(label, first)
         return gauss_newton_kept(self.store, narrow, at, best_cost)
+
+    def near(self, members: Members, x: Array, step: float) -> Linearization | None:
+        """A set's linearization beside some unknown cause, no further away in any coordinate.
+
+        Args:
+            members: Effects of the set, by index.
+            x: Point in the coordinates of ``narrow``, (n,).
+            step: Largest distance [prior sd].
+        """
+        made = self.at_unknowns.get(members, ())
+        away = [float(np.abs(at.x - x).max(initial=0.0)) for at in made]
+        return made[int(np.argmin(away))] if made and min(away) < step else None
+
+    def noted(self, members: Members, at: Linearization) -> Simulations:
+        """The simulations with a linearization of a set beside an unknown cause."""
+        made = (*self.at_unknowns.get(members, ()), at)
+        return replace(self, at_unknowns={**self.at_unknowns, members: made})
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
         """Warm start of a set, from fits of its subsets.
