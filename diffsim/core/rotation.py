@@ -161,7 +161,8 @@ def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
     s, u, t, v = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     u, v = torch.broadcast_tensors(u, v)
     vector = s * v + t * u + torch.linalg.cross(u, v)
-    return torch.cat([s * t - (u * v).sum(-1, keepdim=True), vector], -1)
+    x, y, z = (u * v).split(1, -1)  # a sum along so short an axis is slow
+    return torch.cat([s * t - (x + y + z), vector], -1)
 
 
 def quaternion_conjugate(quaternion: Tensor) -> Tensor:
@@ -192,7 +193,8 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
     Returns:
         (..., 3, 3).
     """
-    entries = quaternion.movedim(-1, 0)  # each in a row of its own: batches are long, vectors short
+    # each in a row of its own: batches are long, vectors short
+    entries = quaternion.movedim(-1, 0).contiguous()
     product = entries.index_select(0, _LEFT) * entries.index_select(0, _RIGHT)
     by_entry = (9,) + (1,) * (quaternion.dim() - 1)
     sign, factor, identity = _TERMS.to(quaternion.dtype).view(3, *by_entry)

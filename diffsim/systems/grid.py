@@ -233,6 +233,18 @@ def affine_scan(factor: Tensor, term: Tensor) -> Tensor:
     return term
 
 
+def decayed(factor: Tensor, term: Tensor) -> Tensor:
+    """x_k = factor x_(k-1) + term_k from x = 0, along the last axis, one after the other.
+
+    Args:
+        factor: The same at all times, with the leading axes of ``term``, which broadcast.
+        term: (..., num_times).
+    """
+    first = torch.cat([torch.zeros_like(term[..., :1]), term], -1)
+    factors = factor.expand(term.shape[-1], *factor.shape)
+    return _walked(first, factors, lambda now, more, f: now * f + more)[..., 1:]
+
+
 def _recursion(decay: Tensor, term: Tensor) -> Tensor:
     return affine_scan(decay, term)
 

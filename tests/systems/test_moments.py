@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+from diffsim.copter import flight
 from diffsim.copter.fleet import Fleet
-from diffsim.systems.multicopter import moments
+from diffsim.systems.multicopter import moments, readings
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.scene import CopterScene
@@ -78,8 +80,8 @@ def test_rotors_that_speed_up_turn_the_vehicle_the_other_way():
     np.testing.assert_allclose(lift, 0.0, atol=1e-9)
 
 
-def test_a_moment_beyond_what_the_rotors_could_give_acts_in_full():
-    """Yaw falls by exp(-5 t), though rotors with this torque could not hold a hundredth of it."""
+def damped_flight(sensors=("body_rates",), **options):
+    """A flight in which yaw is damped, and where it starts: 20 steps of 0.02 s from 2 rad/s."""
     dt, steps, rate = 0.02, 20, 2.0
     vehicle = quadcopter()
     weak = replace(Fleet.of([vehicle]), torque_ratios=torch.full((1, 4), 1e-4, dtype=f64))
@@ -87,13 +89,21 @@ def test_a_moment_beyond_what_the_rotors_could_give_acts_in_full():
         vehicle=weak,
         commands=torch.full((1, steps, 4), 9.81 / 4, dtype=f64),
         dt=dt,
-        sensors=("body_rates",),
-        windows=SimpleNamespace(measured=torch.zeros(1, steps, 3, dtype=f64)),
+        sensors=sensors,
+        windows=SimpleNamespace(measured=torch.zeros(1, steps, 3 * len(sensors), dtype=f64)),
         substeps=4,
+        **options,
     )
     damped = moments.RATE_DAMPING.apply(scene, torch.tensor([0.0, 0.0, 5.0], dtype=f64), None)
     start = torch.zeros(1, 1, 16, dtype=f64)
     start[..., 11], start[..., 12:] = rate, 9.81 / 4
+    return damped, start
+
+
+def test_a_moment_beyond_what_the_rotors_could_give_acts_in_full():
+    """Yaw falls by exp(-5 t), though rotors with this torque could not hold a hundredth of it."""
+    dt, steps, rate = 0.02, 20, 2.0
+    damped, start = damped_flight()
     with torch.no_grad():
         found = Flyer(damped, 1)(start)[0, 0, :, 2]
     want = rate * torch.exp(-5.0 * dt * torch.arange(1, steps + 1, dtype=f64))
@@ -111,3 +121,32 @@ def test_size_zero_changes_nothing(effect):
         asked=asked.to(f64),
     )
     np.testing.assert_allclose(got, 0.0, atol=1e-15)
+
+
+def test_vehicles_are_packed_once_for_all_passes(monkeypatch):
+    packed, passes = [], []
+    rows, rollout = flight.parameter_rows, Flyer._fly
+    monkeypatch.setattr(flight, "parameter_rows", lambda *a: packed.append(a) or rows(*a))
+    monkeypatch.setattr(Flyer, "_fly", lambda *a: passes.append(a) or rollout(*a))
+    damped, start = damped_flight()
+    with torch.no_grad():
+        Flyer(damped, 1)(start)
+    assert len(passes) > 1
+    assert len(packed) == 1
+
+
+def test_a_late_sensor_reads_no_others_again(monkeypatch):
+    read, groups = [], dict(readings._GROUPS)
+    for name, group in groups.items():
+        seen = partial(lambda shown, name, group: read.append(name) or group(shown), name=name)
+        monkeypatch.setitem(readings._GROUPS, name, partial(seen, group=group))
+    sensors = ("position", "velocity", "body_rates")
+    damped, start = damped_flight(sensors)
+    delay = torch.tensor([0.01], dtype=f64)
+    with torch.no_grad():
+        plain = Flyer(damped, 1)(start)
+        read.clear()
+        late = Flyer(damped.with_late((7, 8), delay), 1)(start)
+    assert read == [*sensors, "body_rates"]
+    torch.testing.assert_close(late[..., :7], plain[..., :7], atol=0, rtol=0)
+    assert float((late - plain)[..., 8].abs().min()) > 0.01

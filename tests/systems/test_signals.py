@@ -179,3 +179,13 @@ def test_what_comes_before_a_delay_of_zero_keeps_its_slope():
     with torch.no_grad():
         ends = [maps.held_delayed(u, maps.Grid.even(9, 0.1), s).sum() for s in (step, -step)]
     assert float(by_delay) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("differentiated", [False, True])
+def test_decayed_is_a_recursion_of_scipy(differentiated):
+    rng = np.random.default_rng(4)
+    term = torch.from_numpy(rng.standard_normal((2, 3, 9))).requires_grad_(differentiated)
+    factor = torch.tensor([[0.4], [0.9]], dtype=torch.float64)
+    got = maps.decayed(factor, term).detach().numpy()
+    for row, one, a in zip(got, term.detach().numpy(), (0.4, 0.9), strict=True):
+        np.testing.assert_allclose(row, signal.lfilter([1.0], [1.0, -a], one), atol=1e-14)

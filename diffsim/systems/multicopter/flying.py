@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.copter import FlightEffects, fly
+from diffsim.copter import FlightEffects, prepare_flight
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.multicopter.flight import CopterFlight
 from diffsim.systems.multicopter.motion import Motion
@@ -38,6 +38,13 @@ class Flyer:
     def __init__(self, scene: CopterFlight, points: int):
         self.scene, self.points = scene, points
         self._last: tuple[Tensor, Tensor] | None = None
+        self._prepared = prepare_flight(
+            scene.vehicle.repeated(len(scene.windows.measured)),
+            dt=scene.dt,
+            substeps=scene.substeps,
+            clamp=False,
+            effects=self._effects(),
+        )
 
     def __call__(self, start: Tensor) -> Tensor:
         """Channels at the end of every step, (points, num_windows, length, num_channels).
@@ -107,14 +114,10 @@ class Flyer:
         force = force if air is None else force + air
         pull = force / scene.vehicle.mass[:, None, None, None]
         frame = _Frame.of(pull, scene.dt)
-        flight = fly(
-            scene.vehicle.repeated(windows),
+        flight = self._prepared.fly(
             flight_state(start.reshape(-1, RIGID)),
             thrusts.expand(points, -1, -1, -1).reshape(-1, length, rotors).contiguous(),
-            dt=scene.dt,
-            substeps=scene.substeps,
-            clamp=False,
-            effects=self._effects(windows, length, frame),
+            wind=self._wind(windows, length, frame),
         )
         state = flight.state
 
@@ -136,18 +139,22 @@ class Flyer:
             return force[:, None].expand(-1, 1, length, 3)
         return windowed(torch.cat([force[:, :1], force[:, :-1]], 1), windows, length)
 
-    def _effects(self, windows: int, length: int, frame: _Frame) -> FlightEffects:
-        """The scene's effects, one per window, and the wind of the accelerating frames."""
-        repeated: dict[str, Any] = {}
+    def _effects(self) -> FlightEffects:
+        """The scene's effects, one per window."""
+        windows, repeated = len(self.scene.windows.measured), dict[str, Any]()
         for name, effect in self.scene.flight_effects.present():
             values = {f.name: getattr(effect, f.name) for f in fields(effect)}
             rows = {k: v.repeat_interleave(windows, 0) for k, v in values.items() if len(v) > 1}
             repeated[name] = replace(effect, **rows)
-        if "rotor_drag" in repeated or "body_drag" in repeated:
-            wind = -0.5 * (frame.velocity[..., :-1, :] + frame.velocity[..., 1:, :])
-            wind = wind.expand(self.points, windows, length, 3)
-            repeated["wind"] = wind.reshape(-1, length, 3).contiguous()
         return FlightEffects(**repeated)
+
+    def _wind(self, windows: int, length: int, frame: _Frame) -> Tensor | None:
+        """Of the accelerating frames, where anything feels it."""
+        if not self._prepared.has_drag:
+            return None
+        wind = -0.5 * (frame.velocity[..., :-1, :] + frame.velocity[..., 1:, :])
+        wind = wind.expand(self.points, windows, length, 3)
+        return wind.reshape(-1, length, 3).contiguous()
 
 
 def windowed(values: Tensor, windows: int, length: int) -> Tensor:

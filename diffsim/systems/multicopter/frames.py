@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -67,10 +68,12 @@ class Frames:
         return turn @ inertia @ turn.mT
 
 
+@cache
 def _turn(name: str) -> Tensor:
     return torch.tensor(_TURNS[name], dtype=torch.float64)
 
 
+@cache
 def _matrix(name: str) -> Tensor:
     """The half turn (3, 3): symmetric, and its own inverse."""
     return matrix_from_quaternion(_turn(name)).round()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from diffsim.systems.grid import decayed
+
 _LEAST_N = 1e-9  # of a thrust: the root has no slope at zero
 _SHORTEST = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last digit
 
@@ -24,9 +26,6 @@ def speed_lagged(thrusts: Tensor, dt: float, time_constant: Tensor) -> Tensor:
     decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST * dt))[..., None]
     share = (time_constant / dt)[..., None]
     once, twice = share * (1.0 - decay), 0.5 * share * (1.0 - decay**2)
-    error, errors = torch.zeros_like(root[..., 0, :]), [torch.zeros_like(root[..., 0, :])]
-    for fall in (-root.diff(dim=-2)).unbind(-2):
-        error = error * decay + fall
-        errors.append(error)
-    error = torch.stack(torch.broadcast_tensors(*errors), -2)
+    later = decayed(decay, -root.diff(dim=-2).mT).mT
+    error = torch.cat([torch.zeros_like(later[..., :1, :]), later], -2)
     return thrusts + 2.0 * root * error * once[..., None] + error**2 * twice[..., None]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import torch
 from torch import Tensor
 
 from diffsim.copter.fleet import Fleet
@@ -34,17 +36,25 @@ class Motion:
     asked: Tensor
     acceleration: Tensor
 
-    @property
+    @cached_property
     def body_velocity(self) -> Tensor:
         """(points, num_windows, length, 3) [m/s]."""
         return turned_back(self.rotation, self.velocity)
 
 
 def turned_back(rotation: Tensor, value: Tensor) -> Tensor:
-    """R' v without a product of many small matrices, which is slow."""
-    return (rotation * value[..., None]).sum(-2)
+    """R' v without a product of many small matrices, or a sum along a short axis: both are slow."""
+    (x, y, z), (a, b, c) = rotation.unbind(-2), value[..., None].unbind(-2)
+    return x * a + y * b + z * c
+
+
+def turned(rotation: Tensor, value: Tensor) -> Tensor:
+    """R v, likewise."""
+    return turned_back(rotation.mT, value)
 
 
 def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
     """Products of vectors (points, windows, length, k) with rows (points, n_rotors, k)."""
-    return vectors @ rotors.mT[:, None]
+    lead = torch.broadcast_shapes(vectors.shape[:1], rotors.shape[:1])
+    rows = vectors.expand(*lead, *vectors.shape[1:]).flatten(1, -2)
+    return (rows @ rotors.mT).unflatten(1, vectors.shape[1:-1])

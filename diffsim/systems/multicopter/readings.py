@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -18,7 +18,7 @@ from diffsim.core.rotation import (
 )
 from diffsim.systems.dials import delays_of
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
-from diffsim.systems.multicopter.motion import Motion, turned_back
+from diffsim.systems.multicopter.motion import Motion, turned, turned_back
 
 _CIRCLE = 2.0 * torch.pi
 
@@ -145,7 +145,7 @@ class _Shown:
     def shown_position(self) -> Tensor:
         """Place of the marker in the recording's world."""
         scene = self.scene
-        seen = self.position + (self.rotation * _wide(scene.marker[:, None])).sum(-1)
+        seen = self.position + turned(self.rotation, _wide(scene.marker))
         scale = scene.position_scale[:, None] * self._ground()
         return scene.frames.in_world(_wide(scale) * seen)
 
@@ -192,7 +192,7 @@ class _Shown:
         """The accelerometer's reading, turned into the recording's world."""
         frames = self.scene.frames
         reading = self.shown_specific_force()
-        return (frames.rotation(self.facing) * reading[..., None, :]).sum(-1)
+        return turned(frames.rotation(self.facing), reading)
 
     def shown_acceleration(self) -> Tensor:
         """Likewise, with gravity taken off: zero at rest."""
@@ -240,30 +240,33 @@ _GROUPS: dict[str, Callable[[_Shown], Tensor]] = {
 
 def read(scene: CopterFlight, record: Record) -> Tensor:
     """Readings of the sensors, (points, num_windows, length, num_channels)."""
-    out = _channels(scene, record)
+    out = _channels(scene, record, range(scene.windows.measured.shape[-1]))
     for channels, delay in delays_of(scene.late).items():
-        out = _put(out, channels, _channels(scene, record.before(delay, scene.dt)))
+        out = _put(out, channels, _channels(scene, record.before(delay, scene.dt), channels))
     for channels, change in scene.readers:
-        own = list(channels)
-        changed = change(out[..., own])
-        whole = out.expand(*changed.shape[:-1], -1).clone()
-        whole[..., own] = changed
-        out = whole
+        out = _put(out, channels, change(out[..., list(channels)]))
     return out
 
 
-def _channels(scene: CopterFlight, record: Record) -> Tensor:
-    """What all channels would show at once, (points, num_windows, length, num_channels)."""
+def _channels(scene: CopterFlight, record: Record, channels: Sequence[int]) -> Tensor:
+    """What some channels would show at once, (points, num_windows, length, len(channels))."""
     shown = _Shown.of(scene, record)
-    out = torch.cat([_GROUPS[name](shown) for name in scene.sensors], -1)
-    return out if scene.columns is None else out[..., list(scene.columns)]
+    columns = channels if scene.columns is None else [scene.columns[k] for k in channels]
+    parts, place, start = [], {}, 0
+    for name in scene.sensors:
+        asked = range(start, start + len(SENSORS[name]))
+        if not set(asked).isdisjoint(columns):
+            place |= {column: len(place) + k for k, column in enumerate(asked)}
+            parts.append(_GROUPS[name](shown))
+        start = asked.stop
+    return torch.cat(parts, -1)[..., [place[column] for column in columns]]
 
 
-def _put(out: Tensor, channels: tuple[int, ...], late: Tensor) -> Tensor:
-    """Some channels of ``late``, the others of ``out``."""
-    own = torch.zeros(out.shape[-1], dtype=torch.bool)
-    own[list(channels)] = True
-    return torch.where(own, late, out)
+def _put(out: Tensor, channels: tuple[int, ...], changed: Tensor) -> Tensor:
+    """Some channels of ``changed``, (..., len(channels)), the others of ``out``."""
+    whole = out.expand(*changed.shape[:-1], -1).clone()
+    whole[..., list(channels)] = changed
+    return whole
 
 
 def _wide(value: Tensor) -> Tensor:
