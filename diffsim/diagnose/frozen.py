@@ -15,7 +15,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.outside import Span, spans_of
-from diffsim.diagnose.separate import require_separate
+from diffsim.diagnose.separate import BLOCK_OF, require_separate, shared_with, stretches_of
 from diffsim.diagnose.unseen import At, Unseen, on_unseen
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
@@ -40,12 +40,18 @@ def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
             channel.name: {"sd": float(sd), "coefficients": a.tolist()}
             for channel, sd, a in zip(study.channels, noise.sd, noise.coefficients, strict=True)
         },
-        "seen_runs": {run.name: {"use": run.use, "content": content_of(run)} for run in seen},
+        "seen_runs": {run.name: _seen(run) for run in seen},
         "range": {
             what: {**asdict(span), "labels": list(span.labels)}
             for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
         },
     }
+
+
+def _seen(run: Run) -> dict[str, Any]:
+    """What tells later that a run, or a part of it, was seen."""
+    known = {"use": run.use, "content": content_of(run), "stretches": " ".join(stretches_of(run))}
+    return known | ({BLOCK_OF: run.setup[BLOCK_OF]} if BLOCK_OF in run.setup else {})
 
 
 def content_of(run: Run) -> str:
@@ -107,12 +113,35 @@ def _chosen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run,
             raise ValueError(
                 f"run {run.name} was used to {use} the model (as {known}): its error proves nothing"
             )
-    # the same in part: only if the study still holds the runs that were seen
+        _require_new(run, seen)
+    # a few samples alike: only if the study still holds the runs that were seen
     chosen = {run.name for run in runs}
     others = [r for r in study.runs if r.name not in chosen and r.name in seen]
     asked = [replace(r, use="test") for r in runs]
     require_separate(replace(study, runs=(*others, *asked)))
     return runs
+
+
+def _require_new(run: Run, seen: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse a run that is in part one which the model has seen, unless both are declared blocks.
+
+    Raises:
+        ValueError: it is; the message names the run that was seen.
+    """
+    block = run.setup.get(BLOCK_OF)
+    known = {
+        key: name
+        for name, entry in seen.items()
+        if block is None or entry.get(BLOCK_OF) != block
+        for key in entry.get("stretches", "").split()
+    }
+    if (shared := shared_with(run, known)) is not None:
+        name, count = shared
+        raise ValueError(
+            f"run {run.name} holds at least {count} samples of run {name}, which was used to "
+            f"{seen[name]['use']} the model: its error there proves nothing. Cut them off (from_s, "
+            f"until_s), or declare blocks of one run with setup: {{{BLOCK_OF}: NAME}}"
+        )
 
 
 def _noise_of(saved: SavedModel, study: Study) -> ArWhitener:

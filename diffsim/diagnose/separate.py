@@ -7,8 +7,10 @@ ends, one step later on the same clock and within the noise.
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ COMMON = 50  # places of a row from which it says nothing, such as a sensor at r
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
 STEP_RTOL = 0.02  # of the clock's step between the end of one run and the beginning of the next
 FEWEST = 12  # steps of a channel, from which its noise can be told
+STRETCH = 8  # rows of a stretch that is remembered of a fitted run
+REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 JOINT = 6.0  # noise sd and usual changes from sample to sample
 
 
@@ -51,6 +55,48 @@ def shared_samples(a: Run, b: Run) -> int:
     Whole rows are compared, all channels to the last digit; missing channels equal each other.
     """
     return max((count for _, count in _shared(_rows_by_content([a]), [a], b)), default=0)
+
+
+def stretches_of(run: Run) -> dict[str, int]:
+    """Some stretches of rows by the hash of their content, with the row where each begins.
+
+    Which ones depends on their content alone, so that a part of a recording has those of the whole.
+    """
+    rows = [_key(row) if np.isfinite(row).any() else None for row in run.measured]
+    out: dict[str, int] = {}
+    for i in range(len(rows) - STRETCH + 1):
+        stretch = rows[i : i + STRETCH]
+        if None in stretch or len(set(stretch)) < STRETCH:
+            continue
+        digest = hashlib.sha256(b"".join(filter(None, stretch))).digest()
+        if digest[0] % REMEMBERED == 0:
+            out[digest[1:7].hex()] = i
+    return out
+
+
+def shared_with(run: Run, known: Mapping[str, str]) -> tuple[str, int] | None:
+    """The run from which most remembered stretches of this one are, and how many samples they hold;
+    None if chance may explain them.
+
+    Args:
+        run: Run that should be another recording.
+        known: Name of a run by the hash of its stretches.
+    """
+    found: dict[str, set[int]] = {}
+    for key, begin in stretches_of(run).items():
+        if key in known:
+            found.setdefault(known[key], set()).update(range(begin, begin + STRETCH))
+    if not found:
+        return None
+    name = max(found, key=lambda n: len(found[n]))
+    bits = sum(_bits(run.measured[part]) for part in _parts(sorted(found[name])))
+    return (name, len(found[name])) if bits > SHARED_BITS else None
+
+
+def _parts(rows: Sequence[int]) -> Iterator[list[int]]:
+    """Rows that follow each other, together."""
+    for _, part in groupby(enumerate(rows), key=lambda pair: pair[1] - pair[0]):
+        yield [row for _, row in part]
 
 
 def cut_in_two(study: Study) -> list[tuple[Run, Run]]:

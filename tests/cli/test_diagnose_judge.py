@@ -123,6 +123,28 @@ def test_what_was_fitted_proves_nothing(model_folder, study, tmp_path):
         judge_saved(inputs, saved, ["old_name"])
 
 
+def test_a_part_of_what_was_fitted_proves_nothing(model_folder, study):
+    saved, fitted = read_extended(model_folder), study.fit_runs[0]
+    half, held = len(fitted.time_s) // 2, study.test_runs[0]
+
+    def part(begin, **facts):
+        """A new record of which one half was fitted."""
+        measured = held.measured.copy()
+        measured[begin : begin + half] = fitted.measured[half : 2 * half]
+        return replace(held, name="part", measured=measured, setup={**held.setup, **facts})
+
+    for begin in (0, 3, half - 1):
+        inputs = inputs_of(replace(study, runs=(part(begin),)), seed=0, setup_file=Path(SETUP))
+        said = f"part holds at least .* samples of run {fitted.name}, which was used to fit"
+        with pytest.raises(ValueError, match=said):
+            judge_saved(inputs, saved)
+    known = {**saved.facts["seen_runs"][fitted.name], "block_of": "video"}
+    seen = {**saved.facts["seen_runs"], fitted.name: known}
+    declared = replace(saved, facts={**saved.facts, "seen_runs": seen})
+    one = replace(study, runs=(part(0, block_of="video"),))
+    assert judge_saved(inputs_of(one, seed=0, setup_file=Path(SETUP)), declared).errors
+
+
 def test_a_new_run_owes_nothing_to_a_fitted_one_of_the_same_name(model_folder, new_folder, study):
     later, saved = load_study(new_folder), read_extended(model_folder)
     fitted = study.fit_runs[0].name
