@@ -22,7 +22,7 @@ from diffsim.cli import (
     serve,
     track,
 )
-from diffsim.core.errors import DiffsimError
+from diffsim.core.errors import DiffsimError, Mistakes
 from diffsim.core.interrupts import EXIT_INTERRUPTED, ending_at_once, terminate_as_interrupt
 from diffsim.core.version import __version__
 
@@ -105,10 +105,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (DiffsimError, ValueError, ImportError, OSError) as err:
         if args.debug:
             raise
-        message = " ".join(str(err).split())
-        print(f"diffsim: {type(err).__name__}: {message}", file=sys.stderr)
+        print(f"diffsim: {_told(err)}", file=sys.stderr)
         print("(--debug shows where it came from)", file=sys.stderr)
         return EXIT_MISTAKE
+
+
+def _told(error: Exception) -> str:
+    """An error in one line, mistakes that were found together in a line each."""
+    lines = str(error).splitlines() if isinstance(error, Mistakes) else [str(error)]
+    lines = [" ".join(line.split()) for line in lines]
+    if len(lines) > 1:
+        return "\n    ".join([f"{len(lines)} mistakes:", *lines])
+    kind = ValueError if isinstance(error, Mistakes) else type(error)
+    return f"{kind.__name__}: {lines[0]}"
 
 
 if __name__ == "__main__":

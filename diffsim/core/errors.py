@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -17,6 +18,17 @@ def _made_again(kind: type[DiffsimError], args: tuple[Any, ...], data: dict[str,
     error = kind.__new__(kind, *args)
     error.__dict__.update(data)
     return error
+
+
+class Mistakes(ValueError):
+    """Mistakes of a user that were found together, told a line each.
+
+    Args:
+        lines: What is wrong, and where.
+    """
+
+    def __init__(self, lines: Sequence[str]):
+        super().__init__("\n".join(lines))
 
 
 class ConvergenceError(DiffsimError):

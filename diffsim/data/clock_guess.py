@@ -22,6 +22,7 @@ _TRIAL = re.compile(
     re.I,
 )
 _LEAST_ROWS = 5  # of a run, on average
+_NUMBERED = 20  # rows from which on whole steps of one are no command
 _JUMP = 10.0  # times the usual step of a counter: another recording
 
 
@@ -51,7 +52,8 @@ def guess_clock(
                 said.append(f"clock: column {column.name}, the first that only grows")
                 return _numeric_time(column, tables, said)
     for column in layout.columns:
-        if is_counter(column, tables[0], np.arange(len(tables[0]))) and _counts(column, tables):
+        named = is_counter(column, tables[0], np.arange(len(tables[0])))
+        if (named and _counts(column, tables)) or _numbers_rows(column, tables):
             said.append(f"clock: column {column.name} counts, by 0.01 s until you say otherwise")
             todo = [f"time.step: seconds for each count of {column.name}"]
             return {"column": column.name, "step": 0.01}, column, todo
@@ -112,6 +114,15 @@ def _counts(column: Column, tables: Sequence[Table]) -> bool:
     """Whether a counter goes up from row to row, but for the starts of other recordings."""
     step = np.diff(tables[0].numbers(column.name))
     return bool(np.mean(step > 0.0) > 1.0 - 1.0 / _LEAST_ROWS)
+
+
+def _numbers_rows(column: Column, tables: Sequence[Table]) -> bool:
+    """Whether a column of any name goes up by one from row to row, as frames do, in all files."""
+    if not column.name or not all(t.is_number[column.name] for t in tables):
+        return False
+    steps = [np.diff(t.numbers(column.name)) for t in tables]
+    on = [s == 1.0 for s in steps if len(s) >= _NUMBERED]
+    return len(on) == len(tables) and bool(np.mean(np.concatenate(on)) > 0.9)
 
 
 def _split_at(

@@ -24,8 +24,9 @@ def header_units(path: Path) -> Iterator[Problem]:
         path: ``study.yaml``, which was read before without a mistake.
     """
     stated = StudyFile.model_validate(read_yaml_file(path))
-    if stated.time is not None and stated.time.column and stated.time.step is None:
-        yield from _told("time", stated.time.column, stated.time.unit)
+    for clock in stated.time:
+        if clock.column and clock.step is None:
+            yield from _told("time", clock.column, clock.unit)
     for what, entries in (("channel", stated.channels), ("command", stated.commands)):
         for entry in entries:
             if entry.unit is not None and _as_it_stands(entry):

@@ -27,9 +27,17 @@ from diffsim.data.run_plan import (
 )
 from diffsim.data.run_samples import Samples, in_si, kept_rows, picked, unfilled, zero_of
 from diffsim.data.study import Run
-from diffsim.data.study_schema import ChannelEntry, CommandEntry, RunEntry, Source, StudyFile
+from diffsim.data.study_schema import (
+    ChannelEntry,
+    CommandEntry,
+    RunEntry,
+    Source,
+    StudyFile,
+    TimeSource,
+)
 
 Array = NDArray[np.float64]
+_TIME = "time_s"  # column of the clock where none is stated
 BLOCK_OF = "block_of"  # fact of a run that is a piece of another: that one's name
 
 
@@ -147,7 +155,8 @@ class RunReader:
         entry, table = case.entry, tables[0]
         clocks = [self._seconds(entry, t) for t in tables]
         recorded = clocks[0][rows]
-        require_increasing(table, rows, recorded, self._time_name(entry))
+        clock = self._clock(entry, table).column or _TIME
+        require_increasing(table, rows, recorded, clock)
         samples = Samples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
         whole = samples.with_facts(facts).at(recorded)
@@ -203,12 +212,17 @@ class RunReader:
         return values
 
     def _seconds(self, entry: RunEntry, table: Table) -> Array:
-        source = entry.time or self.study.time
+        source = self._clock(entry, table)
         factor = None if source.unit == "clock" else to_si(source.unit).factor
         return table.seconds(source.column, factor, source.step)
 
-    def _time_name(self, entry: RunEntry) -> str:
-        return (entry.time or self.study.time).column or "time_s"
+    def _clock(self, entry: RunEntry, table: Table) -> TimeSource:
+        """The first of the stated clocks that the file has; the first of all where it has none."""
+        sources = entry.time or self.study.time or (TimeSource(),)
+        for source in sources:
+            if (source.column or _TIME) in table.header or (source.step and not source.column):
+                return source
+        return sources[0]
 
     def _check_labels(
         self, where: str, stated: Any, pieces: Sequence[Piece], cases: Sequence[Case]

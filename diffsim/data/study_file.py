@@ -30,6 +30,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from diffsim.core.errors import Mistakes
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
 from diffsim.core.yaml_text import read_yaml_file
@@ -89,7 +90,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     reader = RunReader(stated, root, given)
     runs = reader.runs()
     if reader.problems:
-        raise ValueError(_told(path, reader.problems))
+        raise Mistakes(_told(path, reader.problems))
     return Study(
         name=stated.name,
         system=str((stated.model or {}).get("system") or stated.system),
@@ -113,7 +114,7 @@ def _parsed(path: Path, content: Any) -> StudyFile:
     try:
         stated = StudyFile.model_validate(content)
     except ValidationError as error:
-        raise ValueError("\n".join(problem_lines(f"{path}: ", error))) from None
+        raise Mistakes(problem_lines(f"{path}: ", error)) from None
     if stated.model is None and stated.system is None:
         raise ValueError(f"{path}: the study has neither model nor system; describe its model")
     if stated.model is not None and "system" not in stated.model:
@@ -140,11 +141,11 @@ def _root(path: Path, stated: StudyFile) -> Path:
     return found
 
 
-def _told(path: Path, problems: list[str]) -> str:
+def _told(path: Path, problems: list[str]) -> list[str]:
     """Problems, a line each; those of an entry begin with the study's path."""
     lines = [p if p.startswith(("/", str(path.parent))) else f"{path}: {p}" for p in problems]
     more = [f"... and {len(lines) - MAX_LINES} more"] if len(lines) > MAX_LINES else []
-    return "\n".join([*lines[:MAX_LINES], *more])
+    return [*lines[:MAX_LINES], *more]
 
 
 def _channel(entry: ChannelEntry) -> Channel:

@@ -69,6 +69,10 @@ Values = Annotated[
 Value = Annotated[str | float, PlainValidator(_read_value), Said("number or text")]
 
 
+def _listed(given: Any) -> Any:
+    return given if isinstance(given, (list, tuple)) and given else [given]
+
+
 class TimeSource(Part):
     """Clock of the files."""
 
@@ -94,6 +98,11 @@ class TimeSource(Part):
         if self.step is not None and self.unit != "s":
             raise ValueError(f"step counts in seconds; leave out unit, got {self.unit!r}")
         return self
+
+
+Times = Annotated[
+    tuple[TimeSource, ...], BeforeValidator(_listed), Said("TimeSource, or list of them")
+]
 
 
 class TableFormat(Part):
@@ -269,7 +278,7 @@ class RunKeys(Part):
         description="Facts of the run by name: a number, a label, `column` (the constant of the "
         "column of that name), or {column, unit, take}, {value, unit}, {formula, unit}",
     )
-    time: TimeSource | None = Field(None, description="Clock of this run's file, if another")
+    time: Times | None = Field(None, description="Clock of this run's files, if another")
     from_s: PerRun | None = Field(
         None, description="First time that is used [s, clock of the file]; by value of `split` too"
     )
@@ -365,7 +374,11 @@ class StudyFile(Part):
     model_folder: str | None = Field(
         None, description="Folder that files of `model` are in; default: that of `data`"
     )
-    time: TimeSource = Field(TimeSource(), description="Clock of the files")
+    time: Times = Field(
+        (),
+        description="Clock of the files; or several, of which each file has the first whose column "
+        "it holds: [{column: t_ms, unit: ms}, {column: stamp}]",
+    )
     table: TableFormat = Field(TableFormat(), description="Lay-out of the files")
     channels: tuple[ChannelEntry, ...] = Field(description="What was measured")
     commands: tuple[Annotated[CommandEntry, BeforeValidator(_named)], ...] = Field(

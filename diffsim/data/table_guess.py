@@ -27,7 +27,7 @@ _ENDINGS = {
     "Nm": "N m", "mm": "mm", "cm": "cm", "um": "um", "km": "km", "m": "m", "ms": "ms", "us": "us",
     "s": "s", "min": "min", "mN": "mN", "kN": "kN", "N": "N", "MPa": "MPa", "kPa": "kPa",
     "hPa": "hPa", "Pa": "Pa", "mbar": "mbar", "bar": "bar", "psi": "psi", "mrad": "mrad",
-    "rad": "rad", "deg": "deg", "rpm": "rpm", "kHz": "kHz", "Hz": "Hz", "mV": "mV", "V": "V",
+    "rad": "rad", "deg": "deg", "rpm": "rpm", "dps": "deg/s", "pct": "%", "kHz": "kHz", "Hz": "Hz", "mV": "mV", "V": "V",
     "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml", "degC": "degC", "percent": "%",
 }  # fmt: skip
 _ENDINGS_AFTER = {

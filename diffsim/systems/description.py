@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from torch import Tensor
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.errors import Mistakes
 from diffsim.core.schema import Part, Said, number
 from diffsim.core.units import in_unit
 from diffsim.data.study import Run, Study
@@ -179,7 +180,7 @@ class Description(Part):
         """
         wrong = [p for p in self.problems(study) if p.severity == "error"]
         if wrong:
-            raise ValueError("\n".join(str(p) for p in wrong))
+            raise Mistakes([str(p) for p in wrong])
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study.

@@ -17,6 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from diffsim.core.check import require_choice
+from diffsim.core.errors import Mistakes
 from diffsim.core.schema import problem_lines
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
@@ -67,7 +68,7 @@ def description_of(study: Study) -> Description:
     try:
         made: Description = getattr(import_module(module), name).model_validate(study.model)
     except ValidationError as error:
-        raise ValueError("\n".join(problem_lines(where, error))) from None
+        raise Mistakes(problem_lines(where, error)) from None
     return made
 
 

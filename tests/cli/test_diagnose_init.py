@@ -249,6 +249,23 @@ def test_throws_whose_frames_are_counted(tmp_path):
     np.testing.assert_allclose(run.time_s[[0, -1]], [0.17, 0.37])
 
 
+def test_a_counter_of_any_name_is_the_clock(tmp_path):
+    shot = [str(k) for k in (1, 2, 3) for _ in range(20)]
+    frame = [str(1000 + i) for _ in range(3) for i in range(20)]
+    write(tmp_path / "table.csv", "shot,Bild,px,py", [shot, frame, noisy(1), noisy(2)])
+    assert init(tmp_path, "--system", "rigid_body") == 0
+    assert "{column: Bild, step: 0.01}" in (tmp_path / "study.yaml").read_text()
+    run = load_study(tmp_path).runs[1]
+    np.testing.assert_allclose(run.time_s[[0, -1]], [10.0, 10.19])
+
+
+def test_a_channel_with_marks_of_missing_values_is_a_channel(tmp_path):
+    seen = ["---" if i % 9 == 4 else f"{0.1 * i:.3f}" for i in range(60)]
+    write(tmp_path / "a.csv", "t_ms,tip_mm,mid_mm", [map(str, range(60)), seen, noisy(1)])
+    assert init(tmp_path, "--system", "rigid_body") == 0
+    assert "column: tip_mm" in (tmp_path / "study.yaml").read_text()
+
+
 @pytest.mark.parametrize(
     "header, unit",
     [
@@ -256,6 +273,8 @@ def test_throws_whose_frames_are_counted(tmp_path):
         ("F/N", "N"),
         ("Throttle %", "%"),
         ("gyro deg/s", "deg/s"),
+        ("gyro_x_dps", "deg/s"),
+        ("pwm1_pct", "%"),
         ("cart/x", None),
     ],
 )

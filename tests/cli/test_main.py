@@ -9,7 +9,7 @@ import pytest
 
 from diffsim import __version__, cli
 from diffsim.core import compiled
-from diffsim.core.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError, Mistakes
 
 
 @pytest.fixture
@@ -65,6 +65,16 @@ def test_errors_are_one_line_with_status_2(fake_demo, capsys, error):
     first, hint = capsys.readouterr().err.splitlines()
     assert first == f"diffsim: {type(error).__name__}: {' '.join(str(error).split())}"
     assert "--debug" in hint
+
+
+def test_mistakes_that_are_found_together_are_a_line_each(fake_demo, capsys):
+    fake_demo.error = Mistakes(["a.csv: no column x", "b.csv:  no column y"])
+    assert cli.main(["demo"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:3] == ["diffsim: 2 mistakes:", "    a.csv: no column x", "    b.csv: no column y"]
+    fake_demo.error = Mistakes(["a.csv: no column x"])
+    assert cli.main(["demo"]) == 2
+    assert capsys.readouterr().err.startswith("diffsim: ValueError: a.csv: no column x\n")
 
 
 def test_debug_shows_the_traceback(fake_demo):

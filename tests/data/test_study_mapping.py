@@ -267,6 +267,31 @@ def test_further_files_are_read_at_the_clock_of_the_first(folder):
     assert load_n[5] == pytest.approx(1.0) and np.isnan(load_n[-1])
 
 
+def test_each_file_of_a_run_has_the_clock_that_it_holds(folder):
+    """A camera counts milliseconds, an inertial unit seconds, in columns of other names."""
+    write_csv(folder / "imu.csv", [[0.1 * i, 2.0 * i] for i in range(3)], ["stamp", "load_N"])
+    study = load(
+        folder,
+        time=[BASE["time"], {"column": "stamp", "unit": "s"}],
+        channels=[*BASE["channels"], {"name": "load_N", "unit": "N"}],
+        runs=[{"name": "a", "file": ["a.csv", "imu.csv"]}],
+    )
+    load_n = study.runs[0].measured[:, 1]
+    assert load_n[5] == pytest.approx(1.0) and np.isnan(load_n[-1])
+    assert "columns: stamp" not in study.left_out
+    with pytest.raises(ValueError, match=r"imu\.csv: column t \(ms\) is missing"):
+        load(folder, runs=[{"name": "a", "file": ["a.csv", "imu.csv"]}])
+
+
+@pytest.mark.parametrize("mark", ["---", "--", "#N/A", "n.a."])
+def test_marks_of_missing_values(folder, mark):
+    lines = rows(1)
+    lines[9][1] = mark
+    write_csv(folder / "a.csv", lines)
+    run = load(folder, runs=[{"name": "a", "file": "a.csv"}]).runs[0]
+    assert np.isnan(run.measured[9, 0]) and np.isfinite(run.measured[8, 0])
+
+
 def test_gaps(folder):
     lines = rows(1)
     lines[0][3] = lines[5][3] = lines[6][3] = ""
