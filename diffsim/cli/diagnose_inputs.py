@@ -54,10 +54,17 @@ def read_study(given: str) -> Study:
     Raises:
         FileNotFoundError: neither; the message offers the closest names.
     """
-    is_described = Path(given).exists() or given in {path.stem for path in described()}
+    is_described = _is_own(given) or given in {path.stem for path in described()}
     if given in IMPORTERS and not is_described:
         return import_study(given)
     return load_study(study_file(given))
+
+
+def _is_own(given: str) -> bool:
+    """Whether it is the user's; results may lie in a folder named like a published data set."""
+    path, published = Path(given), {*IMPORTERS, *(path.stem for path in described())}
+    is_results = path.is_dir() and given in published and not (path / "study.yaml").exists()
+    return path.exists() and not is_results
 
 
 def study_file(given: str) -> Path:
@@ -66,9 +73,8 @@ def study_file(given: str) -> Path:
     Raises:
         FileNotFoundError: neither; the message offers the closest names.
     """
-    path = Path(given)
-    if path.exists():
-        return path
+    if _is_own(given):
+        return Path(given)
     files = {path.stem: path for path in described()}
     if given in files:
         return files[given]

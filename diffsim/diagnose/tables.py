@@ -210,7 +210,8 @@ def cannot_see(
         if not np.isfinite(smallest):
             out[name] = "leaves no trace that the base parameters could not absorb"
         elif smallest > BLIND * typical:
-            out[name] = f"below {smallest:.3g} {unit} ({smallest / typical:.1f} x a usual size)"
+            size = f"{smallest:.3g}" if unit == "-" else f"{smallest:.3g} {unit}"
+            out[name] = f"below {size} ({smallest / typical:.3g} times a usual size)"
     return out
 
 

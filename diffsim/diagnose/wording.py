@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.diagnose.answer import Answer, effects_of, ends, opened
+from diffsim.diagnose.answer import Answer, effects_of, ends, opened, plain_name
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import COARSE, FIRST_ANSWER, LATE, NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED
@@ -22,6 +22,7 @@ from diffsim.diagnose.records import (
 from diffsim.identify.effect import is_of_run
 
 MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
+MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 
 
 def sentences(
@@ -53,7 +54,7 @@ def sentences(
     if np.isnan(answer.noise.scatter_ratio).all():
         out.append("Repeatability was not judged: that needs repeats and a stated sensor noise.")
     out += [
-        f"{g.name}: {g.value:g}, wanted {g.limit:g} ({g.note})."
+        f"A check failed: {_plain(g.name)} {g.value:.3g}, wanted {g.limit:g} ({g.note})."
         for g in answer.gates
         if g.applies
         and not g.passed
@@ -78,13 +79,13 @@ def _first(answer: Answer) -> str:
     if answer.verdict == "ambiguous":
         return (
             f"The data ask for {_sizes(_members(answer))}, but cannot tell it from "
-            f"{_sets(answer.rivals)}."
+            f"{_sets(answer, answer.rivals)}."
         )
     if answer.verdict == "unknown":
         text = "Something real and repeatable is missing that the library does not hold"
         if helping:
-            do = "helps, but is not" if len(helping) == 1 else "help, but are not"
-            return f"{text}; {_sizes(helping)} {do} named."
+            verbs = "help, but are" if len(helping) > 1 else "helps, but is"
+            return f"{text}; {_sizes(helping)} {verbs} not named."
         mimics = _members(answer)
         return f"{text}; {_sizes(mimics)} would mimic part of it." if mimics else f"{text}."
     if answer.verdict == "unrepeatable":
@@ -120,7 +121,7 @@ def _rest(answer: Answer) -> list[str]:
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))
         apart = [tuple(n for n in names if n not in shared) for names in answer.rivals]
-        out.append(f"What else acts cannot be told: {_sets([a for a in apart if a])}.")
+        out.append(f"What else acts cannot be told: {_sets(answer, [a for a in apart if a])}.")
     if answer.verdict in ("named", "ambiguous") and decision.best and decision.share < EXPLAINED:
         out.append(
             f"That explains {decision.share:.0%} of the misfit; what is left is no cause that "
@@ -148,9 +149,10 @@ def _scatter(noise: NoiseFloor, gates: Sequence[GateResult]) -> str:
     return f"in {worst.name.removeprefix(REPEATS)} {worst.value:.2g} times as much as was stated"
 
 
-def _sets(rivals: Sequence[tuple[str, ...]]) -> str:
+def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]]) -> str:
     """The nearest rival sets in words, and how many more there are."""
-    shown = " or ".join(" with ".join(r) for r in rivals[:MAX_RIVALS])
+    words = [[plain_name(answer, name) for name in names] for names in rivals[:MAX_RIVALS]]
+    shown = " or ".join(" with ".join(names) for names in words)
     more = len(rivals) - MAX_RIVALS
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
 
@@ -160,18 +162,26 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
     parts = []
     for row in (row.as_read() for row in rows):
         if len(row.size) > 1 and all(map(is_of_run, row.size)):
-            parts.append(_by_run(row))
+            parts.append(_between(row, "runs"))
+            continue
+        if len(row.size) > MAX_SIZES:
+            parts.append(_between(row, "sizes"))
             continue
         sizes = ", ".join(
             f"{'' if len(row.size) == 1 else c + ' '}{ends(size)}" for c, size in row.size.items()
         )
         unit = "" if row.unit == "-" else f" {row.unit}"
-        parts.append(f"{row.name} ({sizes}{unit}; 90 % interval)")
+        parts.append(f"{row.words} ({sizes}{unit}; 90 % interval)")
     return " and ".join(parts)
 
 
-def _by_run(row: CauseRow) -> str:
-    """A size of each run: between which values they lie."""
+def _between(row: CauseRow, what: str) -> str:
+    """Many sizes: between which values they lie; tables have each."""
     values = [size.value for size in row.size.values()]
     unit = "" if row.unit == "-" else f" {row.unit}"
-    return f"{row.name} ({min(values):.3g} to {max(values):.3g}{unit} in {len(values)} runs)"
+    return f"{row.words} ({min(values):.3g} to {max(values):.3g}{unit} in {len(values)} {what})"
+
+
+def _plain(check: str) -> str:
+    """The name of a check in words: "gradient:lag" is "gradient of lag"."""
+    return check.replace(":", " of ").replace("_", " ")

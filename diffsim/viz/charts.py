@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 MAX_POINTS = 2500  # of a line: what a screen can show, and a page of a few megabytes
 DIGITS = 5  # of the numbers in the page
 ROW_PX = 230
+_TOP_PX, _BOTTOM_PX = 64, 50  # above and below the panels
+_LEGEND_PX = 26  # above the panels, clear of their titles
 
 NULL, EXTENDED = COLORS["published"], COLORS["fitted"]
 
@@ -64,14 +66,20 @@ def styled(figure: Any, *, height: int) -> Any:
         template="plotly_white",
         font={"family": "system-ui, Segoe UI, Helvetica Neue, sans-serif", "size": 12},
         font_color=INK,
-        margin={"l": 70, "r": 20, "t": 80, "b": 50},
+        margin={"l": 70, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX},
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",
-        legend={"orientation": "h", "yanchor": "bottom", "y": 1.07, "x": 0.0},
+        legend={
+            "orientation": "h",
+            "yanchor": "bottom",
+            "y": 1.0 + _LEGEND_PX / (height - _TOP_PX - _BOTTOM_PX),
+            "x": 0.0,
+        },
         hovermode="closest",
     )
-    figure.update_xaxes(gridcolor=LINE, zerolinecolor=LINE)
-    figure.update_yaxes(gridcolor=LINE, zerolinecolor=LINE)
+    axes = {"gridcolor": LINE, "zerolinecolor": LINE, "exponentformat": "power"}
+    figure.update_xaxes(**axes)
+    figure.update_yaxes(**axes)
     figure.update_annotations(font_size=12, font_color=SOFT)
     return figure
 
@@ -113,13 +121,18 @@ def rounded(values: Array) -> list[float | None]:
     ]
 
 
-def chooser(labels: Sequence[str], owners: Sequence[int], num_always: int = 0) -> dict[str, Any]:
+def chooser(
+    labels: Sequence[str], owners: Sequence[int], num_always: int = 0, name: str = "run"
+) -> dict[str, Any]:
     """A drop-down menu that shows the lines of one label at a time.
+
+    Pages draw it above the chart, as a menu of the page (``templates/charts.js``).
 
     Args:
         labels: Entries of the menu; the first is shown at the start.
         owners: Index of the label that each line belongs to, in the order of the lines.
         num_always: Number of lines before them that always show.
+        name: What is chosen.
     """
     buttons = [
         {
@@ -129,16 +142,7 @@ def chooser(labels: Sequence[str], owners: Sequence[int], num_always: int = 0) -
         }
         for k, label in enumerate(labels)
     ]
-    return {
-        "buttons": buttons,
-        "direction": "down",
-        "x": 1.0,
-        "xanchor": "right",
-        "y": 1.07,
-        "yanchor": "bottom",
-        "pad": {"b": 18},  # px, clear of the titles of subplots
-        "showactive": True,
-    }
+    return {"buttons": buttons, "name": name}
 
 
 def to_html(figure: Any) -> str:

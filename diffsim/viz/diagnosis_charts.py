@@ -27,6 +27,8 @@ from diffsim.viz.figures import INK, LINE, SOFT
 
 Array = NDArray[np.float64]
 _KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
+MAX_LABEL = 40  # characters beside a matrix
+_LABEL_PX = 18
 MAX_PANELS = 24  # channels in one chart; more are drawn by their misfit, and said
 _BAND = 1.96  # 95 % of noise alone
 _SCALE = [[0.0, "#2a6f97"], [0.5, "#f7f7f5"], [1.0, "#b3362a"]]
@@ -39,7 +41,7 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
         runs: Runs with their predictions, one or more.
         channels: Channels of the study, in the order of the records, with their noise.
     """
-    shown = list(range(len(channels)))[:MAX_PANELS]
+    shown = seen_channels(runs)[:MAX_PANELS]
     titles = []
     for i in shown:
         unit = channels[i].shown_unit or channels[i].unit
@@ -68,6 +70,12 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
         figure.update_layout(updatemenus=[menu])
     figure.update_xaxes(title_text="time [s]", row=len(shown))
     return figure
+
+
+def seen_channels(runs: Sequence[PredictedRun]) -> list[int]:
+    """Channels that one of the runs measured; all of them if none did."""
+    seen = np.any([np.isfinite(run.measured).any(0) for run in runs], axis=0)
+    return [int(i) for i in np.flatnonzero(seen)] or list(range(len(seen)))
 
 
 def _label(run: PredictedRun) -> str:
@@ -125,16 +133,14 @@ def residual_views(
     """
     varying = (n for n in runs[0].command if any(np.ptp(r.command[n]) > 0.0 for r in runs))
     command = command or next(varying, None)
+    still = command is None
+    titles = ["over time", "spectrum; 1: white noise", "rms per channel; 1: noise"]
     figure = charts.grid(
         2,
         2,
-        titles=[
-            "over time [s]",
-            "no command changes" if command is None else _phase_title(runs, command),
-            "spectrum over frequency [Hz]; 1: white noise",
-            "rms per channel; 1: noise",
-        ],
-        vertical_spacing=0.16,
+        titles=titles if still else [titles[0], "over the command", *titles[1:]],
+        specs=[[{"colspan": 2}, None] if still else [{}, {}], [{}, {}]],
+        vertical_spacing=0.24,
     )
     kinds = _kinds(runs, channels)
     for name, color, left in kinds:
@@ -163,7 +169,7 @@ def residual_views(
             marker_color=color,
         )
         figure.add_trace(bar, row=2, col=2)
-    for column in (1, 2):
+    for column in (1,) if still else (1, 2):
         figure.add_hrect(
             y0=-_BAND, y1=_BAND, fillcolor=LINE, opacity=0.6, line_width=0, layer="below",
             row=1, col=column,
@@ -178,6 +184,11 @@ def residual_views(
     figure.update_yaxes(title_text="residual [noise sd]", row=1)
     figure.update_yaxes(type="log", title_text="power [noise variances]", row=2, col=1)
     figure.update_yaxes(title_text="rms [noise sd]", row=2, col=2)
+    figure.update_xaxes(title_text="time [s]", row=1, col=1)
+    if command is not None:
+        figure.update_xaxes(title_text=_phase_title(runs, command), row=1, col=2)
+    figure.update_xaxes(title_text="frequency [Hz]", row=2, col=1)
+    figure.update_layout(legend_itemsizing="constant")  # small pale dots are not seen there
     return figure
 
 
@@ -201,12 +212,11 @@ def over_position(
         return None
     spans = {i: float(np.ptp(np.concatenate([run.null[:, i] for run in runs]))) for i in places}
     places = sorted(places, key=lambda i: -spans[i])[:most]
-    titles = [f"over {channels[i].name} as predicted [{channels[i].unit}]" for i in places]
-    figure = charts.grid(1, len(places), titles=titles)
+    figure = charts.grid(1, len(places), titles=[f"over {channels[i].name}" for i in places])
     for name, color, left in _kinds(runs, channels):
         stacked = np.concatenate([left[r.name] for r in runs])
         for panel, i in enumerate(places):
-            x = np.concatenate([r.null[:, i] for r in runs])
+            x = _scale(channels[i]) * np.concatenate([r.null[:, i] for r in runs])
             wide = np.repeat(x[:, None], stacked.shape[1], 1)
             cloud = charts.line(
                 wide.ravel(), stacked.ravel(), name, color, showlegend=False,
@@ -221,8 +231,10 @@ def over_position(
                 y0=-_BAND, y1=_BAND, fillcolor=LINE, opacity=0.6, line_width=0, layer="below",
                 row=1, col=panel + 1,
             )  # fmt: skip
+    for panel, i in enumerate(places, start=1):
+        unit = channels[i].shown_unit or channels[i].unit
+        figure.update_xaxes(title_text=f"{channels[i].name}, predicted [{unit}]", col=panel)
     figure.update_yaxes(title_text="residual [noise sd]", col=1)
-    figure.update_layout(height=360)
     return figure
 
 
@@ -239,13 +251,23 @@ def confounding_matrix(names: Sequence[str], confounding: Array, bar: str = "cos
     order = grouped + [i for i in range(len(names)) if i not in set(grouped)]
     labels = [names[i] for i in order]
     figure = _heat_map(confounding[np.ix_(order, order)], labels, labels, 1.0, bar)
+    short = [_shortened(label) for label in labels]
+    ticks = {"tickmode": "array", "tickvals": list(range(len(labels))), "ticktext": short}
+    figure.update_xaxes(**ticks, tickangle=45)
+    figure.update_yaxes(**ticks)
     start = 0
     for block in blocks:
         a, b = start - 0.5, start + len(block) - 0.5
         figure.add_shape(type="rect", x0=a, x1=b, y0=a, y1=b, line={"color": INK, "width": 2})
         start += len(block)
     figure.update_yaxes(autorange="reversed")
-    return charts.styled(figure, height=min(260 + 20 * len(names), 900))
+    return charts.styled(figure, height=260 + _LABEL_PX * len(names))
+
+
+def _shortened(label: str) -> str:
+    """A label that leaves room for the matrix: its begin and its end."""
+    half = MAX_LABEL // 2
+    return label if len(label) <= MAX_LABEL else f"{label[: half - 1]}…{label[-half:]}"
 
 
 def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Any:
@@ -270,7 +292,7 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Any
         drawn.visible = k == 0
         figure.add_trace(drawn)
     if len(groups) > 1:
-        menu = charts.chooser(list(groups), list(range(len(groups))))
+        menu = charts.chooser(list(groups), list(range(len(groups))), name="command")
         figure.update_layout(updatemenus=[menu])
     figure.update_xaxes(title_text="knot in time")
     return charts.styled(figure, height=200 + 40 * len(rows))
@@ -329,8 +351,7 @@ def _turning(runs: Sequence[PredictedRun], command: str) -> bool:
 
 
 def _phase_title(runs: Sequence[PredictedRun], command: str) -> str:
-    what = "phase of" if _turning(runs, command) else "value of"
-    return f"over the {what} {command}"
+    return f"phase of {command} [rad]" if _turning(runs, command) else f"value of {command}"
 
 
 def _phase(runs: Sequence[PredictedRun], run: PredictedRun, command: str) -> Array:

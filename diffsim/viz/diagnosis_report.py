@@ -25,6 +25,7 @@ from diffsim.viz.diagnosis_series import (
     predicted_runs,
     with_noise,
 )
+from diffsim.viz.numbers import figure, probability, unit_of
 
 MAX_COMMANDS = 12  # in the menu of the force map
 MAX_NUISANCES = 40  # rows of the table of base parameters
@@ -38,6 +39,17 @@ TONES = {
     "numerical": "bad",
 }
 """Verdicts, and the tone in which the page shows them."""
+MEANINGS = {
+    "none": "the misfit is noise",
+    "data_sheet": "no cause is missing; a number of the data sheet is off",
+    "named": "one or more causes are certain",
+    "ambiguous": "causes that these recordings cannot tell apart",
+    "unknown": "real and repeatable, not in the library",
+    "unrepeatable": "repeats scatter far beyond the sensor's noise",
+    "numerical": "time step, mesh or tolerance still move the record",
+}
+"""Verdicts in words, as ``docs/diagnose.md`` has them."""
+MAX_LISTED = 3  # names or sets in a sentence; the tables have all
 
 
 def write_diagnosis(report: Report, path: str | Path) -> Path:
@@ -109,19 +121,25 @@ def _pairs(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
 
 def _numbers(r: Report) -> list[page.Number]:
     """Verdict, then error before and after on unseen runs in the recordings' unit, then gain."""
-    shown = [page.Number(label="verdict", value=r.verdict, tone=TONES[r.verdict])]
+    verdict = page.Number(
+        label="verdict",
+        value=r.verdict.replace("_", " "),
+        note=MEANINGS[r.verdict],
+        tone=TONES[r.verdict],
+    )
+    shown = [verdict]
     for kind in dict.fromkeys((e.kind, e.unit) for e in r.errors):
         rows = [e for e in r.errors if (e.kind, e.unit) == kind]
         before, after, noise = (
             _pooled([getattr(e, which) for e in rows], [e.num_samples for e in rows])
             for which in ("before", "after", "noise")
         )
-        note = f"before: {tables.figure(before)}, noise alone: {tables.figure(noise)}"
+        note = f"before: {figure(before)}, noise alone: {figure(noise)}"
         shown.append(
             page.Number(
                 label=f"rms error of {kind[0]} on {rows[0].use} runs",
-                value=tables.figure(after),
-                unit=tables.unit_of(kind[1]),
+                value=figure(after),
+                unit=unit_of(kind[1]),
                 note=note,
             )
         )
@@ -133,7 +151,8 @@ def _numbers(r: Report) -> list[page.Number]:
                 label=f"share of the error above the noise removed on test runs: {g.status}",
                 value=f"{100 * g.value:.0f}",
                 unit="%",
-                note=f"90 % interval {100 * g.low:.0f} to {100 * g.high:.0f} %",
+                note=f"90 % interval {100 * g.low:.0f} to {100 * g.high:.0f} %"
+                + ("; beyond 100: below the noise as stated" if g.value > 1.0 else ""),
                 tone=tones.get(g.status, "fair"),
             )
         )
@@ -148,7 +167,7 @@ def _pooled(values: Sequence[float], counts: Sequence[int]) -> float:
 def _errors(r: Report) -> page.Section:
     title = "Error on runs that nothing has seen"
     if not r.errors:
-        why = "The study has no run with `use: test`, so no gain is known."
+        why = "The study has no run with “use: test”, so no gain is known."
         return page.Section(title=title, text=[why])
     text = [f"Causes were chosen by {r.chosen_by}."] if r.chosen_by else []
     return page.Section(title=title, text=text, content=[tables.errors(r), *tables.outside(r)])
@@ -160,13 +179,14 @@ def _test_runs(
     """All test runs; without any, select runs, else those that were fitted."""
     use = next(use for use in _TITLES if any(run.use == use for run in all_runs))
     runs = [run for run in all_runs if run.use == use]
-    caption = (
-        "Dots: measured, with the noise. Dashed: the fitted model before. Line: the extended "
-        "model. The menu chooses the run; drag to zoom, double-click to zoom out."
-    )
-    text = []
-    if len(channels) > draw.MAX_PANELS:
-        text = [f"The first {draw.MAX_PANELS} of {len(channels)} channels."]
+    caption = "Dots: measured, with the noise. Dashed: the fitted model before. "
+    if any(run.extended is not None for run in runs):
+        caption += "Line: the extended model. "
+    caption += "The menu chooses the run; drag" if len(runs) > 1 else "Drag"
+    caption += " to zoom, double-click to zoom out."
+    text, seen = [], len(draw.seen_channels(runs))
+    if seen > draw.MAX_PANELS:
+        text = [f"The first {draw.MAX_PANELS} of {seen} channels."]
     content: list[page.Item] = []
     if (view := moving_runs(r, runs)) is not None:
         content.append(view)
@@ -206,7 +226,7 @@ def _residuals(
 
 def _whiteness(channels: Sequence[Channel], probabilities: Sequence[Sequence[float]]) -> page.Table:
     rows = [
-        [c.name, *(f"{p:.2g}" if math.isfinite(p) else "–" for p in column)]
+        [c.name, *map(probability, column)]
         for c, column in zip(channels, zip(*probabilities, strict=True), strict=True)
     ]
     return page.Table(
@@ -221,7 +241,8 @@ def _force_map(scores: ForceMap | None) -> page.Section:
     """Commands with the largest scores first."""
     title = "Where a force is missing"
     if scores is None:
-        return page.Section(title=title, text=["No force map was computed for this model."])
+        why = "No force map: the description names no place where a force may act."
+        return page.Section(title=title, text=[why])
     order = np.argsort(-np.abs(scores.z).max(axis=1))[:MAX_COMMANDS]
     groups = [scores.groups[i] for i in order]
     caption = (
@@ -261,9 +282,11 @@ def _data_sheet(r: Report) -> page.Section:
     text = []
     if (left := len(own) - MAX_NUISANCES) > 0:
         text.append(f"{left} more values of single runs, of smaller pull, are in report.json.")
-    stems = (row.name.partition("@")[0].replace("_", " ") for row in r.base if not row.is_told)
-    if names := list(dict.fromkeys(stems)):
-        text.append(f"These runs say nothing of {', '.join(names)}.")
+    stems = (row.name.partition("@")[0].partition("[")[0] for row in r.base if not row.is_told)
+    if names := list(dict.fromkeys(stem.replace("_", " ") for stem in stems)):
+        whole = {row.name.partition("@")[0].partition("[")[0] for row in told}
+        some = ["some of " * (name.replace(" ", "_") in whole) + name for name in names]
+        text.append(f"These runs say nothing of {_listed(some, MAX_LISTED * 2)}.")
     content = [tables.base(shown)] if shown else []
     return page.Section(title=title, text=text, content=content)
 
@@ -273,14 +296,28 @@ def _confounding(r: Report) -> page.Section:
     if not len(r.confounding_names):
         return page.Section(title=title, text=["No candidate was screened."])
     blocks = blocks_of(r.confounding)
-    names = ["; ".join(", ".join(r.confounding_names[i] for i in b) for b in blocks)]
-    text = [f"These data hardly part: {names[0]}."] if blocks else []
+    words = [_component_of(name) for name in r.confounding_names]
+    sets = [" and ".join(words[i] for i in block) for block in blocks]
+    text = [f"These data hardly part {_listed(sets, MAX_LISTED, '; ')}."] if blocks else []
     caption = (
         f"Boxed: sets linked by cosines beyond ±{CONFOUNDED}. Of one set only a set can be "
         "named, not a member."
     )
-    chart = draw.confounding_matrix(r.confounding_names, r.confounding)
+    chart = draw.confounding_matrix(words, r.confounding)
     return page.Section(title=title, text=text, content=[page.Chart(figure=chart, caption=caption)])
+
+
+def _component_of(name: str) -> str:
+    """A component of a cause in words: "stiffness_loss.root" is "stiffness loss (root)"."""
+    effect, _, component = name.partition(".")
+    words = effect.replace("_", " ")
+    return f"{words} ({tables.component_words(component)})" if component else words
+
+
+def _listed(names: Sequence[str], most: int, between: str = ", ") -> str:
+    """The first names, and how many more there are."""
+    more = len(names) - most
+    return between.join(names[:most]) + (f"{between}and {more} more" if more > 0 else "")
 
 
 def _blind(report: Report) -> page.Section:
@@ -303,10 +340,7 @@ def _blind(report: Report) -> page.Section:
             "Six standard deviations of what the data tell of the size. Below it a cause may act "
             "and is not seen."
         )
-        rows = [
-            [row.label(c), f"{tables.figure(size)} {tables.unit_of(row.unit)}"]
-            for row, c, size in visible
-        ]
+        rows = [[row.label(c), f"{figure(size)} {unit_of(row.unit)}"] for row, c, size in visible]
         columns = ["cause", "smallest visible size"]
         content.append(page.Table(columns=columns, rows=rows, caption=caption))
     return page.Section(title="What these data cannot see", content=content)
@@ -315,7 +349,12 @@ def _blind(report: Report) -> page.Section:
 def _next_run(r: Report) -> page.Section:
     title = "Which run to record next"
     if r.next_run is None:
-        text = "No advice: one explanation stands alone, or no run could be generated to part them."
+        alone = r.verdict in ("none", "data_sheet", "named") and not r.rivals
+        text = (
+            "No advice: one explanation stands alone."
+            if alone
+            else "The command “diffsim diagnose next” looks for runs that part what is left open."
+        )
         return page.Section(title=title, text=[text])
     best, gains = r.next_run.best, r.next_run.chi2_gain
     text = (
@@ -330,12 +369,9 @@ def _next_run(r: Report) -> page.Section:
 
 
 def _gates(r: Report) -> page.Section:
-    rows = [
-        [g.name, _passed(g), tables.figure(g.value), tables.figure(g.limit), g.note]
-        for g in r.gates
-    ]
+    rows = [[g.name, _passed(g), figure(g.value), figure(g.limit), g.note] for g in r.gates]
     table = page.Table(
-        columns=["check", "", "value", "limit", "of what"],
+        columns=["check", "result", "value", "limit", "of what"],
         rows=rows,
         emphasis=[i for i, g in enumerate(r.gates) if g.applies and not g.passed],
     )

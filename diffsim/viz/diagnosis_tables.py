@@ -6,8 +6,18 @@ import math
 from collections.abc import Sequence
 
 from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.records import REFUTED, BaseRow, CauseRow, Interval
+from diffsim.diagnose.records import (
+    HIDDEN,
+    REFUTED,
+    UNJUDGED,
+    UNTOLD,
+    BaseRow,
+    CauseRow,
+    Interval,
+    OutsideRow,
+)
 from diffsim.diagnose.report import Report
+from diffsim.viz.numbers import figure, signed, unit_of, with_interval, with_sd
 from diffsim.viz.report import Table
 
 MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
@@ -16,7 +26,16 @@ MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
 def errors(r: Report) -> Table:
     """Error before and after on every run that was not fitted."""
     return Table(
-        columns=["run", "of", "before", "after", "noise", "unit", "values fitted to it", "use"],
+        columns=[
+            "run",
+            "quantity",
+            "before",
+            "after",
+            "noise",
+            "unit",
+            "values fitted to it",
+            "use",
+        ],
         rows=[
             [
                 e.run,
@@ -24,7 +43,7 @@ def errors(r: Report) -> Table:
                 figure(e.before),
                 figure(e.after),
                 figure(e.noise),
-                e.unit,
+                unit_of(e.unit) or "–",
                 str(e.num_fitted),
                 e.use,
             ]
@@ -44,14 +63,15 @@ def causes(r: Report) -> Table:
         "status",
         "probability",
         "size (90 % interval)",
-        "gain where not fitted (90 %)",
+        "gain where not fitted (90 % interval)",
         "note",
     ]
     return Table(
         columns=columns,
         rows=[_cause(row) for row in r.causes],
-        caption="Probability: over all sets of causes that were weighed. Size: averaged over the "
-        "sets that hold the cause; intervals hold the spread over left-out runs.",
+        caption="Probability: over all sets of causes that were weighed. Size: of causes that may "
+        "act, averaged over the sets that hold the cause; intervals hold the spread over left-out "
+        "runs. Gain: share of the error removed from runs that the cause was not fitted to.",
         emphasis=[i for i, row in enumerate(r.causes) if row.status == "certain"],
     )
 
@@ -79,45 +99,72 @@ def outside(r: Report) -> list[Table]:
     beyond = [o for o in r.outside if o.times > 1.0]
     if not beyond:
         return []
-    rows = [
-        [
-            o.run,
-            o.what,
-            f"{figure(o.value) if isinstance(o.value, float) else o.value} {unit_of(o.unit)}",
-            "–" if o.low is None or o.high is None else f"{figure(o.low)} to {figure(o.high)}",
-            "never fitted" if math.isinf(o.times) else f"{o.times:.2g} times",
-        ]
-        for o in beyond[:MOST_OUTSIDE]
-    ]
-    caption = "These runs ask for more than was fitted: the model is extrapolated there."
+    rows = [_outside(row) for row in beyond[:MOST_OUTSIDE]]
+    caption = (
+        "These runs ask for more than was fitted: the model is extrapolated there. Outside: "
+        "strokes and rates over the largest fitted one; else the distance from the middle of the "
+        "range over half its width."
+    )
     if len(beyond) > MOST_OUTSIDE:  # the farthest come first
         caption += f" {len(beyond) - MOST_OUTSIDE} more lie outside by less; report.json has them."
     columns = ["run", "quantity", "value", "fitted range", "outside"]
     return [Table(columns=columns, rows=rows, caption=caption)]
 
 
-def _cause(row: CauseRow) -> list[str]:
-    row, status = row.as_read(), row.status
-    if row.rivals:
-        by = " by" if status == REFUTED else ""
-        status += f"{by} {', '.join(row.rivals)}"
-    if row.helps:
-        status += "; helps"
+def _outside(o: OutsideRow) -> list[str]:
+    times = figure(o.times, 3 if o.times < 1.1 else 2)
     return [
-        row.words,
-        row.name,
-        status,
-        "–" if row.probability is None else f"{row.probability:.2f}",
-        "; ".join(_sized(row, c, size) for c, size in row.size.items()) or "–",
-        _interval(row.gain),
-        row.note,
+        o.run,
+        o.what,
+        f"{figure(o.value) if isinstance(o.value, float) else o.value} {unit_of(o.unit)}".rstrip(),
+        "–" if o.low is None or o.high is None else f"{figure(o.low)} to {figure(o.high)}",
+        "never fitted" if math.isinf(o.times) else "barely" if times == "1" else f"{times} times",
     ]
 
 
+def _cause(row: CauseRow) -> list[str]:
+    row = row.as_read()
+    return [
+        row.words,
+        row.name,
+        _status(row),
+        "–" if row.probability is None else f"{row.probability:.2f}",
+        _sizes(row),
+        _interval(row.gain),
+        f"needs {row.note}" if row.status == UNJUDGED and row.note else row.note,
+    ]
+
+
+def _status(row: CauseRow) -> str:
+    """The status with what it speaks of: rivals, or the smallest size that would be seen."""
+    status, rivals = row.status, ", ".join(row.rivals)
+    if status == HIDDEN:
+        seen = [v for v in row.smallest_visible.values() if math.isfinite(v)]
+        low, high = (figure(f(seen)) for f in (min, max)) if seen else ("", "")
+        size = low if low == high else f"{low} to {high}"
+        status = f"{status} {size} {unit_of(row.unit)}".rstrip() if seen else "not visible"
+    elif rivals:
+        joined = {UNTOLD: " ", REFUTED: " by "}.get(status, "; rivals: ")
+        status += f"{joined}{rivals}"
+    return f"{status}; helps" if row.helps else status
+
+
+def _sizes(row: CauseRow) -> str:
+    """Sizes of a cause that may act, a line for each component."""
+    if row.status in (REFUTED, HIDDEN) and not row.helps:
+        return "–"
+    return "\n".join(_sized(row, c, size) for c, size in row.size.items()) or "–"
+
+
 def _sized(row: CauseRow, component: str, size: Interval) -> str:
-    label = "" if len(row.size) == 1 else f"{component} "
-    numbers = f"{figure(size.value)} ({figure(size.low)} to {figure(size.high)})"
-    return f"{label}{numbers} {unit_of(row.unit)}".rstrip()
+    label = "" if len(row.size) == 1 else f"{component_words(component)}: "
+    numbers = with_interval(size.value, size.low, size.high)
+    return f"{label}{numbers} {unit_of(row.unit)}".rstrip().replace(" ", "\u00a0")
+
+
+def component_words(component: str) -> str:
+    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
+    return component.strip("[]").replace("=", " ").replace("_", " ")
 
 
 def sets(r: Report, most: int = 12) -> list[Table]:
@@ -128,7 +175,7 @@ def sets(r: Report, most: int = 12) -> list[Table]:
     rows = [
         [
             " + ".join((*h.effects, *([h.unknown] if h.unknown else []))) or "nothing",
-            f"{h.nats - best:+.1f}",
+            signed(h.nats - best),
             figure(h.chi2),
             "refitted" if h.refitted else "linear",
         ]
@@ -147,21 +194,11 @@ def _base(row: BaseRow) -> list[str]:
     return [
         row.words,
         row.name,
-        f"{figure(row.value)} ({figure(row.low)} to {figure(row.high)})",
-        f"{figure(row.prior_value)} ± {figure(row.prior_sd)}",
-        row.unit,
-        f"{row.pull:+.1f}",
+        with_interval(row.value, row.low, row.high),
+        with_sd(row.prior_value, row.prior_sd),
+        unit_of(row.unit) or "–",
+        signed(row.pull),
     ]
-
-
-def figure(value: float) -> str:
-    """A number of three digits."""
-    return "–" if math.isnan(value) else f"{value:.3g}"
-
-
-def unit_of(unit: str) -> str:
-    """A unit as it is written after a number."""
-    return "" if unit == "-" else unit
 
 
 def _interval(gained: Gain | None) -> str:

@@ -20,7 +20,9 @@ from diffsim.core.version import __version__
 from diffsim.viz import charts
 from diffsim.viz.moving import Moving, MovingChoice, script
 
-_NUMERIC = re.compile(r"[-+−–±]?(\d|$)")  # a cell that starts with a number, or says there is none
+_NUMERIC = re.compile(
+    r"[-+−–±<]? ?(\d|$)"
+)  # a cell that starts with a number, or says there is none
 TONES = ("good", "fair", "bad", "plain")
 
 
@@ -90,6 +92,16 @@ class Table:
                     f"columns: {list(row)}"
                 )
 
+    @property
+    def numeric(self) -> frozenset[int]:
+        """Columns of numbers, which stand to the right: all cells begin with one or say none."""
+        return frozenset(
+            i
+            for i in range(1, len(self.columns))
+            if any(re.search(r"\d", row[i]) for row in self.rows)
+            and all(_NUMERIC.match(row[i]) for row in self.rows)
+        )
+
 
 Item = Picture | Chart | Moving | MovingChoice | Table
 
@@ -147,7 +159,6 @@ def render(report: Report, *, made: datetime | None = None) -> str:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
-    environment.tests["numeric"] = lambda cell: _NUMERIC.match(cell) is not None
     environment.tests["chart"] = lambda item: isinstance(item, Chart)
     environment.tests["moving"] = lambda item: isinstance(item, (Moving, MovingChoice))
     kinds = {type(item) for section in report.sections for item in section.content}

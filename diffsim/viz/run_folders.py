@@ -48,14 +48,23 @@ def run_folders(root: Path) -> list[RunFolder]:
     """
     folders = [root, *sorted(p for p in root.rglob("*") if p.is_dir() and not p.is_symlink())]
     hidden = [f for f in folders if any(part[:1] == "." for part in f.relative_to(root).parts)]
+    sites = {f for f in folders if _is_site(f)}
+    hidden += [f for f in folders if sites.intersection(f.parents)]
     made = (_run_folder(root, folder) for folder in folders if folder not in hidden)
     return sorted((m for m in made if m is not None), key=lambda run: -run.changed)
+
+
+def _is_site(folder: Path) -> bool:
+    """Whether it holds a built site, such as that of the documentation: one page leads to all."""
+    return all((folder / name).is_file() for name in ("index.html", "404.html"))
 
 
 def _run_folder(root: Path, folder: Path) -> RunFolder | None:
     files = {p.name: p for p in sorted(folder.iterdir()) if p.is_file() and p.name[:1] != "."}
     shown = tuple(n for n in files if n.lower().endswith((*PAGES, *PICTURES, *RECORDINGS)))
     kind = next((kind for marker, kind in _KINDS.items() if marker in files), None)
+    if kind is None and _is_site(folder):
+        shown, kind = ("index.html",), "site"
     if kind is None and not shown:
         return None
     said, progress = "", "finished"
@@ -117,6 +126,7 @@ _TOLD: dict[str, Callable[[dict[str, Path]], tuple[str, str]]] = {
     "flight": _flight,
     "demo": _finished,
     "fabrication": _finished,
+    "site": _finished,
 }
 
 

@@ -131,6 +131,16 @@ def test_diagnose_names_a_missing_study(capsys):
     assert "nowhere.yaml is no file or folder of a study" in capsys.readouterr().err
 
 
+def test_a_folder_of_results_does_not_hide_the_published_data_set(tmp_path, monkeypatch):
+    from diffsim.cli.diagnose_inputs import study_file
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "starfish").mkdir()  # of `explain starfish --out starfish`
+    assert study_file("starfish").parent.name == "published"
+    (tmp_path / "starfish" / "study.yaml").touch()
+    assert str(study_file("starfish")) == "starfish"
+
+
 def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
     from dataclasses import replace
 

@@ -41,6 +41,14 @@ def test_links_and_roles_of_the_site(tmp_path):
     assert docs_site._parts("0.10.1") > docs_site._parts("0.9")
 
 
+def test_kernels_are_read_from_their_sources_and_never_loaded():
+    """Looking into the kernels of a newer processor ends the build: "Illegal instruction"."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    plugins = yaml.safe_load(text)["plugins"]
+    (docstrings,) = (p["mkdocstrings"] for p in plugins if "mkdocstrings" in p)
+    assert docstrings["handlers"]["python"]["options"]["allow_inspection"] is False
+
+
 @pytest.mark.slow
 def test_it_builds_without_a_warning(tmp_path):
     pytest.importorskip("mkdocstrings", reason="scripts/docs installs it")

@@ -23,6 +23,7 @@ from diffsim.viz import diagnosis_charts as charts
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import diagnosis_series as series
+from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_motion import moving_runs
 from diffsim.viz.diagnosis_series import PredictedRun
@@ -206,7 +207,8 @@ def test_page_has_its_parts_in_order(tmp_path):
     ]
     places = [text.find(part) for part in parts]
     assert min(places) > 0 and places == sorted(places)
-    assert "0.021 (0.0193 to 0.0227) s" in text and "hold and release" in text and "FAILED" in text
+    read = text.replace("\xa0", " ")  # numbers and units stay on one line
+    assert "0.021 (0.0193 to 0.0227) s" in read and "hold and release" in text and "FAILED" in text
     assert "lag &lt;b&gt;" in text and "<td>lag <b>" not in text  # escaped
 
 
@@ -238,6 +240,7 @@ def test_all_test_runs_are_drawn():
     runs = (*RUNS, *(comparison(f"t{k}", "test", 0.01, k) for k in range(7)))
     figure = charts.runs_over_time([r for r in runs if r.use == "test"], CHANNELS)
     (menu,) = figure.layout.updatemenus
+    assert menu.name == "run"
     labels = [button.label for button in menu.buttons]
     assert labels == ["b (test)", *(f"t{k} (test)" for k in range(7))]
     assert len(figure.data) == 8 * 2 * 5  # runs, channels, lines and what is left
@@ -253,6 +256,90 @@ def test_runs_are_drawn_in_the_unit_of_the_recordings():
     np.testing.assert_allclose(np.add(left.y, before.y), measured.y, atol=1e-3)
     np.testing.assert_allclose(np.add(rest.y, after.y), measured.y, atol=1e-3)
     assert figure.layout.annotations[0].text == "tip_z_m [mm]"
+
+
+def test_channels_that_no_run_measured_are_not_drawn():
+    blank = RUNS[1].measured.copy()
+    blank[:, 0] = np.nan
+    figure = charts.runs_over_time([replace(RUNS[1], measured=blank)], CHANNELS)
+    assert [a.text for a in figure.layout.annotations][::2] == ["tip_x_m [m]"]
+
+
+def test_axes_have_names_with_units_and_still_commands_no_panel():
+    figure = charts.residual_views(RUNS, CHANNELS)
+    titles = [figure.layout[a].title.text for a in ("xaxis", "xaxis2", "xaxis3")]
+    assert titles == ["time [s]", "phase of pull_N [rad]", "frequency [Hz]"]
+    still = [replace(run, command={"pull_N": np.ones(len(run.time_s))}) for run in RUNS]
+    assert "over the command" not in [
+        a.text for a in charts.residual_views(still, CHANNELS).layout.annotations
+    ]
+    shown = tuple(replace(c, shown_unit="mm") for c in PLACED)
+    where = charts.over_position(RUNS, shown)
+    assert where is not None and where.layout.xaxis.title.text == "tip_z_m, predicted [mm]"
+    assert max(where.data[1].x) == pytest.approx(4.0, rel=0.1)  # a swing of 4 mm
+
+
+@pytest.mark.parametrize("rows", [1, 8])
+def test_the_legend_stays_beside_the_panels_of_tall_charts(rows):
+    figure = plotting.grid(rows)
+    layout = figure.layout
+    panels = layout.height - layout.margin.t - layout.margin.b
+    assert (layout.legend.y - 1.0) * panels == pytest.approx(26.0)  # px
+
+
+def test_every_label_of_a_large_matrix_is_shown_and_long_ones_are_cut():
+    names = [f"thrust_loss of a motor with a rather long name {k}" for k in range(40)]
+    figure = charts.confounding_matrix(names, np.eye(40))
+    ticks = figure.layout.yaxis.ticktext
+    assert len(ticks) == 40 == len(set(ticks)) and max(map(len, ticks)) <= 40
+    assert figure.layout.height >= 40 * 14
+
+
+def test_names_of_causes_are_words_outside_of_tables():
+    shown = dr.diagnosis_page(
+        example(
+            confounding_names=("low_end_loss.[fan=10in]", "drag", "zero_of_thrust"),
+            cannot_see={},
+        )
+    )
+    section = next(s for s in shown.sections if s.title == "What mimics what")
+    assert section.text == ["These data hardly part low end loss (fan 10in) and zero of thrust."]
+    (chart,) = section.content
+    assert "zero of thrust" in chart.figure.layout.yaxis.ticktext
+
+
+def test_long_lists_are_cut_and_counted():
+    names = [f"torque_ratio[rotor={k}]" for k in range(9)] + [f"shape_{k}" for k in range(9)]
+    base = tuple(BaseRow(n, n, "-", 1.0, 0.1, 0.9, 1.1, 1.0, 0.1, 0.0, 3.0) for n in names)
+    text = next(
+        s for s in dr.diagnosis_page(example(base=base)).sections if s.title.startswith("Base")
+    ).text[0]
+    assert text.startswith("These runs say nothing of torque ratio, shape 0,")
+    assert text.endswith("and 4 more.")
+
+
+def test_the_status_says_below_which_size_and_beside_which_rivals():
+    size = {"x": Interval(0.2, 0.1, 0.3)}
+    hidden = CauseRow("a", "a", "effect", "not visible below", 0.0, size, "m/s^2",
+                      smallest_visible={"x": 0.0219, "y": 0.0187})  # fmt: skip
+    likely = CauseRow("b", "b", "effect", "likely", 0.9, size, "N", rivals=("c", "d"))
+    refuted = CauseRow("e", "e", "effect", "refuted", 0.0, size, "N", rivals=("b",))
+    unjudged = CauseRow("f", "f", "effect", "not judged", None, {}, "N", note="three runs")
+    rows = tables.causes(example(causes=(hidden, likely, refuted, unjudged))).rows
+    assert [row[2] for row in rows] == [
+        "not visible below 0.0187 to 0.0219 m/s^2",
+        "likely; rivals: c, d",
+        "refuted by b",
+        "not judged",
+    ]
+    assert [row[4].replace("\xa0", " ") for row in rows] == ["–", "0.2 (0.1 to 0.3) N", "–", "–"]
+    assert rows[3][6] == "needs three runs"
+
+
+def test_barely_outside_is_not_one_times():
+    outside = (OutsideRow("b", "frequency of u", 0.413, 0.417, 0.711, 1.0004, "Hz"),)
+    (row,) = tables.outside(example(outside=outside))[0].rows
+    assert row[-1] == "barely"
 
 
 def test_what_does_not_apply_does_not_pass():
@@ -288,12 +375,18 @@ def test_only_the_farthest_outside_are_shown_and_the_rest_is_counted():
 def test_what_is_missing_is_said():
     page_ = dr.diagnosis_page(
         example(
-            runs=RUNS[:1], next_run=None, gain=None, confounding_names=(), confounding=np.eye(0)
+            runs=RUNS[:1], next_run=None, gain=None, confounding_names=(), confounding=np.eye(0),
+            rivals=(),
         )
-    )
+    )  # fmt: skip
     words = " ".join(t for section in page_.sections for t in section.text)
     for said in ("no gain is known", "No force map", "No candidate", "No advice"):
         assert said in words
+
+
+def test_what_is_left_open_leads_to_the_next_run():
+    sections = {s.title: s.text for s in dr.diagnosis_page(example(next_run=None)).sections}
+    assert "diffsim diagnose next" in sections["Which run to record next"][0]
 
 
 def test_force_map_takes_its_place():
@@ -353,16 +446,17 @@ def test_the_page_shows_the_report():
     tables = [c for s in shown.sections for c in s.content if isinstance(c, page.Table)]
     causes = next(t for t in tables if t.caption.startswith("Probability"))
     assert causes.rows[0][:4] == ["a tilt", "tilt", "certain", "1.00"]
-    assert causes.rows[0][4] == "x 0.1 (0.08 to 0.12) rad; y 0.2 (0.15 to 0.25) rad"
+    sizes = causes.rows[0][4].replace("\xa0", " ").split("\n")
+    assert sizes == ["x: 0.1 (0.08 to 0.12) rad", "y: 0.2 (0.15 to 0.25) rad"]
     assert causes.rows[0][5] == "0.97 (0.93 to 0.99)"
     base = next(t for t in tables if t.caption.startswith("Pull"))
-    assert base.rows[0] == ["gain", "a", "1.4 (1.37 to 1.43)", "1 ± 0.1", "-", "+4.0"]
+    assert base.rows[0] == ["gain", "a", "1.4 (1.37 to 1.43)", "1 ± 0.1", "–", "+4.0"]
     assert list(base.emphasis) == [0]
     fixed = dr.held_fixed(report)
     assert fixed["fitted"] == "a; 1 nuisances of single runs"
     assert fixed["taken from the study"] == ["geometry"]
     white = next(t for t in tables if "Ljung" in t.caption)
-    assert len(white.columns) == 3 and float(white.rows[0][1]) < 0.01  # the model leads
+    assert len(white.columns) == 3 and white.rows[0][1] == "< 0.001"  # the model leads
     runs = series.predicted_runs(report.study, report.null, report.best)
     np.testing.assert_array_equal(runs[0].null, RUNS[0].null)
     np.testing.assert_array_equal(runs[1].extended, RUNS[1].extended)
@@ -491,7 +585,8 @@ def test_a_browser_turns_what_moves_and_chooses_the_run(tmp_path):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
 def test_a_browser_toggles_the_cause_and_zooms_a_curve(tmp_path):
-    path = dr.write_diagnosis(example(), tmp_path / "report.html")
+    runs = (*RUNS, comparison("c", "test", 0.05, 3))
+    path = dr.write_diagnosis(example(runs), tmp_path / "report.html")
     with Browser(tmp_path / "profile") as browser:
         browser.open(path)
         browser.until("document.querySelectorAll('.main-svg .legend').length >= 1")
@@ -510,5 +605,11 @@ def test_a_browser_toggles_the_cause_and_zooms_a_curve(tmp_path):
         x, y = browser.middle(".plotly-graph-div .nsewdrag")
         browser.drag((x - 60, y - 15), (x + 60, y + 15))
         browser.until(f"{across}[1] - {across}[0] < {0.7 * (wide[1] - wide[0])}")
+        menu = "document.querySelector('.chart select')"
+        assert browser.js(f"[...{menu}.options].map(o => o.text)") == ["b (test)", "c (test)"]
+        browser.js(f"{menu}.selectedIndex = 1; {menu}.dispatchEvent(new Event('change'))")
+        browser.until(f"{plot}._fullData[10].visible === true")  # the next run, as a whole
+        assert browser.js(f"{plot}._fullData[0].visible") is False
+        assert browser.js(across) == pytest.approx(wide, abs=0.1)
         assert browser.complaints == []
         browser.picture(tmp_path / "page.png")

@@ -73,6 +73,13 @@ def test_verdict_comes_before_figures_and_text_is_escaped():
         assert what in page
 
 
+def test_a_column_is_aligned_as_a_whole():
+    rows = [["a", "7.75", "< 0.001", "mm", "2.1 (1 to 3)"], ["b", "–", "0.4", "–", "x: 3"]]
+    table = rp.Table(columns=["run", "f", "p", "unit", "size"], rows=rows)
+    assert table.numeric == {1, 2}
+    assert rp.Table(columns=["run", "f"], rows=[]).numeric == frozenset()
+
+
 def test_banner_is_on_top_and_at_the_end():
     page = rp.render(example(banner="VIRTUAL DATA, not measured"))
     assert page.count("VIRTUAL DATA") == 2

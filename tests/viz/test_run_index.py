@@ -66,6 +66,15 @@ def test_runs_are_told_by_their_files(runs):
     assert by_path["funnel"].progress == "3 evaluations so far"
 
 
+def test_a_built_site_is_one_run_and_not_a_run_for_each_folder(runs):
+    for name in ("index.html", "404.html", "guide.html", "images/beam.png"):
+        path = runs / "docs" / "0.1.0" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+    (site,) = (run for run in run_folders(runs) if run.path.startswith("docs"))
+    assert (site.path, site.kind, site.files) == ("docs/0.1.0", "site", ("index.html",))
+
+
 def test_the_page_escapes_what_files_say_and_links_what_there_is(runs):
     with served(runs, viewer="http://127.0.0.1:1") as base:
         page, _ = get(base + "/")

@@ -1,4 +1,5 @@
-// Charts wait as text until plotly is there: it comes along gzipped, a third of its size.
+// Charts wait as text until plotly is there: it comes along gzipped, a third of its size. Menus
+// of plotly become those of the page: long names fit, and keys choose.
 (async () => {
   const show = (text) => {
     for (const figure of document.querySelectorAll(".chart")) figure.append(text);
@@ -16,7 +17,29 @@
     place(script);
   };
   run(await new Response(stream).text(), (script) => document.head.append(script));
+
+  const menu = (plot, { name, buttons }) => {
+    const label = document.createElement("label"), select = document.createElement("select");
+    for (const { label: text } of buttons) select.append(new Option(text));
+    select.onchange = () => {
+      const axes = Object.keys(plot._fullLayout).filter((key) => /^[xy]axis\d*$/.test(key));
+      const whole = Object.fromEntries(axes.map((axis) => [`${axis}.autorange`, true]));
+      window.Plotly.update(plot, buttons[select.selectedIndex].args[0], whole); // no zoom of another
+    };
+    label.append(`${name}: `, select);
+    plot.closest(".chart").prepend(label);
+  };
+  const plotly = window.Plotly, draw = plotly.newPlot;
+  let drawn;
+  plotly.newPlot = (place, data, { updatemenus, ...layout }, config) => {
+    const plot = document.getElementById(place);
+    for (const given of updatemenus ?? []) menu(plot, given);
+    drawn = draw(plot, data, layout, config);
+    return drawn;
+  };
   for (const waiting of document.querySelectorAll('script[type="text/x-chart"]')) {
     run(waiting.textContent, (script) => waiting.replaceWith(script));
+    await drawn;
+    await new Promise((next) => setTimeout(next)); // the page stays at hand meanwhile
   }
 })();

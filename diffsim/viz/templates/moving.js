@@ -39,7 +39,7 @@
         triangles: part.triangles && (part.wide ? new Uint32Array(bytes(part.triangles).buffer)
           : new Uint16Array(bytes(part.triangles).buffer)),
         poses: part.poses && new Float32Array(bytes(part.poses).buffer),
-        shades: Array.from({ length: 33 }, (_, k) => shade(part.color, 0.35 + (0.75 * k) / 32)),
+        shades: Array.from({ length: 33 }, (_, k) => shade(part.color, 0.55 + (0.55 * k) / 32)),
       }));
       this.middle = data.low.map((v, k) => 0.5 * (v + data.high[k]));
       this.floor = data.low[2];

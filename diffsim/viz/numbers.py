@@ -1,0 +1,74 @@
+"""Numbers of pages as text: digits that matter, intervals whose ends can be told apart."""
+
+from __future__ import annotations
+
+import math
+
+DIGITS = 3  # of a number that stands alone
+MOST_DIGITS = 7  # of the ends of a narrow interval
+_PLAIN = 1e7  # numbers below it are written without an exponent
+
+
+def figure(value: float, digits: int = DIGITS) -> str:
+    """A number such as "2130", "0.0664", "1.66e-9"; a dash where there is none.
+
+    Args:
+        value: Any float.
+        digits: Digits that are kept; of 1e7 and more, and below 1e-4, with an exponent.
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0.0 else "-∞"
+    text = f"{value:.{digits}g}"
+    number = float(text)
+    if number == 0.0:
+        return "0"
+    if "e" not in text:
+        return text
+    if 1.0 <= abs(number) < _PLAIN:
+        return f"{number:.0f}"
+    mantissa, _, exponent = text.partition("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """A value with its interval, in as many digits as tell the ends apart."""
+    digits = digits_of(low, high)
+    ends = f"{figure(low, digits)} to {figure(high, digits)}"
+    return f"{figure(value, digits)} ({ends})"
+
+
+def with_sd(value: float, sd: float) -> str:
+    """A value with its standard deviation, in as many digits as the latter asks for."""
+    return f"{figure(value, digits_of(value - sd, value + sd))} ± {figure(sd)}"
+
+
+def digits_of(low: float, high: float) -> int:
+    """Digits in which the width of an interval is right to a tenth, ``DIGITS`` at least."""
+    width = high - low
+    if not math.isfinite(width) or width <= 0.0:
+        return DIGITS
+    for digits in range(DIGITS, MOST_DIGITS):
+        shown = float(f"{high:.{digits}g}") - float(f"{low:.{digits}g}")
+        if abs(shown - width) <= 0.1 * width:
+            return digits
+    return MOST_DIGITS
+
+
+def unit_of(unit: str) -> str:
+    """A unit as it is written after a number."""
+    return "" if unit == "-" else unit
+
+
+def signed(value: float) -> str:
+    """One decimal with its sign; zero has none."""
+    text = f"{value:+.1f}"
+    return "0" if float(text) == 0.0 else text
+
+
+def probability(value: float) -> str:
+    """A probability in two digits; one that is next to zero is not counted out."""
+    if math.isnan(value):
+        return "–"
+    return "< 0.001" if value < 1e-3 else f"{value:.2g}"

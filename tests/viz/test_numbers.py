@@ -1,0 +1,40 @@
+"""Numbers as text: no exponents where digits do, and ends of intervals that can be told apart."""
+
+import math
+
+import pytest
+
+from diffsim.viz.numbers import figure, probability, signed, with_interval, with_sd
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (2131.4, "2130"),
+        (5.74e5, "574000"),
+        (3.2e9, "3.2e9"),
+        (0.06643, "0.0664"),
+        (1.664e-9, "1.66e-9"),
+        (-0.0, "0"),
+        (math.nan, "–"),
+        (math.inf, "∞"),
+    ],
+)
+def test_three_digits_and_exponents_only_where_they_are_shorter(value, text):
+    assert figure(value) == text
+
+
+def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():
+    assert with_interval(0.10481, 0.104712, 0.104905) == "0.1048 (0.1047 to 0.1049)"
+    assert with_interval(0.021, 0.0193, 0.0227) == "0.021 (0.0193 to 0.0227)"
+    assert with_interval(2.0, 2.0, 2.0) == "2 (2 to 2)"
+
+
+def test_a_value_has_the_digits_of_its_standard_deviation():
+    assert with_sd(0.10482, 1e-4) == "0.1048 ± 0.0001"
+    assert with_sd(6e5, 4.8e5) == "600000 ± 480000"
+
+
+def test_zero_has_no_sign_and_no_probability_is_zero():
+    assert (signed(-0.04), signed(2.75), signed(-1.6)) == ("0", "+2.8", "-1.6")
+    assert (probability(6.6e-162), probability(0.0374)) == ("< 0.001", "0.037")
