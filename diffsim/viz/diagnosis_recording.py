@@ -22,7 +22,7 @@ def write_recording_of(report: Report, path: str | Path) -> Path:
     """Write the ``.rrd``; a tab per run, a plot per channel and one of the commands.
 
     Entities: ``RUN/CHANNEL/measured``, ``.../null``, and ``.../extended`` where effects were named;
-    ``RUN/command/NAME``.
+    ``RUN/command/NAME``, each part escaped.
 
     Raises:
         ImportError: rerun-sdk is not installed.
@@ -50,10 +50,10 @@ def _run(rr: Any, stream: Any, report: Report, run: Run) -> None:
     for i, channel in enumerate(report.study.channels):
         for label, (record, color) in curves.items():
             name = f"{label} [{channel.unit}]"
-            path = f"{run.name}/{channel.name}/{label}"
+            path = rr.new_entity_path([run.name, channel.name, label])
             _curve(rr, stream, path, run.time_s, record[:, i], name, color)
     for name, values in run.command.items():
-        path = f"{run.name}/command/{name}"
+        path = rr.new_entity_path([run.name, "command", name])
         _curve(rr, stream, path, run.time_s, values, name, COLORS["measured_2"])
 
 
@@ -72,13 +72,15 @@ def _curve(
 
 def _blueprint(report: Report, runs: Any) -> Any:
     """A tab per run; without it all curves of all runs would share one plot."""
+    import rerun as rr
     import rerun.blueprint as rrb
 
     tabs = []
     for run in runs:
         names = [*(c.name for c in report.study.channels), *(["command"] if run.command else [])]
-        views = [rrb.TimeSeriesView(origin=f"/{run.name}/{n}", name=n) for n in names]
-        label = f"{run.name} (held out)" if run.use == "test" else run.name
+        origins = {n: rr.new_entity_path([run.name, n]) for n in names}
+        views = [rrb.TimeSeriesView(origin=path, name=n) for n, path in origins.items()]
+        label = f"{run.name} (test)" if run.use == "test" else run.name
         tabs.append(rrb.Vertical(*views, name=label))
     note = rrb.TextDocumentView(origin="/note", name="verdict")
     return rrb.Blueprint(rrb.Tabs(note, *tabs), collapse_panels=True)
