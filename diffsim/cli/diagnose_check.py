@@ -13,10 +13,12 @@ import numpy as np
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
+from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.systems.instrument import PLAY_START
@@ -108,6 +110,8 @@ def problems_of(study: Study) -> list[Problem]:
     for first, second in cut_in_two(study):
         if BLOCK_OF in first.setup and BLOCK_OF in second.setup:
             continue  # pieces of two recordings, whose clocks happen to meet
+        if not _has_clock(study):
+            continue  # rows are counted over the whole file, whatever they hold
         found.append(
             Problem(
                 "warning",
@@ -118,6 +122,14 @@ def problems_of(study: Study) -> list[Problem]:
     if study.file is not None:
         found += header_units(study.file)
     return [*found, *_of_model(study)]
+
+
+def _has_clock(study: Study) -> bool:
+    """Whether a column of the files tells the time: a step alone numbers rows."""
+    if study.file is None:
+        return True
+    time = StudyFile.model_validate(read_yaml_file(study.file)).time
+    return time is None or time.column is not None or time.step is None
 
 
 def _of_model(study: Study) -> Iterator[Problem]:

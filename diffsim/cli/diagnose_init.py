@@ -12,6 +12,7 @@ import yaml
 
 from diffsim.cli.diagnose_inputs import described
 from diffsim.core.check import require_choice
+from diffsim.core.errors import Mistakes
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
@@ -67,9 +68,14 @@ def init(
     guess = guess_study(folder, parts)
     text = study_text(guess, folder, out, system)
     write_text_atomic(out, text)
-    study = load_study(out)
     for sentence in guess.said:
         print(f"guessed: {sentence}")
+    try:
+        study = load_study(out)
+    except ValueError as error:
+        raise Mistakes(
+            [f"{out} was written, but must be mended", *str(error).splitlines()]
+        ) from error
     print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
     print(f"still to be stated: the model, and {len(guess.todo)} more; see {TODO} in the file, or")
     print(f"    diffsim diagnose check {out}")

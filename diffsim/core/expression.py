@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -175,6 +176,8 @@ def parse_expression(text: str | float, known: Iterable[str] | None = None) -> E
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         at = f" at column {error.offset}" if isinstance(error, SyntaxError) else ""
         why = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
+        if re.search(r"(?<![<>=!])=(?!=)", text):
+            why = f"{why}; write what is right of the = alone"
         raise ValueError(f"formula {text!r} cannot be read{at}: {why}") from None
     parser = _Parser(text, None if known is None else tuple(known))
     root = parser.node(tree, 0)

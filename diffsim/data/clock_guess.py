@@ -15,6 +15,14 @@ from diffsim.data.study_check import LATE
 from diffsim.data.table_guess import Column, Layout
 
 TIME = re.compile(r"^(t|time|timestamp|stamp|zeit|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I)
+#: What people call a clock by its unit alone.
+_UNITS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunden"), "s"),
+    **dict.fromkeys(("ms", "millis", "msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "micros", "usec", "microseconds"), "us"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"),
+}
 COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
 _TRIAL = re.compile(
     r"^(run|trial|test|sweep|pass|series|cycle|rep|repeat|repetition|experiment|exp|throw|toss|"
@@ -39,11 +47,13 @@ def guess_clock(
     Returns:
         Keys of ``time``, the column, and what the user must say.
     """
-    for column in layout.columns:
-        if TIME.match(column.base):
-            if not tables[0].is_number[column.name]:
+    named = [c for c in layout.columns if TIME.match(c.base) and _may_be_time(c)]
+    for column in (*named, *(c for c in layout.columns if c.name and c not in named)):
+        if not tables[0].is_number[column.name]:
+            if column in named or _tells_time(column, tables[0]):
                 said.append(f"clock: column {column.name}, as times of day or dates")
                 return {"column": column.name, "unit": "clock"}, column, []
+        elif column in named or (unit_of_clock(column.base) and _grows(column, tables)):
             return _numeric_time(column, tables, said)
     for column in layout.columns:
         if column.name and tables[0].is_number[column.name] and not COUNTER.match(column.base):
@@ -59,6 +69,25 @@ def guess_clock(
             return {"column": column.name, "step": 0.01}, column, todo
     said.append("clock: no column looks like one; rows are 0.01 s apart until you say otherwise")
     return {"step": 0.01}, None, ["time.step: seconds between two rows"]
+
+
+def _may_be_time(column: Column) -> bool:
+    """Whether the unit of a column is one of time, or is not stated: T_wall [degC] is no clock."""
+    return column.unit in (None, "-") or to_si(column.unit).unit == "s"
+
+
+def _tells_time(column: Column, table: Table) -> bool:
+    """Whether a column of text holds times of day or dates that move on."""
+    try:
+        seconds = table.seconds(column.name, None, None)
+    except ValueError:
+        return False
+    return len(seconds) > 1 and bool(seconds[-1] > seconds[0])
+
+
+def unit_of_clock(header: str) -> str | None:
+    """Unit of a clock whose header is its unit, such as ``min``; None: it says none."""
+    return _UNITS.get(header.strip().lower())
 
 
 def is_late(time: dict[str, Any], clock: Column | None, tables: Sequence[Table]) -> bool:
@@ -102,12 +131,18 @@ def _numeric_time(
 ) -> tuple[dict[str, Any], Column, list[str]]:
     step = float(np.nanmedian(np.abs(np.diff(tables[0].numbers(column.name)))))
     unit, todo = column.unit, []
+    if unit is None:
+        unit = unit_of_clock(column.base)
     if unit is None or (unit != "-" and to_si(unit).unit != "s") or unit == "-":
         # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
         unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
         todo = [f"time.unit: column {column.name} states none; {unit} is a guess by its steps"]
     said.append(f"clock: column {column.name} in {unit}, steps of {step:.4g} {unit}")
     return {"column": column.name, "unit": unit}, column, todo
+
+
+def _grows(column: Column, tables: Sequence[Table]) -> bool:
+    return bool((np.diff(tables[0].numbers(column.name)) > 0.0).all())
 
 
 def _counts(column: Column, tables: Sequence[Table]) -> bool:

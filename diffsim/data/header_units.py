@@ -8,12 +8,13 @@ from pathlib import Path
 
 from diffsim.core.units import factor, to_si
 from diffsim.core.yaml_text import read_yaml_file
+from diffsim.data.clock_guess import COUNTER, unit_of_clock
 from diffsim.data.study_check import Problem
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 from diffsim.data.table_guess import column_of
 
 #: What people write for a quantity that it is not the unit of: thrust stands weigh in g.
-_LOOSE = {("g", "gf"), ("kg", "kgf"), ("counts", "-")}
+_LOOSE = {("g", "gf"), ("kg", "kgf"), ("counts", "-"), ("1/min", "rpm"), ("min^-1", "rpm")}
 _FORCE = re.compile(r"thrust|force|kraft|schub|schubkraft|poussee", re.I)
 
 
@@ -27,6 +28,10 @@ def header_units(path: Path) -> Iterator[Problem]:
     for clock in stated.time:
         if clock.column and clock.step is None:
             yield from _told("time", clock.column, clock.unit)
+            is_counter = COUNTER.match(column_of(clock.column).base) is not None
+            if is_counter and "unit" not in clock.model_fields_set:
+                said = f"column {clock.column} counts rows; give step, the seconds for each count"
+                yield Problem("warning", "time", said)
     for what, entries in (("channel", stated.channels), ("command", stated.commands)):
         for entry in entries:
             if entry.unit is not None and _as_it_stands(entry):
@@ -42,10 +47,10 @@ def _as_it_stands(entry: ChannelEntry | CommandEntry) -> bool:
 
 def _told(where: str, column: str, unit: str) -> Iterator[Problem]:
     header = column_of(column)
-    said = header.unit
-    if said is None or not header.is_said or "clock" in (said, unit):
+    said = header.unit or (unit_of_clock(column) if where == "time" else None)
+    if said is None or "clock" in (said, unit) or (said, unit) in _LOOSE or _same(said, unit):
         return
-    if (said, unit) in _LOOSE or _same(said, unit):
+    if not header.is_said and not _alike(said, unit):  # x_s may be the x of a slave
         return
     message = f"the header {column!r} says {said}, the study says unit: {unit}; which is right?"
     yield Problem("warning", where, message)
@@ -55,6 +60,11 @@ def _same(one: str, other: str) -> bool:
     if "-" in (one, other):
         return one == other
     try:
-        return abs(factor(one, other) - 1.0) < 1e-9
+        shifted = to_si(one).offset - to_si(other).offset
+        return abs(factor(one, other) - 1.0) < 1e-9 and shifted == 0.0
     except ValueError:  # units of different quantities
         return False
+
+
+def _alike(one: str, other: str) -> bool:
+    return to_si(one).unit == to_si(other).unit

@@ -51,7 +51,7 @@ def check_study(study: Study) -> list[Problem]:
     problems = [*_check_plan(study), *_check_channels(study)]
     for run in study.runs:
         problems += _check_run(run, study)
-    problems += _check_groups(study)
+    problems += [*_check_groups(study), *_copies(study)]
     return sorted(problems, key=lambda p: p.severity != "error")
 
 
@@ -229,6 +229,10 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             yield Problem(
                 "warning", where, f"{channel.name} is missing in {missing:.0%} of samples"
             )
+        elif missing == 1.0:
+            yield Problem(
+                "note", where, f"{channel.name} was not recorded: all its cells are empty"
+            )
         if missing < 1.0 and n >= MIN_SAMPLES and np.nanmin(values) == np.nanmax(values):
             yield Problem("warning", where, f"{channel.name} never changes; is the sensor stuck?")
     for name, values in run.command.items():
@@ -237,8 +241,9 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
                 "error", where, f"command {name} must have shape ({n},), got {values.shape}"
             )
         elif not np.isfinite(values).all():
-            share = float((~np.isfinite(values)).mean())
-            yield Problem("warning", where, f"command {name} is unknown in {share:.0%} of samples")
+            unknown = int((~np.isfinite(values)).sum())
+            share = f"{unknown / n:.0%}" if unknown >= 0.005 * n else f"{unknown} of {n}"
+            yield Problem("warning", where, f"command {name} is unknown in {share} of samples")
 
 
 def _check_clock(run: Run, where: str) -> Iterator[Problem]:
@@ -268,6 +273,26 @@ def _check_clock(run: Run, where: str) -> Iterator[Problem]:
             f"{int(long.sum())} gaps in the clock, the first after {run.time_s[at]:g} s "
             f"({step[at]:g} s against {np.median(step):g} s)",
         )
+
+
+def _copies(study: Study) -> Iterator[Problem]:
+    """Runs of one use that hold the same samples: a copy repeats nothing, noise included.
+
+    Runs of different uses are compared elsewhere, stretch by stretch.
+    """
+    first: dict[tuple[str, bytes], Run] = {}
+    for run in study.runs:
+        seen = run.measured[np.isfinite(run.measured)]
+        if len(seen) < MIN_SAMPLES or np.ptp(seen) == 0.0:
+            continue
+        other = first.setdefault((run.use, run.measured.tobytes()), run)
+        if other is not run:
+            yield Problem(
+                "error",
+                f"run {run.name}",
+                f"it is a copy of run {other.name}: all samples are equal to the digit; "
+                "mend its file, or leave it out",
+            )
 
 
 def _check_groups(study: Study) -> Iterator[Problem]:

@@ -19,7 +19,7 @@ _BRACKETS = re.compile(r"^(.*?)\s*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
 _AFTER = re.compile(r"^(.*\S)\s+(?:/|in)\s+(\S+)$")
 _SLASH = re.compile(r"^([^\s/]+)/(\S+)$")  # t/min, F/N, as ISO 80000 has it
 _LAST = re.compile(r"^(.*\S)\s+(%|\S{2,})$")  # Throttle %, gyro deg/s
-#: Endings of names that are units, longest first; some only after a word that speaks of them.
+#: Endings of names that are units; some only after a word that speaks of them.
 _ENDINGS = {
     "rad_s2": "rad/s^2", "m_s2": "m/s^2", "mm_s2": "mm/s^2", "m3_s": "m^3/s", "m2_s": "m^2/s",
     "rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "mm_s": "mm/s", "cm_s": "cm/s",
@@ -27,9 +27,13 @@ _ENDINGS = {
     "Nm": "N m", "mm": "mm", "cm": "cm", "um": "um", "km": "km", "m": "m", "ms": "ms", "us": "us",
     "s": "s", "min": "min", "mN": "mN", "kN": "kN", "N": "N", "MPa": "MPa", "kPa": "kPa",
     "hPa": "hPa", "Pa": "Pa", "mbar": "mbar", "bar": "bar", "psi": "psi", "mrad": "mrad",
-    "rad": "rad", "deg": "deg", "rpm": "rpm", "dps": "deg/s", "pct": "%", "kHz": "kHz", "Hz": "Hz", "mV": "mV", "V": "V",
-    "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml", "degC": "degC", "percent": "%",
+    "rad": "rad", "deg": "deg", "rpm": "rpm", "dps": "deg/s", "pct": "%", "kHz": "kHz", "Hz": "Hz",
+    "mV": "mV", "V": "V", "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml",
+    "degC": "degC", "percent": "%", "mps2": "m/s^2", "mps": "m/s", "kmh": "km/h", "kph": "km/h", "degps": "deg/s",
+    "mV_V": "mV/V", "km_h": "km/h", "uL_min": "uL/min", "mL_min": "mL/min", "L_min": "L/min",
 }  # fmt: skip
+_LISTED = sorted(_ENDINGS, key=len, reverse=True)
+_WORDS = ("min", "s", "m")  # beside a unit: least, a letter
 _ENDINGS_AFTER = {
     "A": ("A", r"cur|amp|(^|_)i_?\d*$"),
     "C": ("degC", r"temp"),
@@ -116,15 +120,23 @@ def column_of(name: str, unit_cell: str = "") -> Column:
         match = pattern.match(name)
         if match and _is_unit(match.group(2) or "-"):
             return Column(name, _word(match.group(1)), match.group(2) or "-", True)
-    for ending, unit in _ENDINGS.items():
+    for ending in _LISTED:
         if name.endswith(f"_{ending}"):
-            return Column(name, _word(name[: -len(ending) - 1]), unit, False)
+            base = name[: -len(ending) - 1]
+            before = base.rpartition("_")[2]
+            if "_" not in ending and before != base and _is_ending(before):
+                break  # stiff_N_mm: neither mm nor surely N/mm
+            return Column(name, _word(base), _ENDINGS[ending], False)
     for ending, (unit, after) in _ENDINGS_AFTER.items():
         base = name.removesuffix(f"_{ending}")
         if base != name and re.search(after, base, re.IGNORECASE):
             return Column(name, _word(base), unit, False)
     is_speed = re.fullmatch(r"rpm_?\d*", name, re.IGNORECASE)  # of the first motor: rpm1
     return Column(name, _word(name), "rpm" if is_speed else None, False)
+
+
+def _is_ending(word: str) -> bool:
+    return word in _ENDINGS and word not in _WORDS
 
 
 def tables_in(folder: Path) -> list[Path]:

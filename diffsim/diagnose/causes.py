@@ -199,6 +199,7 @@ def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
         gain=gains.get(i),
         note=effect.form,
         shown_unit=effect.shown_unit,
+        shown_times=effect.shown_times,
     )
     if about is None or decision.verdict == "unrepeatable":
         why = "repeats differ more than the noise" if about else "numerical settings come first"

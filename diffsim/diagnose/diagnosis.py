@@ -43,6 +43,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.stability import runs_away
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -93,7 +94,7 @@ def diagnose(
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))
     case.progress("null fit", 0.0, "the model without effects")
-    case, once = begun(case)
+    case, once = begun(_with_own_step(case))
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")
     null, checks, simulations = _checked(null, gates, cache, started, once)
@@ -116,6 +117,16 @@ def diagnose(
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once
     return tested(frozen, study, seed)
+
+
+def _with_own_step(case: Case) -> Case:
+    """The case with its model's own time step, where the longer one of a first look runs away."""
+    if case.numerics is None or case.settings.first_step == 1.0:
+        return case
+    if not runs_away(case.model, case.study.fit_runs[:1], case.numerics):
+        return case
+    own = Numerics(time_step=1.0 / case.settings.first_step)
+    return replace(case, numerics=case.numerics.refined(own))
 
 
 def search_rounds(null: Null, simulations: Simulations) -> Search:

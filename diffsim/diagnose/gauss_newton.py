@@ -125,7 +125,9 @@ class _Iterate:
         except DiffsimError:  # too far to be simulated
             return shorter, False
         r = whitened(self.problem, measured_of(self.problem) - record)
-        if float(r @ r + x @ x) >= self.cost:
+        with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
+            cost = float(r @ r + x @ x)
+        if not cost < self.cost:
             return shorter, False
         after = self._updated(x, step, record, r)
         if after.at.slope_error - self.at.slope_error > REFRESH_RTOL:

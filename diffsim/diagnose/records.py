@@ -66,6 +66,7 @@ class CauseRow:
         factor: How many times wider the interval is than noise alone would make it.
         note: What else is to be said, in a sentence.
         shown_unit: Unit in which a user reads the size; None: ``unit``.
+        shown_times: What a size is multiplied by to be read in it; None: as the units say.
     """
 
     name: str
@@ -82,12 +83,13 @@ class CauseRow:
     factor: float = 1.0
     note: str = ""
     shown_unit: str | None = None
+    shown_times: float | None = None
 
     def as_read(self) -> CauseRow:
         """The same with sizes in the unit in which a user reads them."""
         if self.shown_unit is None:
             return self
-        times = factor(self.unit, self.shown_unit)
+        times = self.shown_times or factor(self.unit, self.shown_unit)
         size = {
             c: replace(s, value=times * s.value, low=times * s.low, high=times * s.high)
             for c, s in self.size.items()

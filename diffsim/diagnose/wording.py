@@ -16,6 +16,7 @@ from diffsim.diagnose.records import (
     CERTAIN,
     DATA_SHEET,
     LIKELY,
+    WRONG_SHEET,
     CauseRow,
     ErrorRow,
 )
@@ -77,10 +78,12 @@ def _first(answer: Answer) -> str:
     if answer.verdict == "named":
         return f"The model lacks {_sizes(sure)}."
     if answer.verdict == "ambiguous":
-        return (
-            f"The data ask for {_sizes(_members(answer))}, but cannot tell it from "
-            f"{_sets(answer, answer.rivals)}."
-        )
+        asked = f"The data ask for {_sizes(_members(answer))}"
+        if not answer.rivals:
+            return f"{asked}, but not so clearly that it is certain."
+        forms = answer.decision.forms.values()
+        nothing = "a wrong data sheet" if any(f.startswith(WRONG_SHEET) for f in forms) else "none"
+        return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
     if answer.verdict == "unknown":
         text = "Something real and repeatable is missing that the library does not hold"
         if helping:
@@ -149,10 +152,16 @@ def _scatter(noise: NoiseFloor, gates: Sequence[GateResult]) -> str:
     return f"in {worst.name.removeprefix(REPEATS)} {worst.value:.2g} times as much as was stated"
 
 
-def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]]) -> str:
-    """The nearest rival sets in words, and how many more there are."""
+def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "none") -> str:
+    """The nearest rival sets in words, and how many more there are.
+
+    Args:
+        answer: What the page says.
+        rivals: Sets of names.
+        nothing: What a set without a cause is called.
+    """
     words = [[plain_name(answer, name) for name in names] for names in rivals[:MAX_RIVALS]]
-    shown = " or ".join(" with ".join(names) for names in words)
+    shown = " or ".join(" with ".join(names) or nothing for names in words)
     more = len(rivals) - MAX_RIVALS
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
 

@@ -82,6 +82,7 @@ class Effect:
             always.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
         shown_unit: Unit in which a user reads the size, such as "mm"; None: ``unit``.
+        shown_times: What a size is multiplied by to be read in it; None: as the units say.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Effect:
     locate: Locator | None = None
     needs: Needs = needs_nothing
     shown_unit: str | None = None
+    shown_times: float | None = None
 
     def __post_init__(self) -> None:
         require_choice(f"effect {self.name}: kind", self.kind, KINDS)

@@ -394,6 +394,6 @@ def _finite(predicted: Array, run: Run) -> Array:
         bad = int((~np.isfinite(flat)).sum())
         raise PredictionError(
             f"the prediction of run {run.name} has {bad} NaN or infinite entries; narrow the "
-            "priors or bounds of the parameters, or mend the scene"
+            "priors or bounds of the parameters, shorten the time step, or mend the scene"
         )
     return flat

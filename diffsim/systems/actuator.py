@@ -181,7 +181,7 @@ ACTUATOR: tuple[Effect, ...] = (LAG, DEAD_BAND, BACKLASH, SATURATION)
 
 
 def in_words(effect: Effect, unit: str, shown: str | None = None) -> Effect:
-    """A cause that says its size in the command's unit, if it is a limit of the rate or a slack.
+    """A cause that says its size in the command's unit, where it has that of the command.
 
     Args:
         effect: One of this file's.
@@ -189,6 +189,8 @@ def in_words(effect: Effect, unit: str, shown: str | None = None) -> Effect:
         shown: Unit in which a user reads it; None: ``unit``.
     """
     times = 1.0 if shown is None else factor(unit, shown)
+    if effect.unit == "command" and (shown or unit) != "-":
+        effect = replace(effect, shown_unit=shown or unit, shown_times=times)
     said = shown or unit.replace("-", "of the command")
     limit = "speed" if unit in ("m", "rad", "-") else "rate"
     if effect.name == "rate_limit":

@@ -34,6 +34,18 @@ def looks_held(runs: Iterable[Run], commands: Sequence[str]) -> bool:
     return bool(alone >= ISOLATED * changes)
 
 
+def moves_on(runs: Iterable[Run], commands: Sequence[str]) -> bool:
+    """Whether some run has a command that changes all the time: it shows no holding.
+
+    Args:
+        runs: Runs of a study; those to fit or to select by are looked at.
+        commands: Names of the commands.
+    """
+    seen = [run.command for run in runs if run.use in ("fit", "select")]
+    columns = [np.asarray(c[name]) for c in seen for name in commands if name in c]
+    return any(len(c) >= FEWEST and np.mean(np.diff(c) != 0.0) > RESTS for c in columns)
+
+
 def _changes(column: NDArray[np.float64]) -> tuple[int, int]:
     """Number of changes of a column that rests, and how many of them stand alone."""
     if len(column) < FEWEST:

@@ -266,6 +266,36 @@ def test_a_channel_with_marks_of_missing_values_is_a_channel(tmp_path):
     assert "column: tip_mm" in (tmp_path / "study.yaml").read_text()
 
 
+def test_minutes_are_a_clock_and_a_wall_temperature_is_none(tmp_path):
+    wall = 20.0 + np.arange(60) + noisy(1)
+    heater = np.where(T > 300.0, 80.0, 20.0)
+    write(tmp_path / "a.csv", "T_wall [°C],heater [%],min", [wall, heater, T / 60.0])
+    assert init(tmp_path) == 0
+    text = (tmp_path / "study.yaml").read_text()
+    assert "time: {column: min, unit: min}" in text
+    study = load_study(tmp_path)
+    assert [c.name for c in study.channels] == ["T_wall"]
+
+
+def test_a_column_of_dates_is_a_clock_before_a_counter(tmp_path):
+    dates = [f"2026-03-01 09:{k // 30:02d}:{2 * k % 60:02d}" for k in range(60)]
+    number = np.arange(60.0)
+    write(tmp_path / "a.csv", "No.,Date,x (mm)", [number, dates, noisy(1)])
+    assert init(tmp_path) == 0
+    assert "time: {column: Date, unit: clock}" in (tmp_path / "study.yaml").read_text()
+
+
+def test_a_file_that_goes_back_in_time_is_told_line_by_line(tmp_path, capsys):
+    back = np.where(T == 300.0, 0.0, T)
+    for name in "ab":
+        write(tmp_path / f"{name}.csv", "t (s),x (mm)", [back, noisy(1)])
+    assert init(tmp_path) == 2
+    told = capsys.readouterr()
+    assert "study.yaml was written, but must be mended" in told.err
+    rows = [line for line in told.err.splitlines() if "time must increase" in line]
+    assert [row.strip()[-200:].count("row 32") for row in rows] == [1, 1]
+
+
 @pytest.mark.parametrize(
     "header, unit",
     [
@@ -276,6 +306,11 @@ def test_a_channel_with_marks_of_missing_values_is_a_channel(tmp_path):
         ("gyro_x_dps", "deg/s"),
         ("pwm1_pct", "%"),
         ("cart/x", None),
+        ("AccLat_mps2", "m/s^2"),
+        ("Speed_kmh", "km/h"),
+        ("out_mV_V", "mV/V"),
+        ("stiffness_N_mm", None),
+        ("F_min_N", "N"),
     ],
 )
 def test_units_as_headers_write_them(header, unit):

@@ -97,6 +97,21 @@ ERRORS = {
         {"own": [{"name": "magnet", "adds_to": "omega", "term": "9 + size", "typical": 1}]},
         "model.effects.own magnet: it acts although its size is 0",
     ),
+    "a channel in a rate": (
+        "model.rates.omega",
+        "(kp*(Soll - Ist) - kd*omega)/J",
+        "Ist is a channel: write what its reading is made of",
+    ),
+    "an equation for a formula": (
+        "model.rates.omega",
+        "d_omega = -kp*theta/J",
+        "write what is right of the = alone",
+    ),
+    "a copy for a repeat": (
+        "runs.1",
+        {"name": "b", "file": "a.csv", "repeat_of": "a"},
+        "run b: it is a copy of run a",
+    ),
     "a key at another level": ("parameters", {"J": 1}, "study.yaml: no key 'parameters' here"),
 }
 
@@ -126,6 +141,72 @@ def test_a_doubt_is_a_warning(folder, capsys, mistake):
     at, value, message = WARNINGS[mistake]
     _, said = told(folder, capsys, at, value)
     assert message in said, said
+
+
+def _with_header(folder: Path, old: str, new: str) -> None:
+    for file in folder.glob("*.csv"):
+        text = file.read_bytes().decode("cp1252")
+        file.write_bytes(text.replace(old, new, 1).encode("cp1252"))
+
+
+HEADERS = {
+    "kelvins for degrees Celsius": ("Ist [°C]", "K", "says °C, the study says unit: K"),
+    "radians for an ending in degrees": ("Ist_deg", "rad", "says deg, the study says unit: rad"),
+    "minutes for seconds": (None, None, "the header 'min' says min, the study says unit: s"),
+    "a letter that is no unit": ("Ist_m", "deg", None),
+    "revolutions of engineers": ("Ist [1/min]", "rpm", None),
+}
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_units_of_headers_are_held_against_the_study(folder, capsys, case):
+    header, unit, message = HEADERS[case]
+    if header is None:
+        _with_header(folder, "Zeit [ms]", "min")
+        _, said = told(folder, capsys, "time", {"column": "min", "unit": "s"})
+    else:
+        _with_header(folder, "Ist [°]", header)
+        channel = {"name": "Ist", "column": header, "unit": unit, "sd": 0.1}
+        _, said = told(folder, capsys, "channels.0", channel)
+    assert (message in said) if message else "which is right" not in said, said
+
+
+def test_a_counter_for_a_clock_is_told(folder, capsys):
+    for file in folder.glob("*.csv"):
+        head, *rows = file.read_bytes().decode("cp1252").splitlines()
+        counted = [f"No.;{head}", *(f"{i};{row}" for i, row in enumerate(rows))]
+        file.write_bytes("\n".join(counted).encode("cp1252"))
+    _, said = told(folder, capsys, "time", {"column": "No."})
+    assert "warning: time: column No. counts rows; give step" in said, said
+
+
+def test_rows_without_a_clock_go_on_nowhere(folder, capsys):
+    study = {**copy.deepcopy(BASE), "time": {"step": 0.01}}
+    rows = [f.read_bytes().decode("cp1252").splitlines() for f in sorted(folder.glob("?.csv"))]
+    lines = [f"trial;{rows[0][0]}"]
+    for trial, table in zip("abc", rows, strict=True):
+        lines += [f"{trial};{row}" for row in table[1:]]
+    (folder / "all.csv").write_bytes("\n".join(lines).encode("cp1252"))
+    study["runs"] = [
+        {"name": "{trial}", "file": "all.csv", "split": "trial", "use": {"test": ["c"]}}
+    ]
+    (folder / "study.yaml").write_text(yaml.safe_dump(study, allow_unicode=True), encoding="utf-8")
+    cli.main(["diagnose", "check", str(folder)])
+    said = capsys.readouterr()
+    assert "it goes on where run" not in said.out + said.err
+
+
+def test_a_channel_that_a_run_lacks_altogether_is_told(folder, capsys):
+    rows = (folder / "b.csv").read_bytes().decode("cp1252").splitlines()
+    empty = [rows[0], *(row.rpartition(";")[0] + ";" for row in rows[1:])]
+    (folder / "b.csv").write_bytes("\n".join(empty).encode("cp1252"))
+    study = copy.deepcopy(BASE)
+    study["channels"].append({"name": "Soll_2", "column": "Soll [°]", "unit": "deg", "sd": 0.1})
+    study["model"]["readings"]["Soll_2"] = "Soll"
+    (folder / "study.yaml").write_text(yaml.safe_dump(study, allow_unicode=True), encoding="utf-8")
+    cli.main(["diagnose", "check", str(folder)])
+    said = capsys.readouterr()
+    assert "run b: Ist was not recorded: all its cells are empty" in said.out + said.err
 
 
 def test_a_clock_since_1970_is_told_and_shown_in_full(folder, capsys):

@@ -152,7 +152,8 @@ def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
     file = path if path.is_file() else path / "study.yaml"
     assert cli.main(["diagnose", "check", str(file)]) == 0
     assert "ready for a diagnosis" in capsys.readouterr().out
-    nothing_fitted = replace(study, runs=study.test_runs)
+    only_choosing = tuple(replace(run, use="select") for run in study.test_runs)
+    nothing_fitted = replace(study, runs=only_choosing)
     path = save_study(nothing_fitted, tmp_path / "bad")
     file = path if path.is_file() else path / "study.yaml"
     assert cli.main(["diagnose", "check", str(file)]) == 2

@@ -16,8 +16,10 @@ from diffsim.diagnose.causes import certain_of
 from diffsim.diagnose.data_sheet import _pulled_together, base_rows, pull_limit, words_of
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.headline import _on_unseen, headline
+from diffsim.diagnose.judge import Decision
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
+from diffsim.diagnose.wording import _first, _sets
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from diffsim.identify.model import Parameter
 from tests.diagnose import linear
@@ -188,6 +190,23 @@ def test_a_cause_may_say_its_size_in_words():
     report = diagnosed({PUSH: 1.0}, (limit,))
     # the shapes of a linear effect go by the name that it was made with
     assert report.headline.startswith("A speed limit near 1 m/s is missing.")
+
+
+def test_a_rival_without_a_cause_has_a_name():
+    """A stranger read "cannot tell it from  or meter_gain_2", and "cannot tell it from ."."""
+    assert _sets([(), ("other",)], "a wrong data sheet") == "a wrong data sheet or other"
+    report = diagnosed({PUSH: 1.0}, (PUSH,))
+    decision = Decision("ambiguous", frozenset((0,)), (), None, 0.7)
+    answer = Answer("ambiguous", decision, report.causes, (), (), None, best_names=(PUSH.name,))
+    assert _first(answer).endswith("but not so clearly that it is certain.")
+
+
+def test_a_size_in_a_unit_of_its_own_is_read_in_it():
+    report = diagnosed({PUSH: 1.0}, (replace(PUSH, shown_unit="%", shown_times=100.0),))
+    row = next(r for r in report.causes if r.name == PUSH.name)
+    read = row.as_read()
+    assert read.unit == "%"
+    assert read.size["size"].value == pytest.approx(100.0 * row.size["size"].value)
 
 
 def test_a_headline_counts_the_causes_that_it_says():

@@ -61,6 +61,10 @@ def found(study):
 HIDDEN = {
     "exponent_of_thrust": (0.12, lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12),
     "hysteresis_of_thrust": (0.03, lambda w: 1e-5 * w**2 * (1.0 + 0.03 * WAY)),
+    "hysteresis_loop_of_thrust": (
+        0.02,
+        lambda w: 1e-5 * w**2 - 0.02 * 8.1 * WAY * (w - 100.0) * (900.0 - w) / 4e2**2,
+    ),
     "run_drift_of_thrust": (
         -0.04,
         lambda w: 1e-5 * w**2 * (1.0 - 0.04 * np.linspace(0.0, 1.0, len(w))),
@@ -71,11 +75,20 @@ HIDDEN = {
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_bent_law_is_named_with_its_size(name):
     size, law = HIDDEN[name]
-    report = found(bench(law))
+    model = copy.deepcopy(MODEL)
+    model["laws"][0]["sweeps"] = "hysteresis" in name
+    report = found(bench(law, model=model))
     assert (report.verdict, report.named) == ("named", (name,))
     for label in "ABC":
         own = report.best.values[f"{name}.all"] + report.best.values[f"{name}.[propeller={label}]"]
         assert own == pytest.approx(size, abs=0.014)
+
+
+def test_a_drift_over_an_even_sweep_is_not_told_from_a_loop():
+    report = found(bench(HIDDEN["run_drift_of_thrust"][1]))
+    assert report.verdict == "ambiguous"
+    told = {c.name for c in report.causes if c.status in ("likely", "cannot be told from")}
+    assert {"hysteresis_loop_of_thrust", "run_drift_of_thrust"} <= told
 
 
 def test_nothing_is_named_where_the_law_is_right():

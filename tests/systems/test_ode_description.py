@@ -10,9 +10,12 @@ import torch
 import yaml
 from scipy.integrate import solve_ivp
 
-from diffsim.data.study import Run
+from diffsim.data.study import Command, Run
 from diffsim.diagnose import diagnose
+from diffsim.diagnose.diagnosis import _with_own_step
+from diffsim.diagnose.fit import Case
 from diffsim.identify import Numerics, Problem, WhiteNoise
+from diffsim.identify.stability import runs_away
 from diffsim.systems.holding import looks_held
 from diffsim.systems.registry import description_of, load_extended, setup_of
 from tests.systems.toy_cart import TIME, cart_study, described
@@ -186,6 +189,99 @@ def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one():
     report = found(held_cart())
     assert report.named == ("held_between_samples",)
     assert report.best.values["held_between_samples"] == pytest.approx(1.0, abs=0.05)
+
+
+def stepped_and_swept(**changed):
+    """A cart pushed by steps in two runs, and by a force that changes all the time in a third."""
+    study = held_cart()
+    t = study.runs[0].time_s
+    steps = np.where(t % 1.0 < 0.5, 6.0, -4.0)
+    runs = tuple(
+        replace(r, command={"force": steps * gain}, use="fit") if gain else replace(r, use="fit")
+        for r, gain in zip(study.runs, (1.0, 0.5, 0.0), strict=True)
+    )
+    return replace(study, runs=runs, model=described(inputs=["force"], time_step=0.01, **changed))
+
+
+def test_where_a_run_does_not_show_that_it_is_held_straight_lines_are_a_cause():
+    study = stepped_and_swept()
+    (note,) = description_of(study).problems(study)
+    assert "straight_between_samples" in note.message
+    made = setup_of(study)
+    model = {**study.model, "inputs": [{"name": "force", "held": False}]}
+    straight = setup_of(replace(study, model=model)).model
+    cause = effect(made, "straight_between_samples")
+    run, q = study.runs[2], made.model.at_prior()
+    size = torch.ones(1, dtype=torch.float64)
+    moved, true = made.model.predict(run, q, {cause: size}), straight.predict(run, q)
+    torch.testing.assert_close(moved, true, rtol=0, atol=1e-12)
+    assert float((made.model.predict(run, q) - true).abs().max()) > 1e-3
+
+
+def test_a_share_of_what_is_between_samples_has_a_slope_on_both_sides_of_all_of_it():
+    study = stepped_and_swept()
+    made = setup_of(study)
+    cause, q = effect(made, "straight_between_samples"), made.model.at_prior()
+    at = [
+        made.model.predict(study.runs[2], q, {cause: torch.tensor([s], dtype=torch.float64)})
+        for s in (0.9, 1.0, 1.1)
+    ]
+    torch.testing.assert_close(at[2] - at[1], at[1] - at[0], rtol=1e-6, atol=1e-9)
+
+
+WINDING = {
+    "parameters": {"resistance": {"value": 2.0, "percent": 5}, "inductance": 1.6e-3},
+    "inputs": [{"name": "force", "held": True}],
+    "define": {},
+    "states": {"i": 0},
+    "rates": {"i": "(force - resistance*i)/inductance"},
+    "readings": {"position_m": "i"},
+    "places": [],
+    "effects": {"only": ["command_offset"]},
+}
+
+
+def winding(**changed):
+    """A current that settles within 0.8 ms, recorded each 10 ms."""
+    runs = tuple(
+        replace(
+            r, measured=0.5 * r.command["force"][:, None] + 1e-3 * np.cos(7e3 * r.time_s)[:, None]
+        )
+        for r in PLAIN.runs
+    )
+    return replace(PLAIN, runs=runs, model={"system": "ode", **WINDING, **changed})
+
+
+def test_equations_too_fast_for_the_samples_are_stepped_more_often():
+    study = winding()
+    (note,) = description_of(study).problems(study)
+    assert note.severity == "note" and "time_step" in note.where
+    made = setup_of(study).model
+    run = study.runs[0]
+    predicted = made.predict(run, made.at_prior())
+    assert bool(torch.isfinite(predicted).all())
+    assert made.frame["steps_per_sample"] >= 8
+    frozen = setup_of(replace(study, frame=made.frame)).model
+    torch.testing.assert_close(frozen.predict(run, frozen.at_prior()), predicted)
+
+
+def test_a_first_look_keeps_a_step_whose_double_is_unstable():
+    study = winding(time_step=0.002)  # 2.5 time constants, of at most 2.8
+    s = setup_of(study)
+    assert not runs_away(s.model, study.fit_runs)
+    assert runs_away(s.model, study.fit_runs, Numerics(time_step=2.0))
+    settings = replace(s.settings, first_step=2.0)
+    case = Case(study, s.model, (), (), settings, numerics=Numerics(time_step=2.0))
+    assert _with_own_step(case).numerics == Numerics()
+    calm = replace(case, study=PLAIN, model=setup_of(PLAIN).model)
+    assert _with_own_step(calm) is calm
+
+
+def test_a_command_in_percent_has_its_dead_band_in_percent():
+    commands = (Command("force", unit="-", shown_unit="%"),)
+    made = setup_of(replace(PLAIN, commands=commands))
+    dead = effect(made, "dead_band")
+    assert (dead.unit, dead.shown_unit, dead.shown_times) == ("command", "%", 100.0)
 
 
 def test_nothing_is_named_where_nothing_is_hidden():

@@ -19,7 +19,7 @@ from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.dials import channels_of, clock_of
 from diffsim.systems.grid import Grid, delayed, held_delayed, smoothly_delayed
-from diffsim.systems.holding import looks_held
+from diffsim.systems.holding import looks_held, moves_on
 from diffsim.systems.instrument import PLAY_START, START_IN_PLAY, with_play_start
 from diffsim.systems.ode.applying import labels_of
 from diffsim.systems.ode.event_effects import runs_of, timings
@@ -38,10 +38,11 @@ from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
 from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
+from diffsim.systems.ode.stepping import parts_needed
 from diffsim.systems.ode.store_effects import spilled
 
 SLOW_TIME = "slow_time"
-HELD, LONGEST = "held", "longest"  # places in a study's frame
+HELD, LONGEST, PARTS = "held", "longest", "steps_per_sample"  # places in a study's frame
 _WORDS = re.compile(r"\w+")
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
 
@@ -84,7 +85,13 @@ class Described:
         self._reader, self._given = reader, inputs
         self.input_held = self._held()
         self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
-        self.unsure -= {name for name, held in self.input_held.items() if held}
+        taken = {name for name, held in self.input_held.items() if held}
+        self.assumed = frozenset(
+            i.name
+            for i in inputs
+            if i.name in self.unsure & taken and moves_on(study.runs, self._commands_of(i))
+        )
+        self.unsure -= taken
         self.clocks = self._clocks()
         self.quantities = self._quantities()
         facts = fact_names(study)
@@ -102,6 +109,7 @@ class Described:
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
+        self.parts = self._parts()
 
     def _parsed(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
@@ -168,10 +176,12 @@ class Described:
                 out[given.name] = bool(kept)
             elif given.held is None and looks_held(self.study.runs, commands):
                 out[given.name] = True
+                cause = "; straight_between_samples is a cause, as some runs do not show it"
                 self._reader.note(
                     f"inputs[{i}].held",
                     f"{' and '.join(commands)} rests and jumps, so {given.name} is held between "
-                    "samples; give `held: false` for straight lines",
+                    "samples; give `held: false` for straight lines"
+                    + (cause if moves_on(self.study.runs, commands) else ""),
                 )
         return out
 
@@ -283,11 +293,28 @@ class Described:
                         f"{did_you_mean(name, known)}",
                     )
 
+    def _parts(self) -> int:
+        """Steps of the integrator per sample, where the description leaves that open."""
+        kept = self.study.frame.get(PARTS)
+        if kept is not None or self._reader.has_errors:
+            return int(kept or 1)
+        self.parts = 1
+        if self.motion.time_step is not None or not self.motion.states:
+            return 1
+        parts = parts_needed(self.study, self.model())
+        if parts > 1:
+            self._reader.note(
+                "time_step",
+                f"the equations are too fast for one step per sample: {parts} are taken; "
+                f"state `time_step` [s] to choose, such as {self.step / parts:.2g}",
+            )
+        return parts
+
     @property
     def step(self) -> float:
         """Longest step of the integrator [s]."""
         usual = (float(np.median(np.diff(r.time_s))) for r in self.study.runs if len(r.time_s) > 1)
-        return self.motion.time_step or max(usual, default=math.inf)
+        return self.motion.time_step or max(usual, default=math.inf) / self.parts
 
     def model(self) -> SimModel:
         """The model without effects."""
@@ -301,7 +328,7 @@ class Described:
         }
         step = math.inf  # what does not move is at its samples only
         if self.motion.states:
-            step = self.motion.time_step or float(np.median(np.diff(run.time_s)))
+            step = self.motion.time_step or float(np.median(np.diff(run.time_s))) / self.parts
         grid = _grid(_Times(run), step * numerics.time_step)
         scene = OdeScene(
             run=run,

@@ -16,7 +16,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, quantity, settings_with
 from diffsim.systems.dials import CLOCKS
 from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import HELD, LONGEST, Described, Motion
+from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, Motion
 from diffsim.systems.ode.effects import ode_effects
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
@@ -70,7 +70,10 @@ class OdeDescription(FormulaKeys):
         (), description="What may have acted for a limited time; opens its forms at each place"
     )
     time_step: Seconds | None = Field(
-        None, gt=0, description="Longest step of the integrator [s]; none: the sample interval"
+        None,
+        gt=0,
+        description="Longest step of the integrator [s]; none: the sample interval, "
+        "divided until the equations are stable",
     )
     slow_time: AnyQuantity | None = Field(
         None, description="Time in which slow shares of inputs and forces come; none: fitted"
@@ -133,6 +136,7 @@ class OdeDescription(FormulaKeys):
             known=read.known,
             held=read.input_held,
             unsure=read.unsure,
+            assumed=read.assumed,
             clocks=frozenset(read.clocks.values()),
             step=read.step,
             places=tuple((p, usual.places[p.name]) for p in self.places),
@@ -143,6 +147,7 @@ class OdeDescription(FormulaKeys):
         model.frame = {
             LABELS: labels,
             HELD: dict(read.input_held),
+            PARTS: read.parts,
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
             MAGNITUDES: usual.saved(),
             LAW_SCALES: {name: asdict(scale) for name, scale in bends.items()},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -12,13 +13,14 @@ from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply, Effect, needs_nothing
 from diffsim.systems.actuator import command_causes, in_words
-from diffsim.systems.grid import SizedMap, with_play
+from diffsim.systems.grid import Grid, SizedMap, with_play
 from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
 from diffsim.systems.ode.library import Library, needs_order
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
+_INSTANT = 1e-12  # s: shorter than any step
 SHARE = 0.03  # of the greatest input: slack, play and offset that are no surprise
 
 
@@ -55,7 +57,9 @@ def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect
     ]
     found.append(_slow_share(name, tail))
     # after all that changes the input on its way, which it is a copy of
-    return [*found, _held_between(name, tail)] if name in library.unsure else found
+    if name in library.unsure:
+        return [*found, _held_between(name, tail)]
+    return [*found, _straight_between(name, tail)] if name in library.assumed else found
 
 
 def _played(name: str) -> Apply:
@@ -75,31 +79,73 @@ def _or_none(change: SizedMap) -> SizedMap:
 
 
 def _held_between(name: str, tail: str) -> Effect:
-    own = f"held_between_samples{tail}"
-    kept = f"{name} held"
-    parts = {"u": named(name), "kept": named(kept), "size": named(symbol(own))}
-    total = filled(parse_expression("u + min(size, 1)*(kept - u)"), parts)
-    change = Change(names={name: total}, held_inputs=(kept,))
+    form = "The input keeps its value until the next sample (size 1), not a straight line."
+    return _between(f"held_between_samples{tail}", form, name, held=True)
+
+
+def _straight_between(name: str, tail: str) -> Effect:
+    form = "The input goes straight to its next sample (size 1), and is not held until then."
+    return _between(f"straight_between_samples{tail}", form, name, held=False)
+
+
+def _between(own: str, form: str, name: str, *, held: bool) -> Effect:
+    """What an input does between samples, other than the model says."""
+    other = f"{name} {'held' if held else 'straight'}"
+    parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
+    total = filled(parse_expression("u + size*(other - u)"), parts)
+    change = Change(
+        names={name: total},
+        inputs=() if held else (other,),
+        held_inputs=(other,) if held else (),
+    )
     return Effect(
         name=own,
-        form="The input keeps its value until the next sample (size 1), not a straight line.",
+        form=form,
         family="timing",
         kind="actuator",
         unit="-",
         typical=1.0,
         signed=False,
         also_looks_like=("delay of half a sample",),
-        apply=partial(_kept, name=name, kept=kept, change=change, symbol=symbol(own)),
+        apply=partial(
+            _instead,
+            name=name,
+            other=other,
+            change=change,
+            symbol=symbol(own),
+            between=_kept if held else _straight,
+        ),
     )
 
 
-def _kept(
-    scene: OdeScene, size: Tensor, run: Run, *, name: str, kept: str, change: Change, symbol: str
+def _instead(
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    name: str,
+    other: str,
+    change: Change,
+    symbol: str,
+    between: Callable[[Tensor, Grid], Tensor],
 ) -> OdeScene:
-    samples, u = scene.grid.samples, scene.inputs[name]
-    before = torch.searchsorted(samples, torch.arange(len(scene.grid.times)), right=True) - 1
-    values = u[..., samples][..., before]
-    return scene.with_further_input(kept, values, change, {symbol: size[..., 0]})
+    values = between(scene.inputs[name], scene.grid)
+    return scene.with_further_input(other, values, change, {symbol: size[..., 0]})
+
+
+def _kept(u: Tensor, grid: Grid) -> Tensor:
+    """An input that keeps its value until the next sample, (..., num_times)."""
+    before = torch.searchsorted(grid.samples, torch.arange(len(grid.times)), right=True) - 1
+    return u[..., grid.samples][..., before]
+
+
+def _straight(u: Tensor, grid: Grid) -> Tensor:
+    """An input that goes straight from sample to sample, (..., num_times)."""
+    places, last = torch.arange(len(grid.times)), len(grid.samples) - 1
+    before = torch.searchsorted(grid.samples, places, right=True) - 1
+    low, high = grid.samples[before], grid.samples[(before + 1).clamp(max=last)]
+    step = (grid.times[high] - grid.times[low]).clamp(min=_INSTANT)
+    return u[..., low] + (grid.times - grid.times[low]) / step * (u[..., high] - u[..., low])
 
 
 def _slow_share(name: str, tail: str) -> Effect:

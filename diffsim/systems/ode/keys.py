@@ -73,8 +73,9 @@ class Input(Part):
     held: bool | None = Field(
         None,
         description="Whether it keeps its value until the next sample; else straight lines. None: "
-        "held where the commands rest and jump, which `check` says; else straight, and "
-        "`held_between_samples` is a cause to be judged",
+        "held where the commands rest and jump, which `check` says, and where some run does not "
+        "show it `straight_between_samples` is a cause to be judged; else straight, and "
+        "`held_between_samples` is one",
     )
     delay: AnyQuantity | None = Field(
         None, description="Time by which it comes later than recorded [s]; with sd it is fitted"

@@ -22,7 +22,7 @@ from diffsim.systems.ode.scene import OdeScene
 
 LEAST = 0.02  # of the usual x: below it a power is not raised
 LAW_SCALES = "law_scales"  # place in a study's frame
-_WAY, _SHARE = "way of the sweep", "share of the run"
+_WAY, _LOOP, _SHARE = "way of the sweep", "loop of the sweep", "share of the run"
 
 
 @dataclass(frozen=True)
@@ -128,6 +128,15 @@ def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
             family="hysteresis",
             also=("lag of the reading", "warming during the sweep"),
         )
+        yield _Bend(
+            name="hysteresis_loop",
+            form="The law is less on the way up and more on the way down, by the share size of its "
+            "greatest value halfway, by nothing where the sweep turns.",
+            formula="y - size*most*loop",
+            typical=0.01,
+            family="hysteresis",
+            also=("creep", "lag of the reading", "warming during the sweep"),
+        )
     yield _Bend(
         name="run_drift",
         form="The law grows by the share size from the first to the last sample of a run.",
@@ -231,16 +240,17 @@ def _effect(
 ) -> Effect:
     name = f"{bend.name}_of_{law.name}" if "_of_" not in bend.name else f"{bend.name}_in_{law.name}"
     numbers = {"x0": scale.x, "least": LEAST * scale.x, "most": scale.most}
-    letters = ("y", "x", "size", "way", "share", *numbers)
+    letters = ("y", "x", "size", "way", "loop", "share", *numbers)
     parts = {k: parse_expression(repr(v)) for k, v in numbers.items()} | {
         "y": named(law.name),
         "x": parse_expression(law.of, known),
         "size": named(symbol(name)),
         "way": named(_WAY + " of " + law.name),
+        "loop": named(_LOOP + " of " + law.name),
         "share": named(_SHARE),
     }
     formula = parse_expression(bend.formula, (*letters, *known))
-    further = [parts[k].text for k in ("way", "share") if k in formula.names]
+    further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
     change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
     groups = Groups.of(law.per, study)
     return Effect(
@@ -278,17 +288,22 @@ class _Bent:
     swept: Network
 
     def __call__(self, scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
-        signals = {
-            name: _share(scene) if name == _SHARE else self._way(scene) for name in self.further
-        }
+        signals = {name: self._signal(name, scene) for name in self.further}
         scene = self.plain(scene, size, run)
         return replace(scene, inputs={**scene.inputs, **signals})
 
-    def _way(self, scene: OdeScene) -> Tensor:
-        """1 where x rises, -1 where it falls."""
+    def _signal(self, name: str, scene: OdeScene) -> Tensor:
+        """Share of the run; 1 where x rises, -1 where it falls; or that, fading to both ends."""
+        if name == _SHARE:
+            return _share(scene)
         x = replace(scene, changes=()).solved(self.swept)[0]
         path = x.reshape(-1, x.shape[-2])[0].detach().numpy()
-        return torch.from_numpy(np.sign(np.gradient(path)))
+        way = np.sign(np.gradient(path))
+        if name.startswith(_LOOP):
+            reach = float(np.ptp(path)) or 1.0
+            place = (path - path.min()) / reach
+            way *= 4.0 * place * (1.0 - place)
+        return torch.from_numpy(way)
 
 
 def _share(scene: OdeScene) -> Tensor:

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 RESTS = 1e-3  # of what a channel shows: less is no motion
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 MAGNITUDES = "magnitudes"  # place in a study's frame
+MOST = 1e80  # of a magnitude: a model that runs away
 
 
 def needs_order(study: Study) -> str | None:
@@ -134,6 +135,7 @@ class Library:
         scales: Usual magnitudes of everything else.
         step: Longest step of the integrator [s].
         unsure: Inputs of which nobody knows whether they are held between samples.
+        assumed: Inputs that are taken to be held though some run does not show it.
         usual: Magnitudes of the plain model and of the recordings.
         clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
     """
@@ -145,6 +147,7 @@ class Library:
     stores: tuple[tuple[Store, StoreScale], ...]
     scales: Magnitudes
     unsure: frozenset[str] = frozenset()
+    assumed: frozenset[str] = frozenset()
     clocks: frozenset[tuple[str, ...]] = frozenset()
     step: float = math.inf
 
@@ -296,11 +299,11 @@ def _finite(parts: Sequence[Array]) -> Array:
 
 
 def _rms(parts: Sequence[Array]) -> float:
-    """Rms; 1 where that is no number or zero."""
+    """Rms; 1 where that is no number or zero, at most ``MOST``: its cube is a number, too."""
     values = _finite(parts)
     with np.errstate(over="ignore"):
         found = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-    return found if np.isfinite(found) and found > 0.0 else 1.0
+    return min(found, MOST) if np.isfinite(found) and found > 0.0 else 1.0
 
 
 def _place_scale(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:

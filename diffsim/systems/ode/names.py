@@ -127,6 +127,8 @@ class Reader:
         """
         runs = self.study.runs
         for name in sorted(set(re.findall(r"[A-Za-z_]\w*", text)) - set(known)):
+            if name in {c.name for c in self.study.channels}:
+                return f"; {name} is a channel: write what its reading is made of"
             stated = [run for run in runs if name in run.setup]
             for run in stated:
                 if isinstance(run.setup[name], str):
