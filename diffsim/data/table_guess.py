@@ -29,7 +29,8 @@ _ENDINGS = {
     "hPa": "hPa", "Pa": "Pa", "mbar": "mbar", "bar": "bar", "psi": "psi", "mrad": "mrad",
     "rad": "rad", "deg": "deg", "rpm": "rpm", "dps": "deg/s", "pct": "%", "kHz": "kHz", "Hz": "Hz",
     "mV": "mV", "V": "V", "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml",
-    "degC": "degC", "percent": "%", "mps2": "m/s^2", "mps": "m/s", "kmh": "km/h", "kph": "km/h", "degps": "deg/s",
+    "degC": "degC", "percent": "%", "mps2": "m/s^2", "mps": "m/s", "kmh": "km/h", "kph": "km/h",
+    "degps": "deg/s",
     "mV_V": "mV/V", "km_h": "km/h", "uL_min": "uL/min", "mL_min": "mL/min", "L_min": "L/min",
 }  # fmt: skip
 _LISTED = sorted(_ENDINGS, key=len, reverse=True)
