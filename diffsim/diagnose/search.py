@@ -37,6 +37,7 @@ from diffsim.identify.linearization import Linearization
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
+MAX_OVERTAKING = 2  # refits after the time for them is over
 FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
 
 
@@ -268,11 +269,12 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
     Args:
         search: Sets that were weighed so far.
         center: The best set.
-        until: CPU time after which the rest keeps its linear evidence, subsets apart [s].
+        until: CPU time after which the rest keeps its linear evidence [s], subsets apart, and the
+            first that promise to be better than the best set.
     """
     slack = search.linear_slack(center.members)
     plain, best = search.nats(Hypothesis()), search.nats(Hypothesis(center.members))
-    neighbors = search.neighbors(center.members)
+    neighbors, num_overtaking = search.neighbors(center.members), 0
     if np.isfinite(until):  # what could decide most comes first
         nats, search = _with_linear(search, center, neighbors)
         neighbors.sort(key=lambda s: (not s < center.members, -nats[s]))
@@ -284,8 +286,11 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
             enough = max(enough, plain + KEEP_NATS)
         nats, search = _with_linear(search, center, [members])
         if nats[members] > enough - slack:
-            if process_time() > until and not members < center.members:
+            is_late = process_time() > until and not members < center.members
+            overtakes = nats[members] > best + KEEP_NATS and num_overtaking < MAX_OVERTAKING
+            if is_late and not overtakes:
                 search = replace(search, num_late=search.num_late + 1)
                 continue
+            num_overtaking += is_late
             search = refit(search, members, center)
     return search

@@ -7,8 +7,11 @@ import numpy as np
 
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.coarse import begun, corrected, renewed_at
+from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gates import NUMERICS_LAMBDA, refit_gate
+from diffsim.diagnose.search import _center, _refit_rivals, begin, refit
+from diffsim.diagnose.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
 from diffsim.identify.linearization import (
     linearization_at,
@@ -107,3 +110,17 @@ def test_rivals_for_which_time_is_over_are_said():
     late = [g for g in report.gates if g.name == "refit_budget"]
     assert late == list(refit_gate(int(late[0].value), 1e-9)) and late[0].value >= 1
     assert any("rival sets were not refitted" in s for s in report.sentences)
+
+
+def test_a_rival_that_promises_more_is_refitted_though_time_is_over():
+    """A stranger's late encoder was said to lag: its delay, 1,258 nats better, came too late."""
+    study = noisy({"delay": 0.03})
+    effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
+    null = null_fit(Case(study, toy.model(study.runs), effects, (), DiagnosisSettings()))
+    search = begin(null, Simulations(null.wide))
+    wrong, right = frozenset({0}), frozenset({1})
+    center, search = _center(refit(search, wrong), wrong, search.plain)
+    after = _refit_rivals(search, center, 0.0)
+    assert after.weighed[Hypothesis(right)].fit is not None
+    assert after.nats(Hypothesis(right)) > after.nats(Hypothesis(wrong))
+    assert after.num_late >= 1
