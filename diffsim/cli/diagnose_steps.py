@@ -249,7 +249,8 @@ def _judge(args: argparse.Namespace) -> None:
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
     for row in found.errors:
         numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
-        print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {row.num_fitted} values")
+        fitted = f"{row.num_fitted} value{'' if row.num_fitted == 1 else 's'}"
+        print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {fitted}")
     for name, why in found.failed.items():
         print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     if saved.components and found.gain is not None:

@@ -22,6 +22,8 @@ from diffsim.viz.figures import COLORS, INK, LINE, SOFT
 
 Array = NDArray[np.float64]
 MAX_POINTS = 2500  # of a line: what a screen can show, and a page of a few megabytes
+CHART_POINTS = 300_000  # of all lines of a chart: 5 MB
+FEWEST_POINTS = 200  # of a line, however many there are
 DIGITS = 5  # of the numbers in the page
 ROW_PX = 230
 _TOP_PX, _BOTTOM_PX = 64, 50  # above and below the panels
@@ -84,16 +86,19 @@ def styled(figure: Any, *, height: int) -> Any:
     return figure
 
 
-def line(x: Array, y: Array, name: str, color: str, **options: Any) -> Any:
+def line(
+    x: Array, y: Array, name: str, color: str, *, most: int = MAX_POINTS, **options: Any
+) -> Any:
     """One line or cloud of dots, thinned and rounded.
 
     Args:
         x, y: Samples, (n,); what is not finite is a gap.
         name: Text in the legend and in the hover box.
         color: CSS color.
+        most: Largest number of samples.
         **options: Passed to plotly's ``Scatter``.
     """
-    keep = thinned(len(x))
+    keep = thinned(len(x), most)
     return graph_objects().Scatter(
         x=rounded(x[keep]),
         y=rounded(y[keep]),
@@ -108,9 +113,14 @@ def dots(color: str, size: float = 4.0, opacity: float = 0.8) -> dict[str, Any]:
     return {"mode": "markers", "marker": {"color": color, "size": size, "opacity": opacity}}
 
 
-def thinned(count: int) -> NDArray[np.int64]:
-    """Indices of at most ``MAX_POINTS`` of ``count`` samples, evenly."""
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_POINTS)).round().astype(np.int64))
+def thinned(count: int, most: int = MAX_POINTS) -> NDArray[np.int64]:
+    """Indices of at most ``most`` of ``count`` samples, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
+def points_per_line(num_lines: int) -> int:
+    """How many samples each of many lines may have, so that a page stays a few megabytes."""
+    return int(np.clip(CHART_POINTS // max(num_lines, 1), FEWEST_POINTS, MAX_POINTS))
 
 
 def rounded(values: Array) -> list[float | None]:

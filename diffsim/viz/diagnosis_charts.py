@@ -54,11 +54,11 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
         column_widths=[0.56, 0.44],
         vertical_spacing=0.35 / max(len(shown), 2),
     )
-    owners = []
+    owners, most = [], points_drawn(runs)
     for k, run in enumerate(runs):
         for row, i in enumerate(shown, start=1):
-            signals = _signals(run, i, channels[i])
-            left = _left(run, i, channels[i])
+            signals = _signals(run, i, channels[i], most)
+            left = _left(run, i, channels[i], most)
             for drawn in (*signals, *left):
                 drawn.visible = k == 0
                 drawn.showlegend = row == 1 and drawn in signals
@@ -70,6 +70,12 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
         figure.update_layout(updatemenus=[menu])
     figure.update_xaxes(title_text="time [s]", row=len(shown))
     return figure
+
+
+def points_drawn(runs: Sequence[PredictedRun]) -> int:
+    """Largest number of samples that ``runs_over_time`` draws of a line."""
+    panels = min(len(seen_channels(runs)), MAX_PANELS)
+    return charts.points_per_line(5 * panels * len(runs))  # three signals, two that are left
 
 
 def seen_channels(runs: Sequence[PredictedRun]) -> list[int]:
@@ -87,24 +93,24 @@ def _scale(channel: Channel) -> float:
     return factor(channel.unit, channel.shown_unit) if channel.shown_unit else 1.0
 
 
-def _signals(run: PredictedRun, i: int, channel: Channel) -> list[Any]:
+def _signals(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
     """Lines of one channel in one run, in the unit of the recordings' files."""
     t, scale = run.time_s, _scale(channel)
     before = {"color": NULL, "width": 1.4, "dash": "dash"}
-    lines = [charts.line(t, scale * run.null[:, i], "model before", NULL, line=before)]
+    lines = [charts.line(t, scale * run.null[:, i], "model before", NULL, line=before, most=most)]
     if run.extended is not None:
-        lines.append(charts.line(t, scale * run.extended[:, i], "extended model", EXTENDED))
+        after = scale * run.extended[:, i]
+        lines.append(charts.line(t, after, "extended model", EXTENDED, most=most))
     error = None
     if channel.sd is not None:
         error = {"type": "constant", "value": scale * channel.sd, "thickness": 0.7, "width": 0}
     measured = scale * run.measured[:, i]
-    lines.append(
-        charts.line(t, measured, "measured ± noise", INK, error_y=error, **charts.dots(INK, 3.5))
-    )
+    look = {"error_y": error, **charts.dots(INK, 3.5)}
+    lines.append(charts.line(t, measured, "measured ± noise", INK, most=most, **look))
     return lines
 
 
-def _left(run: PredictedRun, i: int, channel: Channel) -> list[Any]:
+def _left(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
     """What is left of one channel in one run, before and after."""
     kinds = [("model before", NULL, run.null)]
     if run.extended is not None:
@@ -115,6 +121,7 @@ def _left(run: PredictedRun, i: int, channel: Channel) -> list[Any]:
             _scale(channel) * (run.measured[:, i] - predicted[:, i]),
             name,
             color,
+            most=most,
             **charts.dots(color, 3.5, 0.7),
         )
         for name, color, predicted in kinds

@@ -186,7 +186,10 @@ def _test_runs(
     caption += " to zoom, double-click to zoom out."
     text, seen = [], len(draw.seen_channels(runs))
     if seen > draw.MAX_PANELS:
-        text = [f"The first {draw.MAX_PANELS} of {seen} channels."]
+        text.append(f"The first {draw.MAX_PANELS} of {seen} channels.")
+    longest, most = max(len(run.time_s) for run in runs), draw.points_drawn(runs)
+    if longest > most:
+        text.append(f"Of the {longest} samples of the longest run {most} are drawn, evenly.")
     content: list[page.Item] = []
     if (view := moving_runs(r, runs)) is not None:
         content.append(view)

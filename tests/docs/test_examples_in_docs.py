@@ -53,9 +53,11 @@ def test_a_diagnosis_from_the_page_alone(tmp_path, monkeypatch, capsys):
             for line in text.strip().splitlines():
                 assert main(shlex.split(line.removeprefix("diffsim "), comments=True)) == 0
     said = _words(capsys.readouterr().out)
-    shown = re.search(r"after ten seconds:.*?```text\n(.*?)```", page, re.S).group(1)
-    for sentence in shown.strip().splitlines():
-        assert _words(sentence) in said  # the page shows what is printed
+    shown = re.search(r"after ten seconds:(.*?)## Recordings in other formats", page, re.S).group(1)
+    blocks = re.findall(r"```text\n(.*?)```", shown, re.S)
+    assert len(blocks) == 3  # of explain, judge and next
+    for line in "".join(blocks).splitlines():
+        assert _words(line) in said  # the page shows what is printed
     certain = {c.name for c in names["report"].causes if c.status == "certain"}
     assert certain == {"dry_friction"}
 

@@ -265,6 +265,17 @@ def test_channels_that_no_run_measured_are_not_drawn():
     assert [a.text for a in figure.layout.annotations][::2] == ["tip_x_m [m]"]
 
 
+def test_many_long_runs_are_thinned_and_that_is_said(monkeypatch):
+    monkeypatch.setattr(plotting, "CHART_POINTS", 30 * 2 * 5 * 100)
+    monkeypatch.setattr(plotting, "FEWEST_POINTS", 50)
+    runs = (*RUNS, *(comparison(f"t{k}", "test", 0.01, k) for k in range(29)))
+    figure = charts.runs_over_time(runs[1:], CHANNELS)
+    assert {len(line.x) for line in figure.data} == {100}  # of 150 samples
+    shown = next(s for s in dr.diagnosis_page(example(runs)).sections if "on test runs" in s.title)
+    assert "Of the 150 samples of the longest run 100 are drawn, evenly." in shown.text
+    assert plotting.points_per_line(1) == plotting.MAX_POINTS
+
+
 def test_axes_have_names_with_units_and_still_commands_no_panel():
     figure = charts.residual_views(RUNS, CHANNELS)
     titles = [figure.layout[a].title.text for a in ("xaxis", "xaxis2", "xaxis3")]
@@ -608,8 +619,10 @@ def test_a_browser_toggles_the_cause_and_zooms_a_curve(tmp_path):
         menu = "document.querySelector('.chart select')"
         assert browser.js(f"[...{menu}.options].map(o => o.text)") == ["b (test)", "c (test)"]
         browser.js(f"{menu}.selectedIndex = 1; {menu}.dispatchEvent(new Event('change'))")
-        browser.until(f"{plot}._fullData[10].visible === true")  # the next run, as a whole
-        assert browser.js(f"{plot}._fullData[0].visible") is False
-        assert browser.js(across) == pytest.approx(wide, abs=0.1)
+        lead = f"{plot}._fullData[0].y[0]"  # of the model before
+        browser.until(f"Math.abs({lead} - {runs[2].null[0, 0]:.9f}) < 1e-6")
+        assert browser.js(f"{plot}.data.length") == 2 * 5  # of the chosen run alone
+        assert browser.js(shown) == "legendonly"  # what was hidden stays so
+        assert browser.js(across) == pytest.approx(wide, abs=0.1)  # and all of it is seen
         assert browser.complaints == []
         browser.picture(tmp_path / "page.png")

@@ -18,23 +18,28 @@
   };
   run(await new Response(stream).text(), (script) => document.head.append(script));
 
-  const menu = (plot, { name, buttons }) => {
+  // of many runs only the one that is chosen is drawn; what the legend hid stays hidden
+  const chosen = (data, { args }) => data.filter((_, i) => args[0].visible[i])
+    .map((line) => ({ ...line, visible: true }));
+  const menu = (plot, data, layout, { name, buttons }) => {
     const label = document.createElement("label"), select = document.createElement("select");
     for (const { label: text } of buttons) select.append(new Option(text));
     select.onchange = () => {
-      const axes = Object.keys(plot._fullLayout).filter((key) => /^[xy]axis\d*$/.test(key));
-      const whole = Object.fromEntries(axes.map((axis) => [`${axis}.autorange`, true]));
-      window.Plotly.update(plot, buttons[select.selectedIndex].args[0], whole); // no zoom of another
+      const off = new Set(plot.data.filter((d) => d.visible === "legendonly").map((d) => d.name));
+      const lines = chosen(data, buttons[select.selectedIndex])
+        .map((line) => (off.has(line.name) ? { ...line, visible: "legendonly" } : line));
+      window.Plotly.react(plot, lines, structuredClone(layout)); // its own range, no zoom of another
     };
     label.append(`${name}: `, select);
     plot.closest(".chart").prepend(label);
   };
   const plotly = window.Plotly, draw = plotly.newPlot;
   let drawn;
-  plotly.newPlot = (place, data, { updatemenus, ...layout }, config) => {
+  plotly.newPlot = (place, data, { updatemenus: [given] = [], ...layout }, config) => {
     const plot = document.getElementById(place);
-    for (const given of updatemenus ?? []) menu(plot, given);
-    drawn = draw(plot, data, layout, config);
+    if (given) menu(plot, data, layout, given);
+    const first = given ? chosen(data, given.buttons[0]) : data;
+    drawn = draw(plot, first, structuredClone(layout), config);
     return drawn;
   };
   for (const waiting of document.querySelectorAll('script[type="text/x-chart"]')) {
