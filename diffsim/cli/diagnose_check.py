@@ -20,7 +20,7 @@ from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.faults.given import given_by
-from diffsim.diagnose.separate import cut_in_two, require_separate
+from diffsim.diagnose.separate import alike_channels, cut_in_two, require_separate
 from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.registry import description_of, setup_of
 
@@ -107,6 +107,17 @@ def problems_of(study: Study) -> list[Problem]:
         require_separate(study)
     except ValueError as error:
         found.append(Problem("error", "study", str(error)))
+    else:
+        for first, second, names in alike_channels(study):
+            are = "is" if len(names) == 1 else "are"
+            found.append(
+                Problem(
+                    "warning",
+                    f"run {second.name}",
+                    f"{_some(names)} {are} equal to the last digit to run {first.name} (use: "
+                    f"{first.use}): if that is one recording in two frames, give both the same use",
+                )
+            )
     for first, second in cut_in_two(study):
         if BLOCK_OF in first.setup and BLOCK_OF in second.setup:
             continue  # pieces of two recordings, whose clocks happen to meet

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
+from itertools import combinations, groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,39 @@ def shared_samples(a: Run, b: Run) -> int:
     Whole rows are compared, all channels to the last digit; missing channels equal each other.
     """
     return max((count for _, count in _shared(_rows_by_content([a]), [a], b)), default=0)
+
+
+def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
+    """Pairs of runs of different uses, with the channels of which both hold a stretch that was
+    recorded once, such as the height in two frames of one recording."""
+    found: dict[tuple[str, str], list[str]] = {}
+    by_name = {run.name: run for run in study.runs}
+    for c, channel in enumerate(study.channels):
+        for pair in _alike(study, c):
+            found.setdefault(pair, []).append(channel.name)
+    return [(by_name[a], by_name[b], names) for (a, b), names in found.items()]
+
+
+def _alike(study: Study, column: int) -> Iterator[tuple[str, str]]:
+    """Names of runs of different uses that share a stretch of one channel."""
+    places: dict[bytes, list[Place]] = {}
+    for k, run in enumerate(study.runs):
+        values = run.measured[:, column] + 0.0
+        for i in range(len(values) - STRETCH + 1):
+            part = values[i : i + STRETCH]
+            if len(set(part.tolist())) == STRETCH and np.isfinite(part).all():
+                places.setdefault(part.tobytes(), []).append((k, i))
+    shared: dict[tuple[int, int], set[int]] = {}
+    for alike in places.values():
+        for (a, _), (b, i) in combinations(alike, 2) if 1 < len(alike) <= COMMON else ():
+            if study.runs[a].use != study.runs[b].use and not _declared(
+                study.runs[a], study.runs[b]
+            ):
+                shared.setdefault((a, b), set()).update(range(i, i + STRETCH))
+    for (a, b), rows in shared.items():
+        values = study.runs[b].measured[:, [column]]
+        if sum(_bits(values[part]) for part in _parts(sorted(rows))) > SHARED_BITS:
+            yield study.runs[a].name, study.runs[b].name
 
 
 def stretches_of(run: Run) -> dict[str, int]:

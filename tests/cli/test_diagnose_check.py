@@ -125,6 +125,27 @@ def test_what_many_runs_have_is_told_once(folder, capsys):
     assert line.startswith("warning: run a: 1 gaps") and line.endswith("(likewise b, c)")
 
 
+def test_one_recording_in_two_frames_is_told(folder, capsys):
+    for name, sign in (("c", 1.0), ("d", -1.0)):
+        rows = (folder / f"{name}.csv").read_text().splitlines()[1:]
+        source = (folder / "c.csv").read_text().splitlines()[1:]
+        pairs = zip(rows, source, strict=True)
+        lines = [
+            f"{row},{sign * float(of.split(',')[1])!r},{of.split(',')[1]}" for row, of in pairs
+        ]
+        (folder / f"{name}.csv").write_text("\n".join(["t (ms),x,F,counter,y,z", *lines]) + "\n")
+    channels = [{"name": n, "column": n, "unit": "mm", "sd": 0.1} for n in ("y", "z")]
+    runs = [
+        {"name": "c", "file": "c.csv"},
+        {"name": "d", "file": "d.csv", "use": "test"},
+    ]
+    _, out, _ = check(folder, capsys, channels=channels, runs=runs)
+    assert "warning: run d: z is equal to the last digit to run c (use: fit)" in out
+    assert "y is equal" not in out and "share" not in out
+    _, out, _ = check(folder, capsys)
+    assert "equal to the last digit" not in out
+
+
 def test_one_recording_cannot_be_fitted_and_tested(folder, capsys):
     (folder / "d.csv").write_text((folder / "a.csv").read_text())
     code, out, _ = check(folder, capsys)
