@@ -14,7 +14,7 @@ from diffsim.diagnose.left_out import own_point, unmet_by
 from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
-MIN_BLOCKS = 4  # per run
+MIN_BLOCKS = 4  # per run; fewer in all say nothing: equal models win three in a row by chance
 LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 BLOCK_S = 0.3  # longer than the memory of what the models leave
 
@@ -50,22 +50,28 @@ class Gain:
     @property
     def status(self) -> str:
         """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
-        or "nothing to gain": the plain model's error is noise alone."""
+        or "nothing to gain": the plain model's error is noise alone. Too few blocks confirm
+        nothing."""
         if self.high < 0.0:
             return "withdrawn"
         if self.excess <= 0.0:
             return "nothing to gain"
-        return "confirmed" if self.low >= LEAST and self.value >= LEAST else "not confirmed"
+        is_sure = self.num_blocks >= MIN_BLOCKS and min(self.low, self.value) >= LEAST
+        return "confirmed" if is_sure else "not confirmed"
 
     @property
     def words(self) -> str:
         """The gain in a sentence."""
         if self.status == "nothing to gain":
             return "On unseen runs the plain model's error is noise alone: nothing is to be gained."
-        shares = [_percent(v) for v in (self.value, self.low, self.high)]
+        share, low, high = (_percent(v) for v in (self.value, self.low, self.high))
+        interval = f"90 % interval: {low} to {high}"
+        if self.num_blocks < MIN_BLOCKS:
+            what = "block of samples is" if self.num_blocks == 1 else "blocks of samples are"
+            interval = f"{self.num_blocks} {what} too few for an interval"
         return (
-            f"On unseen runs {shares[0]} of the error above the noise is removed (90 % interval: "
-            f"{shares[1]} to {shares[2]}): {self.status}."
+            f"On unseen runs {share} of the error above the noise is removed ({interval}): "
+            f"{self.status}."
         )
 
 

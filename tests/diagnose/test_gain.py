@@ -32,6 +32,16 @@ def test_worse_models_are_withdrawn_and_equal_ones_not_confirmed():
     assert found.status == "not confirmed"
 
 
+def test_a_single_reading_confirms_nothing():
+    rng = np.random.default_rng(3)
+    for count in (1, 3, 4):
+        table = blocks(rng, null_error=2.0, left=0.0, num_blocks=count)
+        found = share_removed(table, seed=0)
+        assert found.value > 0.9 and found.low > 0.0
+        assert found.status == ("confirmed" if count == 4 else "not confirmed")
+        assert ("too few for an interval" in found.words) == (count < 4)
+
+
 def test_no_excess_gives_no_gain():
     table = blocks(np.random.default_rng(2), null_error=0.0, left=1.0)
     table[:, 1:] *= 0.8
