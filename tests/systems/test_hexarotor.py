@@ -118,3 +118,20 @@ def test_idle_thrusts_leave_force_and_torque(count, idle):
     assert float(found.trace()) == pytest.approx(idle)
     np.testing.assert_allclose(vehicle.directions[0].mT @ found, 0.0, atol=1e-12)
     np.testing.assert_allclose(vehicle.torque_matrix[0] @ found, 0.0, atol=1e-12)
+
+
+def test_the_yaw_of_a_vehicle_in_the_palm_is_not_idle():
+    """45 g on arms of 35 mm: a torque of 0.2 mm per newton turns it at 130 rad/s^2."""
+    arm = 0.0353
+    places = [[arm, arm, 0.0], [-arm, -arm, 0.0], [arm, -arm, 0.0], [-arm, arm, 0.0]]
+    vehicle = Fleet(
+        mass=torch.tensor([0.045], dtype=torch.float64),
+        inertia=torch.diag(torch.tensor([2.4e-5, 2.4e-5, 3.2e-6], dtype=torch.float64))[None],
+        positions=torch.tensor([places], dtype=torch.float64),
+        directions=torch.tensor([[[0.0, 0.0, -1.0]] * 4], dtype=torch.float64),
+        spins=torch.tensor([[1.0, 1.0, -1.0, -1.0]], dtype=torch.float64),
+        torque_ratios=torch.full((1, 4), 2.08e-4, dtype=torch.float64),
+        max_thrusts=torch.ones(1, 4, dtype=torch.float64),
+        radii=torch.full((1, 4), 0.02, dtype=torch.float64),
+    )
+    assert idle_thrusts(vehicle) is None

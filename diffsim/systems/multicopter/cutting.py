@@ -49,7 +49,10 @@ def idle_thrusts(vehicle: Fleet) -> Tensor | None:
     Returns:
         None where there are none: up to four rotors, as a rule.
     """
-    moves = torch.cat([vehicle.directions[0].mT, vehicle.torque_matrix[0]])
+    # as accelerations: torques of a small vehicle are tiny numbers, what they do is not
+    along = vehicle.directions[0].mT / vehicle.mass[0]
+    about = torch.linalg.solve(vehicle.inertia[0], vehicle.torque_matrix[0])
+    moves = torch.cat([along, about])
     _, size, ways = torch.linalg.svd(moves, full_matrices=False)
     seen = ways[size > _SEEN * size.max()]
     if len(seen) == vehicle.num_rotors:
