@@ -33,9 +33,10 @@ from diffsim.data.study_types import (
     Unit,
     UseOfBlocks,
     UseOfRuns,
+    Value,
+    Values,
     ZeroTime,
     in_own_unit,
-    read_number,
 )
 
 
@@ -46,27 +47,12 @@ def _read_system(given: Any) -> Any:
     return given
 
 
-def _read_value(given: Any) -> Any:
-    return given if isinstance(given, str) else read_number(given)
-
-
 def _plain_name(given: str) -> str:
     return require_file_name("name", given)
 
 
 def _named(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
-
-
-def _read_values(given: Any) -> Any:
-    listed = given if isinstance(given, (list, tuple)) else [given]
-    return tuple(_read_value(v) for v in listed)
-
-
-Values = Annotated[
-    tuple[str | float, ...], PlainValidator(_read_values), Said("list of numbers or texts")
-]
-Value = Annotated[str | float, PlainValidator(_read_value), Said("number or text")]
 
 
 def _listed(given: Any) -> Any:

@@ -145,6 +145,15 @@ def _read_formula(given: Any) -> str:
     return str(given)
 
 
+def _read_value(given: Any) -> Any:
+    return given if isinstance(given, str) else read_number(given)
+
+
+def _read_values(given: Any) -> Any:
+    listed = given if isinstance(given, (list, tuple)) else [given]
+    return tuple(_read_value(v) for v in listed)
+
+
 Number = Annotated[float, PlainValidator(read_number), Said("number")]
 Positive = Annotated[float, BeforeValidator(read_number), Field(gt=0), Said("number above 0")]
 Unit = Annotated[str, PlainValidator(_read_unit), Said("unit")]
@@ -176,3 +185,7 @@ UseOfBlocks = Annotated[
     PlainValidator(_read_blocks_by_use),
     Said("mapping of fit, select, test to numbers of pieces"),
 ]
+Values = Annotated[
+    tuple[str | float, ...], PlainValidator(_read_values), Said("list of numbers or texts")
+]
+Value = Annotated[str | float, PlainValidator(_read_value), Said("number or text")]

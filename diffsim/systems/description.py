@@ -82,7 +82,7 @@ class Quantity(Part):
         return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper, self.step)
 
 
-_IN_UNIT = ("value", "sd", "lower", "upper")
+IN_UNIT = ("value", "sd", "lower", "upper")
 
 
 def quantity(unit: str) -> Any:
@@ -105,7 +105,7 @@ def quantity(unit: str) -> Any:
                 difference=k == "sd",
             )
             for k, v in given.items()
-            if k in _IN_UNIT
+            if k in IN_UNIT
         }
         return {**given, **numbers, "unit": unit}
 

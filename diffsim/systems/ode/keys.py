@@ -10,9 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
-from diffsim.systems.description import Description, EffectChoice, Part, Quantity
-
-_IN_UNIT = ("value", "sd", "lower", "upper")
+from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Part, Quantity
 
 
 def _checked(text: str) -> str:
@@ -36,14 +34,14 @@ def _quantity(given: Any) -> Any:
         value, unit = in_si(given)
         return Quantity(value=value, unit=unit)
     own = str(given.get("unit", "-"))
-    units = [in_si(given[k], own)[1] for k in _IN_UNIT if k in given]
+    units = [in_si(given[k], own)[1] for k in IN_UNIT if k in given]
     unit = next(iter(units), own)
     for other in (*units, own):
         if NO_UNIT not in (unit, other):
             factor(other, unit)  # refuses a unit of another quantity
     return {
         **given,
-        **{k: in_si(v, own, difference=k == "sd")[0] for k, v in given.items() if k in _IN_UNIT},
+        **{k: in_si(v, own, difference=k == "sd")[0] for k, v in given.items() if k in IN_UNIT},
     } | {"unit": unit}
 
 

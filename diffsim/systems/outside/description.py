@@ -9,10 +9,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from diffsim.core.units import in_si, in_unit
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import (
+    IN_UNIT,
     Description,
     Part,
     Quantity,
@@ -30,9 +32,23 @@ MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
 
 def _as_quantity(given: Any) -> Any:
-    """A plain number is a known quantity; the unit is the user's own."""
-    is_number = isinstance(given, (int, float)) and not isinstance(given, bool)
-    return Quantity(value=float(given)) if is_number else given
+    """A plain number is a known quantity in the user's own unit; one with a unit, in SI.
+
+    Where ``unit`` says what the simulator takes, all numbers are in that unit.
+    """
+    if not isinstance(given, Mapping):
+        value, unit = in_si(given)
+        return Quantity(value=value, unit=unit)
+    own = given.get("unit")
+    texts = {k: str(v) for k, v in given.items() if k in IN_UNIT and isinstance(v, str)}
+    if not texts:
+        return given
+    if own is not None:
+        read = {k: in_unit(v, str(own), difference=k == "sd") for k, v in texts.items()}
+        return {**given, **read}
+    units = [in_si(v)[1] for v in texts.values()]
+    read = {k: in_unit(v, units[0], difference=k == "sd") for k, v in texts.items()}
+    return {**given, **read, "unit": units[0]}
 
 
 AnyQuantity = Annotated[Quantity, BeforeValidator(_as_quantity)]

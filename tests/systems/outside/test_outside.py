@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from pydantic import TypeAdapter
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.identify import Parameter
 from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside import Environment, Place, SimulatorError, outside_setup
+from diffsim.systems.outside.description import AnyQuantity
 from diffsim.systems.outside.forces import Knots, PlaceForces, Term, coulomb, stiff, viscous
 from diffsim.systems.registry import description_of, setup_of
 from tests.systems.outside import scenes
@@ -192,6 +194,22 @@ def test_channels_by_name_are_taken_in_the_order_of_the_study():
     setup = outside_setup(study, lambda parameters, run: by_name, [])
     out = setup.model.predict(study.runs[0], setup.model.at_prior()).numpy()
     np.testing.assert_array_equal(out[0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("given", "value", "sd", "unit"),
+    [
+        ("1200 g", 1.2, None, "kg"),
+        ({"value": "30 ms", "sd": "5 ms"}, 0.03, 0.005, "s"),
+        ({"value": "4.2 kg", "percent": 3}, 4.2, None, "kg"),
+        ({"value": "1.2 kg", "unit": "g"}, 1200.0, None, "g"),
+        ({"value": 1.2, "sd": 0.1}, 1.2, 0.1, "-"),
+    ],
+)
+def test_numbers_with_units_are_in_si_or_in_the_stated_unit(given, value, sd, unit):
+    read = TypeAdapter(AnyQuantity).validate_python(given)
+    assert read.value == pytest.approx(value) and read.unit == unit
+    assert read.sd == (None if sd is None else pytest.approx(sd))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from diffsim.data.bank import generated_bank
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
 from diffsim.diagnose import diagnose
+from diffsim.diagnose.windows import cut
 from diffsim.identify import Numerics, fit
 from diffsim.identify.unknown import UnknownDrift
 from diffsim.systems.registry import description_of, setup_of
@@ -157,6 +158,21 @@ def test_poses_near_the_best_guess_need_no_new_slopes_and_stay_the_same(monkeypa
     alone = replace(scene, guess=None).simulate()  # by itself, from straight
     assert asked
     assert torch.allclose(shown, alone, rtol=0.0, atol=1e-10)
+
+
+def test_the_first_half_of_a_pull_is_simulated_beside_the_whole():
+    """Fits that grow through windows cut runs, whose names stay."""
+    setup, run = setup_of(study()), study().runs[2]
+    pulls = {name: np.linspace(0.0, float(run.command[name][0]), 20) for name in run.command}
+    whole = replace(run, time_s=np.arange(20.0), measured=np.zeros((20, 6)), command=pulls)
+    half = cut(whole, 0.5)
+    q = torch.zeros(len(setup.model.base), dtype=torch.float64)
+    with torch.no_grad():
+        shown = setup.model.predict(whole, q)
+        assert len(half.time_s) == 10
+        torch.testing.assert_close(
+            setup.model.predict(half, q), shown[: len(half.time_s)], atol=1e-9, rtol=0.0
+        )
 
 
 def test_finer_elements_change_less_and_less():
