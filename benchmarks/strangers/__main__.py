@@ -11,7 +11,7 @@ import numpy as np
 
 CASES = (
     "arm", "stand", "rubber", "plate", "manifold", "finger", "quadrotor", "quadrotor_thrust",
-    "swing", "bounce", "ladder", "steering", "loadcell", "tanks",
+    "swing", "bounce", "ladder", "steering", "loadcell", "tanks", "billiard", "hexarotor",
 )  # fmt: skip
 
 

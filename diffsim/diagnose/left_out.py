@@ -35,6 +35,8 @@ MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
 DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
 ALONE = 0.98  # share of what is known of a parameter that one part holds
 NONLINEAR = 0.5  # error of the linear prediction over what it moves, from which a fit is repeated
+_FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
+_STRAIGHT = 0.02  # share of it that this must promise
 WORSE_NATS = 2.0  # and the nats that it must cost
 
 
@@ -307,15 +309,33 @@ def own_point(
     start = np.zeros(len(own))
     columns = columns_at(start) if slopes is None or not is_linear else -slopes[:, own]
     low, high = (b[own] for b in problem.bounds)
-    solution = optimize.least_squares(
-        lambda part: np.concatenate([problem.residual(full(part)), part]),
-        np.clip(start, low, high),
-        jac=lambda part: np.vstack([columns if is_linear else columns_at(part), np.eye(len(own))]),
-        bounds=(low, high),
-        method="trf" if not (np.isfinite(low).any() or np.isfinite(high).any()) else "dogbox",
-        max_nfev=20,
-    )
-    return full(solution.x)
+
+    def best_from(part: Array, held: Array | None) -> Array:
+        slopes_at = columns_at if held is None else lambda _: held
+        found: Array = optimize.least_squares(
+            lambda part: np.concatenate([problem.residual(full(part)), part]),
+            np.clip(part, low, high),
+            jac=lambda part: np.vstack([slopes_at(part), np.eye(len(own))]),
+            bounds=(low, high),
+            method="trf" if not (np.isfinite(low).any() or np.isfinite(high).any()) else "dogbox",
+            max_nfev=20,
+        ).x
+        return found
+
+    part = best_from(start, columns if is_linear else None)
+    if is_linear and slopes is None:
+        left = problem.residual(full(part))
+        if left @ left > _FAR * len(left) and _promise(left, columns_at(part), part) > _STRAIGHT:
+            part = best_from(part, None)  # a ball that begins to roll: no straight function
+    return full(part)
+
+
+def _promise(left: Array, columns: Array, part: Array) -> float:
+    """Share of the misfit that another step would remove, were all straight."""
+    rest, slopes = np.concatenate([left, part]), np.vstack([columns, np.eye(len(part))])
+    step = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
+    after = rest + slopes @ step
+    return 1.0 - float(after @ after) / float(rest @ rest)
 
 
 def _kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:

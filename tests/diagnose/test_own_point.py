@@ -1,0 +1,61 @@
+"""Values that belong to one run, fitted to it alone while all others stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from diffsim.data.study import Run
+from diffsim.diagnose.left_out import own_point
+
+RUN = Run("new", np.arange(30.0), np.zeros((30, 1)), {}, "new")
+TRUE = np.array([0.0, 0.3, 2.2])
+
+
+@dataclass
+class Sliding:
+    """A run whose slide ends at a time that hangs on its own start and spin."""
+
+    names: tuple[str, ...] = ("friction", "speed@new", "spin@new")
+    num_base: int = 3
+    bounds: tuple[np.ndarray, np.ndarray] = (np.full(3, -np.inf), np.full(3, np.inf))
+    asked: int = 0
+
+    def motion(self, x: np.ndarray) -> np.ndarray:
+        time = np.linspace(0.0, 1.0, 30)
+        speed, spin = 1.0 + 0.5 * x[1], 0.5 * x[2]
+        end = np.clip(0.6 * abs(speed - spin), 0.05, None)
+        slid = np.minimum(time, end)
+        sign = np.sign(speed - spin)
+        return 1000.0 * (speed * time - sign * (slid * time - 0.5 * slid**2))
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        noise = np.random.default_rng(0).standard_normal(30)
+        return self.motion(x) - self.motion(TRUE) - noise
+
+    def linearize(self, x: np.ndarray, only: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        self.asked += 1
+        steps = [1e-5 * np.eye(3)[k] for k in range(3)]
+        slopes = [(self.residual(x + s) - self.residual(x - s)) / 2e-5 for s in steps]
+        return self.residual(x), -np.stack(slopes, 1)
+
+
+def test_what_is_no_straight_function_is_fitted_to_the_end():
+    """A ball that slides, then rolls: slopes of its first guess led nowhere."""
+    problem = Sliding()
+    point = own_point(problem, np.zeros(3), RUN)
+    left = problem.residual(point)
+    assert left @ left < 1.5 * len(left)
+    assert point[1:] == pytest.approx(TRUE[1:], abs=0.1)
+    assert point[0] == 0.0
+
+
+def test_slopes_of_the_start_serve_where_they_lead_to_the_noise():
+    problem = Sliding()
+    own_point(problem, TRUE, RUN)
+    problem.motion = lambda x: 50.0 * x[1] + 20.0 * x[2] * np.linspace(0.0, 1.0, 30)
+    problem.asked = 0
+    own_point(problem, np.zeros(3), RUN)
+    assert problem.asked == 1
