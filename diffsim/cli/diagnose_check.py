@@ -139,8 +139,8 @@ def _has_clock(study: Study) -> bool:
     """Whether a column of the files tells the time: a step alone numbers rows."""
     if study.file is None:
         return True
-    time = StudyFile.model_validate(read_yaml_file(study.file)).time
-    return time is None or time.column is not None or time.step is None
+    clocks = StudyFile.model_validate(read_yaml_file(study.file)).time
+    return not clocks or any(clock.column is not None or clock.step is None for clock in clocks)
 
 
 def _of_model(study: Study) -> Iterator[Problem]:

@@ -62,8 +62,8 @@ def guess_clock(
                 said.append(f"clock: column {column.name}, the first that only grows")
                 return _numeric_time(column, tables, said)
     for column in layout.columns:
-        named = is_counter(column, tables[0], np.arange(len(tables[0])))
-        if (named and _counts(column, tables)) or _numbers_rows(column, tables):
+        is_named = is_counter(column, tables[0], np.arange(len(tables[0])))
+        if (is_named and _counts(column, tables)) or _numbers_rows(column, tables):
             said.append(f"clock: column {column.name} counts, by 0.01 s until you say otherwise")
             todo = [f"time.step: seconds for each count of {column.name}"]
             return {"column": column.name, "step": 0.01}, column, todo

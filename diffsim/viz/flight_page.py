@@ -160,7 +160,7 @@ def _curves(log: FlightLog) -> Sequence[page.Chart]:
     figure = charts.grid(3, titles=["position [m]", "pulse width [us]", "voltage [V]"])
     for axis, name, color in zip(range(3), ("north", "west", "up"), CYCLE, strict=False):
         _add(figure, 1, charts.line(time, up[:, axis], name, color))
-        dashed = {"line": {"color": color, "width": 1.0, "dash": "dot"}}
+        dashed: Any = {"line": {"color": color, "width": 1.0, "dash": "dot"}}
         _add(figure, 1, charts.line(time, asked[:, axis], f"{name}, asked for", color, **dashed))
     for k, values in enumerate(motors.T):
         color = CYCLE[k % len(CYCLE)]

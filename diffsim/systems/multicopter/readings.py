@@ -252,7 +252,8 @@ def _channels(scene: CopterFlight, record: Record, channels: Sequence[int]) -> T
     """What some channels would show at once, (points, num_windows, length, len(channels))."""
     shown = _Shown.of(scene, record)
     columns = channels if scene.columns is None else [scene.columns[k] for k in channels]
-    parts, place, start = [], {}, 0
+    parts, start = [], 0
+    place: dict[int, int] = {}
     for name in scene.sensors:
         asked = range(start, start + len(SENSORS[name]))
         if not set(asked).isdisjoint(columns):
