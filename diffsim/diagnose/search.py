@@ -63,10 +63,7 @@ def search_sets(search: Search) -> Search:
         search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
         ranked, search = _promising(search, center)
-        for k, members in enumerate(ranked[: search.settings.num_refits]):
-            if k == 0 or process_time() < until:
-                search = refit(search, members, center)
-        search = repaired(search)
+        search = repaired(_refit_promising(search, center, ranked, until))
         best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
         if best == center.members:
             break
@@ -261,6 +258,35 @@ def _promising(search: Search, center: Center) -> tuple[list[Members], Search]:
     enough = search.nats(Hypothesis(center.members)) + KEEP_NATS - slack
     nats, search = _with_linear(search, center, search.neighbors(center.members))
     return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s]), search
+
+
+def _refit_promising(
+    search: Search, center: Center, ranked: Sequence[Members], until: float
+) -> Search:
+    """Refit the first of the ranked neighbors, and as many more as are asked for.
+
+    Args:
+        search: Sets that were weighed so far.
+        center: The best set.
+        ranked: Its neighbors, best first.
+        until: CPU time after which the rest keeps its linear evidence [s]. Where no refit so far
+            stayed near the data sheet, linear evidence was no guide, and a few more are made
+            however late it is: a busy machine must not choose the answer.
+    """
+    wanted = search.settings.num_refits
+    most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
+    for k, members in enumerate(ranked[:most]):
+        has_time = k == 0 or (k < wanted and process_time() < until)
+        if not has_time and any(_is_near_sheet(search, tried) for tried in ranked[:k]):
+            break
+        search = refit(search, members, center)
+    return search
+
+
+def _is_near_sheet(search: Search, members: Members) -> bool:
+    """Whether the fit of a set left all base parameters near their priors."""
+    weighed = search.weighed.get(Hypothesis(members))
+    return weighed is not None and weighed.fit is not None and not has_left(weighed.fit)
 
 
 def _refit_rivals(search: Search, center: Center, until: float) -> Search:

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from diffsim.diagnose import diagnose
+from diffsim.diagnose import search as searching
 from diffsim.diagnose.coarse import begun, corrected, renewed_at
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gates import NUMERICS_LAMBDA, refit_gate
-from diffsim.diagnose.search import _center, _refit_rivals, begin, refit
+from diffsim.diagnose.search import _center, _refit_promising, _refit_rivals, begin, refit
 from diffsim.diagnose.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
 from diffsim.identify.linearization import (
@@ -124,3 +125,22 @@ def test_a_rival_that_promises_more_is_refitted_though_time_is_over():
     assert after.weighed[Hypothesis(right)].fit is not None
     assert after.nats(Hypothesis(right)) > after.nats(Hypothesis(wrong))
     assert after.num_late >= 1
+
+
+def test_refits_go_on_where_none_stayed_near_the_data_sheet(monkeypatch):
+    """A hung weight came fourth by linear evidence; the first had turned gravity by 20 sd, and took
+    the time that a busy machine had."""
+    settings = DiagnosisSettings(search=SearchSettings(num_refits=2))
+    study = noisy({"delay": 0.03})
+    effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
+    null = null_fit(Case(study, toy.model(study.runs), effects, (), settings))
+    search = begin(null, Simulations(null.wide))
+    ranked = [frozenset({k}) for k in range(4)]
+
+    def num_refitted(until):
+        made = _refit_promising(search, search.plain, ranked, until)
+        return sum(Hypothesis(members) in made.weighed for members in ranked)
+
+    assert num_refitted(0.0) == 1 and num_refitted(np.inf) == 2
+    monkeypatch.setattr(searching, "has_left", lambda fit: True)
+    assert num_refitted(0.0) == 4 and num_refitted(np.inf) == 2
