@@ -194,11 +194,12 @@ def test_a_cause_may_say_its_size_in_words():
 
 def test_a_rival_without_a_cause_has_a_name():
     """A stranger read "cannot tell it from  or meter_gain_2", and "cannot tell it from ."."""
-    assert _sets([(), ("other",)], "a wrong data sheet") == "a wrong data sheet or other"
     report = diagnosed({PUSH: 1.0}, (PUSH,))
     decision = Decision("ambiguous", frozenset((0,)), (), None, 0.7)
     answer = Answer("ambiguous", decision, report.causes, (), (), None, best_names=(PUSH.name,))
     assert _first(answer).endswith("but not so clearly that it is certain.")
+    said = _sets(answer, [(), ("other",)], "a wrong data sheet")
+    assert said == "a wrong data sheet or other"
 
 
 def test_a_size_in_a_unit_of_its_own_is_read_in_it():

@@ -24,7 +24,7 @@ def answer(verdict: str, causes, rivals=(), gates=()) -> Answer:
     names = tuple(row.name for row in causes)
     return Answer(
         verdict,
-        SimpleNamespace(best=frozenset({0}), share=1.0, lead=0.0),
+        SimpleNamespace(best=frozenset({0}), share=1.0, lead=0.0, forms={}),
         tuple(causes),
         rivals,
         tuple(gates),
