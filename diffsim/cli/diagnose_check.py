@@ -118,11 +118,10 @@ def problems_of(study: Study) -> list[Problem]:
                     f"{first.use}): if that is one recording in two frames, give both the same use",
                 )
             )
-    for first, second in cut_in_two(study):
+    # without a clock rows are counted over the whole file, whatever they hold
+    for first, second in cut_in_two(study) if _has_clock(study) else ():
         if BLOCK_OF in first.setup and BLOCK_OF in second.setup:
             continue  # pieces of two recordings, whose clocks happen to meet
-        if not _has_clock(study):
-            continue  # rows are counted over the whole file, whatever they hold
         found.append(
             Problem(
                 "warning",

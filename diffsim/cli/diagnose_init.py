@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +13,6 @@ import yaml
 
 from diffsim.cli.diagnose_inputs import described
 from diffsim.core.check import require_choice
-from diffsim.core.errors import Mistakes
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
@@ -72,10 +72,9 @@ def init(
         print(f"guessed: {sentence}")
     try:
         study = load_study(out)
-    except ValueError as error:
-        raise Mistakes(
-            [f"{out} was written, but must be mended", *str(error).splitlines()]
-        ) from error
+    except ValueError:
+        print(f"{out} was written, but must be mended", file=sys.stderr)
+        raise
     print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
     print(f"still to be stated: the model, and {len(guess.todo)} more; see {TODO} in the file, or")
     print(f"    diffsim diagnose check {out}")

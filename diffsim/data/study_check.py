@@ -64,11 +64,7 @@ def _check_plan(study: Study) -> Iterator[Problem]:
         yield Problem("error", f"run {name}", "the name is used twice; names must be unique")
     fit_groups = {run.group for run in study.fit_runs}
     if not study.fit_runs:
-        yield Problem(
-            "error",
-            "study",
-            NO_FIT_RUN,
-        )
+        yield Problem("error", "study", NO_FIT_RUN)
     elif len(fit_groups) < 2:
         yield Problem(
             "warning",
