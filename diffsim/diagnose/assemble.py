@@ -24,10 +24,10 @@ from diffsim.diagnose.form import without_forms
 from diffsim.diagnose.gates import NUMERICS_GATES, GateResult
 from diffsim.diagnose.headline import headline
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Judgment
-from diffsim.diagnose.left_out import unmet_by
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.outside import spans_of
+from diffsim.diagnose.own_values import unmet_by
 from diffsim.diagnose.records import BaseRow, CauseRow
 from diffsim.diagnose.referee import Referee
 from diffsim.diagnose.refine import SetNumerics

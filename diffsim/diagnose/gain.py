@@ -4,29 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run
-from diffsim.diagnose.left_out import own_point, unmet_by
-from diffsim.identify import Problem
+from diffsim.diagnose.own_values import Frozen, held_out_point
 
 Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # per run; fewer in all say nothing: equal models win three in a row by chance
 LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 BLOCK_S = 0.3  # longer than the memory of what the models leave
-
-
-class Frozen(Protocol):
-    """A problem at coordinates that are not fitted any more; a ``Fit`` is one."""
-
-    @property
-    def problem(self) -> Problem: ...
-
-    @property
-    def x(self) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -156,12 +144,6 @@ def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
 def held_out_residual(fit: Frozen, run: Run) -> Array:
     """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
     return replace(fit.problem, runs=(run,)).residual(held_out_point(fit, run))
-
-
-def held_out_point(fit: Frozen, run: Run) -> Array:
-    """The fit's coordinates with what is a run's own ("offset@run") fitted to it."""
-    alone = replace(fit.problem, runs=(run,))
-    return own_point(alone, fit.x, run, unmet=unmet_by(fit.problem))
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen) -> Array:

@@ -11,18 +11,17 @@ fit repeated in full, a limited number of times.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import TIMELESS, Run
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.optimum import optimum
+from diffsim.diagnose.own_values import own_point, unmet_by
 from diffsim.identify import Fit, Problem
 from diffsim.identify.linearization import linearization_at
 
@@ -35,8 +34,6 @@ MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
 DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
 ALONE = 0.98  # share of what is known of a parameter that one part holds
 NONLINEAR = 0.5  # error of the linear prediction over what it moves, from which a fit is repeated
-_FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
-_STRAIGHT = 0.02  # share of it that this must promise
 WORSE_NATS = 2.0  # and the nats that it must cost
 
 
@@ -249,93 +246,6 @@ def _simulated(fit: Fit, fold: Fold, x: Array) -> Array:
             point = own_point(alone, x, run, fit.jacobian[own], unmet)
         found[own] = alone.residual(point)
     return np.asarray(found[fold.rows])
-
-
-def unmet_by(problem: Problem) -> tuple[str, ...]:
-    """Base parameters of a rotor, a material, ... that no run of the problem has."""
-    known = {n for run in problem.runs for n in problem.names if is_of_fact(n, run)}
-    return tuple(p.name for p in problem.model.base if "[" in p.name and p.name not in known)
-
-
-def is_of_fact(name: str, run: Run) -> bool:
-    """Whether a parameter, as "gain[rotor=A]", is that of a fact of the run."""
-    return any(name.endswith(f"[{fact}={value}]") for fact, value in run.setup.items())
-
-
-def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tuple[str, ...]:
-    """Parameters that are fitted to a run whatever it is used for.
-
-    Args:
-        names: Names of all coordinates.
-        run: Run that they belong to.
-        unmet: Parameters that no fitted run has; those of this run's facts are its own.
-    """
-    at_run = f"@{run.name}"
-    return tuple(n for n in names if n.endswith(at_run) or (n in unmet and is_of_fact(n, run)))
-
-
-def own_point(
-    problem: Problem,
-    x: Array,
-    run: Run,
-    slopes: Array | None = None,
-    unmet: Collection[str] = (),
-) -> Array:
-    """Coordinates with the values of one run ("offset@run") fitted to it, all others as given.
-
-    Args:
-        problem: Model and noise, with this run only.
-        x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
-        run: Run that they belong to.
-        slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated.
-        unmet: Parameters that no fitted run has, as of ``own_names``.
-    """
-    names = set(own_names(problem.names, run, unmet))
-    own = [i for i, n in enumerate(problem.names) if n in names]
-    if not own:
-        return x
-
-    def full(part: Array) -> Array:
-        point = x.copy()
-        point[own] = part
-        return point
-
-    def columns_at(part: Array) -> Array:
-        return -np.asarray(problem.linearize(full(part), only=own)[1][:, own])
-
-    # what is stated per run acts almost linearly: slopes of its start serve for all steps; a size
-    # is no straight function of its coordinate
-    is_linear = not names & set(unmet) and max(own) < problem.num_base
-    start = np.zeros(len(own))
-    columns = columns_at(start) if slopes is None or not is_linear else -slopes[:, own]
-    low, high = (b[own] for b in problem.bounds)
-
-    def best_from(part: Array, held: Array | None) -> Array:
-        slopes_at = columns_at if held is None else lambda _: held
-        found: Array = optimize.least_squares(
-            lambda part: np.concatenate([problem.residual(full(part)), part]),
-            np.clip(part, low, high),
-            jac=lambda part: np.vstack([slopes_at(part), np.eye(len(own))]),
-            bounds=(low, high),
-            method="trf" if not (np.isfinite(low).any() or np.isfinite(high).any()) else "dogbox",
-            max_nfev=20,
-        ).x
-        return found
-
-    part = best_from(start, columns if is_linear else None)
-    if is_linear and slopes is None:
-        left = problem.residual(full(part))
-        if left @ left > _FAR * len(left) and _promise(left, columns_at(part), part) > _STRAIGHT:
-            part = best_from(part, None)  # a ball that begins to roll: no straight function
-    return full(part)
-
-
-def _promise(left: Array, columns: Array, part: Array) -> float:
-    """Share of the misfit that another step would remove, were all straight."""
-    rest, slopes = np.concatenate([left, part]), np.vstack([columns, np.eye(len(part))])
-    step = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
-    after = rest + slopes @ step
-    return 1.0 - float(after @ after) / float(rest @ rest)
 
 
 def _kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
 from diffsim.data.study import Channel, Command, Run
-from diffsim.diagnose.gain import Frozen, Gain, compared
-from diffsim.diagnose.left_out import own_names, own_point
+from diffsim.diagnose.gain import Gain, compared
 from diffsim.diagnose.noise import without_spikes
 from diffsim.diagnose.outside import Span, outside_rows
+from diffsim.diagnose.own_values import Frozen, held_out_point, own_names
 from diffsim.diagnose.records import ErrorRow, OutsideRow
 
 Array = NDArray[np.float64]
@@ -149,8 +149,7 @@ def shown_unit(channel: Channel) -> tuple[str, float]:
 
 def _alone(frozen: Frozen, run: Run, unmet: Collection[str]) -> At:
     """A model on one run, with the values that are the run's own fitted to it."""
-    problem = replace(frozen.problem, runs=(run,))
-    return At(problem, own_point(problem, frozen.x, run, unmet=unmet))
+    return At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
 
 
 def _predicted(frozen: Frozen, run: Run) -> Array:

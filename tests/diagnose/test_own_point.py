@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Run
-from diffsim.diagnose.left_out import own_point
+from diffsim.diagnose.own_values import own_point
 
 RUN = Run("new", np.arange(30.0), np.zeros((30, 1)), {}, "new")
 TRUE = np.array([0.0, 0.3, 2.2])
