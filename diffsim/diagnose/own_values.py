@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Protocol
 from weakref import WeakKeyDictionary, ref
 
@@ -13,11 +14,11 @@ from scipy import optimize
 
 from diffsim.data.study import Run
 from diffsim.identify import Problem
+from diffsim.identify.effort import FIT_RTOL
 
 Array = NDArray[np.float64]
 _FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
 _STRAIGHT = 0.02  # share of it that this must promise
-_FTOL = 1e-5  # share of the misfit that a step of them must gain: far below what a gain can show
 _MAX_STEPS = 20
 _Asked = tuple[int, bytes, tuple[str, ...]]
 
@@ -105,8 +106,13 @@ def own_point(
         point[own] = part
         return point
 
-    def columns_at(part: Array) -> Array:
+    @lru_cache(maxsize=1)  # where slopes of before are given up, they are asked for twice
+    def columns_of(key: bytes) -> Array:
+        part = np.frombuffer(key, dtype=np.float64)
         return -np.asarray(problem.linearize(full(part), only=own)[1][:, own])
+
+    def columns_at(part: Array) -> Array:
+        return columns_of(part.tobytes())
 
     # what is stated per run acts almost linearly: slopes of its start serve for all steps; a size
     # is no straight function of its coordinate
@@ -123,7 +129,7 @@ def own_point(
             jac=lambda part: np.vstack([slopes_at(part), np.eye(len(own))]),
             bounds=(low, high),
             method="trf" if not (np.isfinite(low).any() or np.isfinite(high).any()) else "dogbox",
-            ftol=_FTOL,
+            ftol=FIT_RTOL,
             max_nfev=_MAX_STEPS,
         ).x
         return found
