@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from diffsim.data.study import Run
@@ -15,8 +16,10 @@ from diffsim.diagnose.records import BaseRow
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
+Array = NDArray[np.float64]
 PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
 FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
+WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
 TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
 
 
@@ -53,6 +56,9 @@ def base_rows(
 ) -> tuple[BaseRow, ...]:
     """Base parameters of the runs that were fitted, with what their data sheets say.
 
+    A data sheet that is wrong holds its parameter back, and that bends all it is fitted with:
+    intervals hold what is found both with it and without.
+
     Args:
         fit: Fit of the best set.
         runs: Runs that were fitted.
@@ -64,17 +70,39 @@ def base_rows(
     sd, names = np.sqrt(np.diag(fit.covariance)), {run.name for run in runs}
     base, rows = fit.problem.model.base, []
     limit = pull_limit(base)
+    moved, free_sd = _without_wrong(fit, limit)
     for i, p in enumerate(base):
         run = p.name.partition("@")[2] or None
         if run is not None and run not in names:
             continue
         factor = wider.factors.get(p.name, wider.usual if run is None else 1.0)
         x, spread = (wrong or {}).get(p.name, (float(fit.x[i]), float(sd[i])))
-        rows.append(_base_row(p, x, spread * factor, run, limit))
+        row = _base_row(p, x, spread * factor, run, limit)
+        if moved[i] and p.name not in (wrong or {}):
+            free = _base_row(p, x + float(moved[i]), float(free_sd[i]) * factor, run, limit)
+            row = replace(row, low=min(row.low, free.low), high=max(row.high, free.high))
+        rows.append(row)
     if not judged:
         return tuple(rows)
     alone = (replace(r, finding=r.run is None and _is_off(r)) for r in rows)
     return (*alone, *_pulled_together(rows))
+
+
+def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
+    """Where a fit goes, by its slopes, if data sheets that it has left do not hold it.
+
+    Returns:
+        Change of the coordinates, (n,), and their standard deviations there, (n,).
+    """
+    base, covariance = fit.problem.model.base, fit.covariance
+    left = [j for j, p in enumerate(base) if "@" not in p.name and abs(fit.x[j]) > limit]
+    if not left:
+        return np.zeros(len(fit.x)), np.sqrt(np.diag(covariance))
+    share = 1.0 - WIDE**-2  # of their priors' precision that is taken away: a change of low rank
+    columns = covariance[:, left]
+    inner = np.eye(len(left)) / share - covariance[np.ix_(left, left)]
+    free = covariance + columns @ np.linalg.solve(inner, columns.T)
+    return free[:, left] @ (share * fit.x[left]), np.sqrt(np.diag(free))
 
 
 def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) -> BaseRow:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from diffsim.diagnose.data_sheet import pull_limit, words_of
+from diffsim.diagnose.data_sheet import WIDE, pull_limit, words_of
 from diffsim.diagnose.evidence import (
     ALONE_NATS,
     Hypothesis,
@@ -23,8 +23,6 @@ from diffsim.diagnose.judge import NAMES, Decision
 from diffsim.diagnose.records import WRONG_SHEET
 from diffsim.diagnose.weighed_sets import Search
 from diffsim.identify import Fit
-
-WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
 
 
 def without_wrong_sheets(decision: Decision, search: Search) -> Decision:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from diffsim.diagnose.averaging import Widening
+from diffsim.diagnose.data_sheet import base_rows
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.wrong_sheet import off_sheet
-from diffsim.identify import fit
+from diffsim.identify import Parameter, SimModel, fit
 from tests.diagnose import linear
 from tests.diagnose.test_causes import causes, diagnosed
 from tests.diagnose.test_evidence import linearized
@@ -68,3 +70,37 @@ def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it():
     row = causes(report)["tug"]
     assert row.status in ("likely", "cannot be told from") and off_sheet("mass") in row.rivals
     assert "mass is off its data sheet" in report.headline
+
+
+def test_a_wrong_data_sheet_does_not_narrow_its_neighbors():
+    """Two stiffnesses whose sum is known well: one is nine sd off, and held its twin back."""
+    held = {"front": 0, "rear": 0}
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        truth = {"front": float(rng.normal()), "rear": 9.0}
+        runs = [pair_run(f"r{k}", truth, rng) for k in range(2)]
+        found = fit(PAIR, runs, linear.CHANNELS, whitener=linear.problem(runs=runs).whitener)
+        rows = base_rows(found, runs, Widening(), judged=True)
+        for row in rows:
+            held[row.name] += row.low <= truth[row.name] <= row.high
+        assert [row.name for row in rows if row.finding] == ["rear"]
+    assert min(held.values()) >= 0.85 * 60
+
+
+def pair_record(values, run):
+    """(T, 2) of two stiffnesses that do nearly the same."""
+    both, rear = linear.shapes("both", run)[..., 0], linear.shapes("rear", run)[..., 0]
+    return (values["front"] + values["rear"]) * both + 0.25 * values["rear"] * rear
+
+
+def pair_run(name, truth, rng):
+    bare = linear.run(name, 0)
+    noise = rng.normal(size=bare.measured.shape) * [c.sd for c in linear.CHANNELS]
+    return replace(bare, measured=pair_record(truth, bare).numpy() + noise)
+
+
+PAIR = SimModel(
+    lambda values, run, numerics: linear.LinearScene(pair_record(values, run)),
+    [Parameter("front", 0.0, 1.0, "N/m"), Parameter("rear", 0.0, 1.0, "N/m")],
+    "pair",
+)
