@@ -13,6 +13,10 @@ from diffsim.diagnose.records import (
     CauseRow,
     Interval,
 )
+from diffsim.identify.effect import is_of_run
+
+MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
+_RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +66,42 @@ def plain_name(answer: Answer, name: str) -> str:
     return next((row.words for row in answer.causes if row.name == name), name)
 
 
-def size_range(row: CauseRow) -> str:
+def size_range(row: CauseRow, *, brief: bool = False) -> str:
+    """Sizes of a cause with their 90 % intervals, or between which values many of them lie.
+
+    Args:
+        row: Cause with one size or more.
+        brief: Say of two or more sizes, too, only between which values they lie.
+    """
     row = row.as_read()
-    unit = "" if row.unit == "-" else f" {row.unit}"
-    return f"{ends(next(iter(row.size.values())))}{unit}"
+    if has_many_sizes(row) or (brief and len(row.size) > 1):
+        return _spread(row)
+    alone = len(row.size) == 1
+    sizes = (f"{'' if alone else component_words(c) + ' '}{ends(s)}" for c, s in row.size.items())
+    return f"{', '.join(sizes)}{after_number(row.unit)}"
+
+
+def has_many_sizes(row: CauseRow) -> bool:
+    """Whether its sizes are too many for a sentence."""
+    return len(row.size) > (1 if all(map(is_of_run, row.size)) else MAX_SIZES)
+
+
+def _spread(row: CauseRow) -> str:
+    """Between which values the sizes lie; tables have each."""
+    values = [size.value for size in row.size.values()]
+    what = "runs" if all(map(is_of_run, row.size)) else "sizes"
+    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    return f"{low} to {high}{after_number(row.unit)} in {len(values)} {what}"
+
+
+def component_words(component: str) -> str:
+    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
+    return component.strip("[]").replace("=", " ").replace("_", " ")
+
+
+def after_number(unit: str) -> str:
+    """A unit as it follows a number; nothing for one that is none."""
+    return "" if unit in _RELATIVE else f" {unit}"
 
 
 def ends(size: Interval) -> str:

@@ -7,7 +7,15 @@ from itertools import product
 
 import numpy as np
 
-from diffsim.diagnose.answer import Answer, capital, effects_of, opened, plain_name, size_range
+from diffsim.diagnose.answer import (
+    Answer,
+    after_number,
+    capital,
+    effects_of,
+    opened,
+    plain_name,
+    size_range,
+)
 from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.records import (
@@ -23,6 +31,7 @@ from diffsim.diagnose.records import (
 MAX_NAMES = 2  # names in the headline
 MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
+_PLURALS = ("pulses",)  # of causes that are several things
 
 
 def headline(
@@ -45,7 +54,7 @@ def headline(
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
     named = [row for row in effects_of(answer) if row.name in answer.named]
     said_of = [row for row in named if row.status == CERTAIN] or named  # as `_missing` says them
-    subject = "They take" if len(said_of) > 1 else "It takes"
+    subject = "They take" if _are_several(said_of) else "It takes"
     if failed:
         endings = [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
     else:
@@ -86,8 +95,10 @@ def _said(answer: Answer) -> list[str]:
 def _open(answer: Answer) -> list[str]:
     """Sets of causes that cannot be told apart, without what they share."""
     sets = [answer.best_names, *answer.rivals]
+    if not any(answer.rivals) and not answer.decision.forms:
+        return _unsure(answer)
     common = set(sets[0]).intersection(*sets[1:])
-    parts = [[plain_name(answer, n) for n in s if n not in common] for s in sets]
+    parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
     shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > MAX_NAMES else "")
     if names and len(shown.split()) > MAX_OPEN:
@@ -103,37 +114,79 @@ def _open(answer: Answer) -> list[str]:
     return [f"{capital(shown)} is missing{also}; these runs cannot tell which"]
 
 
+def _unsure(answer: Answer) -> list[str]:
+    """Causes that the data ask for, where nothing but their absence is a rival."""
+    named = [row for row in effects_of(answer) if row.name in answer.best_names]
+    return [f"{said}; these runs leave it open" for said in _missing(named, "may be")]
+
+
 def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     """Sentences on data sheets where no cause is missing, the longest first."""
     row = rows[0].as_read()
-    value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
+    value, unit = next(iter(row.size.values())).value, after_number(row.unit)
     prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
+    number = next((n for d in (3, 4, 5) if (n := f"{value:.{d}g}") != prior), f"{value:.6g}")
     others = "" if len(rows) == 1 else f" (and {len(rows) - 1} more)"
     which = "a data sheet is" if len(rows) == 1 else "data sheets are"
-    off = f"{row.words} is {value.value:.3g}{unit}, not {prior}{unit}"
+    off = f"{row.words} is {number}{unit}, not {prior}{unit}"
     return [f"Only {which} off: {off}{others}", f"{opened(off)}{others}", opened(off)]
 
 
-def _missing(named: Sequence[CauseRow]) -> list[str]:
-    """Sentences on causes that are named, the longest first."""
+def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
+    """Sentences on causes that are named, the longest first.
+
+    Args:
+        named: Causes, data sheets among them.
+        verb: Before "missing"; empty: as sure and as many as they are.
+    """
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = [row for row in named if row.origin == EFFECT]
     effects = [row for row in effects if row.status == CERTAIN] or effects
     sure = "" if all(row.status == CERTAIN for row in effects) else " probably"
-    words = [row.words for row in effects[:MAX_NAMES]]
+    ending = f"{verb or ('are' if _are_several(effects) else 'is') + sure} missing"
+    out = [*_with_sizes(effects, ending), *_without_sizes(effects, ending)]
+    if sheet:
+        out = [*(f"{said}, {sheet[0].words} is off its data sheet" for said in out), *out]
+    return out
+
+
+def _with_sizes(effects: Sequence[CauseRow], ending: str) -> list[str]:
+    """Names with the sizes that their words do not say, the longest first; none of many causes."""
+    sized = {row.name for row in effects if row.size and _is_bare(row)}
+    if not sized or len(effects) > MAX_NAMES:
+        return []
+    out = []
+    for brief in (False, True):
+        ranges = [f" ({size_range(r, brief=brief)})" if r.name in sized else "" for r in effects]
+        if len(effects) == 1:
+            out.append(f"{capital(effects[0].words)} {ending}{ranges[0]}")
+        else:
+            parts = (
+                f"{_brief(row.words)}{size}" for row, size in zip(effects, ranges, strict=True)
+            )
+            out.append(f"{capital(' and '.join(parts))} {ending}")
+    return list(dict.fromkeys(out))
+
+
+def _without_sizes(effects: Sequence[CauseRow], ending: str) -> list[str]:
+    """Names alone, the longest first."""
+    words = [_brief(row.words) for row in effects[:MAX_NAMES]]
     more = len(effects) - len(words)
     names = ", ".join(words) + f" and {more} more" if more else " and ".join(words)
-    verb = "is" if len(effects) == 1 else "are"
-    out = [f"{capital(names)} {verb}{sure} missing"]
-    if len(effects) <= MAX_NAMES and all(len(row.size) == 1 for row in effects):
-        if len(effects) == 1 and _is_bare(effects[0]):
-            out.insert(0, f"{out[0]} ({size_range(effects[0])})")
-        elif len(effects) > 1:
-            sized = [f"{r.words} ({size_range(r)})" if _is_bare(r) else r.words for r in effects]
-            out.insert(0, f"{capital(' and '.join(sized))} {verb}{sure} missing")
-    if sheet:
-        out.insert(0, f"{out[0]}, {sheet[0].words} is off its data sheet")
+    out = [f"{capital(names)} {ending}"]
+    if len(effects) == 1 and effects[0].words != words[0]:
+        out.insert(0, f"{capital(effects[0].words)}, {ending}")
     return out
+
+
+def _are_several(rows: Sequence[CauseRow]) -> bool:
+    """Whether what is missing is several things."""
+    return len(rows) > 1 or any(row.words.startswith(_PLURALS) for row in rows)
+
+
+def _brief(words: str) -> str:
+    """Words of a cause without what they say after a comma."""
+    return words.partition(",")[0]
 
 
 def _is_bare(row: CauseRow) -> bool:
@@ -150,25 +203,39 @@ def _on_unseen(
     sure = gained is None or gained.status == "confirmed"
     row = _telling_kind(errors, changed, worst=gained is not None and gained.status == "withdrawn")
     where = "unseen runs" if row.use == "test" else "the runs that chose"
-    before, after, noise = (f"{v:.3g}" for v in (row.before, row.after, row.noise))
-    unit = "" if row.unit == "-" else f" {row.unit}"
+    before, after, unit, noise = _numbers(row)
+    besides = f", noise {noise}" if noise else ""
     if not changed:
-        return [f"; the error on {where} is {before}{unit}, noise {noise}{unit}"]
+        return [
+            f"; the error on {where} is {before}{unit}{besides}",
+            f"; error {before}{unit}{besides}",
+        ]
     if row.after > 0.99 * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
-        return [f"; but the error on {where} {verb} {after}{unit}, noise {noise}{unit}"]
+        return [f"; but the error on {where} {verb} {after}{unit}{besides}"]
     if not sure:
         change = f"{before} to {after}{unit}"
         return [
-            f"; but no gain is confirmed on {where}: error {change}, noise {noise}{unit}",
-            f"; no gain is confirmed: error {change}, noise {noise}",
+            f"; but no gain is confirmed on {where}: error {change}{besides}",
+            f"; no gain is confirmed: error {change}{besides}",
             "; no gain is confirmed",
         ]
+    is_noise = f"; {noise} is noise" if noise else ""
     return [
-        f". {subject} the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
-        f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
-        f": error {before} to {after}{unit}, noise {noise}",
+        f". {subject} the error on {where} from {before} to {after}{unit}{is_noise}",
+        f": error on {where} {before} to {after}{unit}{besides}",
+        f": error {before} to {after}{unit}{besides}",
     ]
+
+
+def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
+    """Errors before and after, their unit, and the noise with it; without a unit, errors over the
+    noise."""
+    if row.unit == "-" and row.noise > 0.0:
+        before, after = (f"{v / row.noise:.3g}" for v in (row.before, row.after))
+        return before, after, " times the noise", ""
+    unit = after_number(row.unit)
+    return f"{row.before:.3g}", f"{row.after:.3g}", unit, f"{row.noise:.3g}{unit}"
 
 
 def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> ErrorRow:

@@ -7,7 +7,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.diagnose.answer import Answer, effects_of, ends, opened, plain_name
+from diffsim.diagnose.answer import (
+    Answer,
+    after_number,
+    effects_of,
+    ends,
+    has_many_sizes,
+    opened,
+    plain_name,
+    size_range,
+)
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import COARSE, FIRST_ANSWER, LATE, NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED
@@ -20,10 +29,8 @@ from diffsim.diagnose.records import (
     CauseRow,
     ErrorRow,
 )
-from diffsim.identify.effect import is_of_run
 
 MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
-MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 
 
 def sentences(
@@ -107,7 +114,7 @@ def _data_sheets(answer: Answer) -> list[str]:
     out = []
     for row in (row.as_read() for row in answer.causes):
         if row.origin == DATA_SHEET:
-            unit = "" if row.unit == "-" else f" {row.unit}"
+            unit = after_number(row.unit)
             size = next(iter(row.size.values()))
             sheet = row.note.partition("data sheet: ")[2].partition(" (")[0]
             text = f"{opened(row.words)} is {ends(size)}{unit}, the data sheet says {sheet}{unit}"
@@ -169,26 +176,10 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
 def _sizes(rows: Sequence[CauseRow]) -> str:
     """Causes with their 90 % intervals."""
     parts = []
-    for row in (row.as_read() for row in rows):
-        if len(row.size) > 1 and all(map(is_of_run, row.size)):
-            parts.append(_between(row, "runs"))
-            continue
-        if len(row.size) > MAX_SIZES:
-            parts.append(_between(row, "sizes"))
-            continue
-        sizes = ", ".join(
-            f"{'' if len(row.size) == 1 else c + ' '}{ends(size)}" for c, size in row.size.items()
-        )
-        unit = "" if row.unit == "-" else f" {row.unit}"
-        parts.append(f"{row.words} ({sizes}{unit}; 90 % interval)")
+    for row in rows:
+        what = "" if has_many_sizes(row) else "; 90 % interval"
+        parts.append(f"{row.words} ({size_range(row)}{what})")
     return " and ".join(parts)
-
-
-def _between(row: CauseRow, what: str) -> str:
-    """Many sizes: between which values they lie; tables have each."""
-    values = [size.value for size in row.size.values()]
-    unit = "" if row.unit == "-" else f" {row.unit}"
-    return f"{row.words} ({min(values):.3g} to {max(values):.3g}{unit} in {len(values)} {what})"
 
 
 def _plain(check: str) -> str:

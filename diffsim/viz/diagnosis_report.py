@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.data.study import Channel
+from diffsim.diagnose.answer import component_words
 from diffsim.diagnose.force_map import ForceMap
 from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.report import Report
@@ -314,7 +315,7 @@ def _component_of(name: str) -> str:
     """A component of a cause in words: "stiffness_loss.root" is "stiffness loss (root)"."""
     effect, _, component = name.partition(".")
     words = effect.replace("_", " ")
-    return f"{words} ({tables.component_words(component)})" if component else words
+    return f"{words} ({component_words(component)})" if component else words
 
 
 def _listed(names: Sequence[str], most: int, between: str = ", ") -> str:

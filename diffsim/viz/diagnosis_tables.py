@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from diffsim.diagnose.answer import component_words
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.records import (
     HIDDEN,
@@ -160,11 +161,6 @@ def _sized(row: CauseRow, component: str, size: Interval) -> str:
     label = "" if len(row.size) == 1 else f"{component_words(component)}: "
     numbers = with_interval(size.value, size.low, size.high)
     return f"{label}{numbers} {unit_of(row.unit)}".rstrip().replace(" ", "\u00a0")
-
-
-def component_words(component: str) -> str:
-    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
-    return component.strip("[]").replace("=", " ").replace("_", " ")
 
 
 def sets(r: Report, most: int = 12) -> list[Table]:
