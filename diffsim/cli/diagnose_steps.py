@@ -6,6 +6,7 @@ import argparse
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +31,15 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.next_run import Narrowing, NextRun
 from diffsim.diagnose.progress import progress_bar
 from diffsim.diagnose.records import OutsideRow
-from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
+from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 from diffsim.identify.numerics import Numerics
 
-CACHE, JUDGE_FILE = "interrupted", "judge.json"
+CACHE, JUDGE_FILE, NEXT_FILE = "interrupted", "judge.json", "next.json"
 MAX_OUTSIDE = 3  # lines per run; the file holds all
 
 
@@ -296,19 +298,29 @@ def _next(args: argparse.Namespace) -> None:
     print(why)
     refined = saved["settings"].get("numerics")
     numerics = Numerics(**refined) if refined else None
-    if len(sets) < 2:
-        return
-    advice = advise(inputs, sets, numerics)
-    width = max(32, *(len(name) for name in advice.chi2_gain))
-    for name, chi2 in sorted(advice.chi2_gain.items(), key=lambda item: -item[1]):
-        print(f"{name:<{width}} {chi2:>12.4g}")
+    advice: NextRun | Narrowing | None
+    if len(sets) > 1:
+        advice = advise(inputs, sets, numerics)
+        _tell_runs(advice.chi2_gain, -1.0)
+    else:
+        advice = advise_narrowing(inputs, saved, numerics)
+        if advice is None:
+            return
+        print("width of the intervals after a run, over that now:")
+        _tell_runs({name: advice.width(name) for name in advice.shares}, 1.0)
     print(advice.words)
-    content = {"rivals": sets, "why": why, "best": advice.best, "chi2_gain": advice.chi2_gain}
-    write_json_atomic(out / "next.json", {**content, "over_median": advice.over_median})
-    print(f"wrote {out / 'next.json'}")
+    write_json_atomic(out / NEXT_FILE, {"rivals": sets, "why": why, **asdict(advice)})
+    print(f"wrote {out / NEXT_FILE}")
     if args.csv:
         best = next(run for run in inputs.setup.bank if run.name == advice.best)
         print(f"wrote {write_text_atomic(out / 'next.csv', command_table(best, inputs.study))}")
+
+
+def _tell_runs(values: Mapping[str, float], sign: float) -> None:
+    """A number for each run of a bank, the best first."""
+    width = max(32, *(len(name) for name in values))
+    for name, value in sorted(values.items(), key=lambda item: sign * item[1]):
+        print(f"{name:<{width}} {value:>12.4g}")
 
 
 def _if_installed(write: Callable[[], Path]) -> bool:

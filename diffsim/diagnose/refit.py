@@ -17,8 +17,9 @@ from diffsim.data.study import Study
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.next_run import NextRun, next_run
+from diffsim.diagnose.next_run import Narrowing, NextRun, narrowing, next_run
 from diffsim.diagnose.noise import NoiseFloor
+from diffsim.diagnose.records import CERTAIN, EFFECT
 from diffsim.diagnose.report import fit_to_dict, save_model
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
@@ -31,6 +32,7 @@ from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]
 CORRELATED = 0.8
+SETTLED = ("none", "data_sheet", "named")  # verdicts that may leave nothing open
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +160,8 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     if verdict == "data_sheet":
         off = ", ".join(report.get("findings", ()))
         return [], f"verdict data_sheet: no cause is open; measure {off} to confirm the number"
+    if verdict == "none":
+        return [], "verdict none: nothing is open; the misfit is noise"
     if not named:
         return [], f"verdict {verdict}: no set of effects stands, none can be settled"
     if len(sets) > 1:
@@ -167,14 +171,54 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
         if len(known) < 2:
             note += "; the plain model stands for it"
             known = [*known, ()]
-        surely = f"{_words(named)} is certain; " if verdict == "named" else ""
+        surely = f"{_words(named)} {_is_or_are(named)} certain; " if verdict == "named" else ""
         return known, f"{surely}open: " + ", or ".join(_words(s) for s in known if s) + note
+    if verdict == "named" and not _unsure_of(report):
+        return [named], f"nothing is open: {_words(named)} {_is_or_are(named)} certain"
     for row in report["hypotheses"]:
         rival = tuple(row["effects"])
         if row["unknown"] is None and not set(rival) >= set(named):
             why = f"{_words(named)} stands alone; against the nearest other set, {_words(rival)}"
             return [named, rival], why
     return [named], f"{_words(named)} stands alone, and nothing else was refitted"
+
+
+def _unsure_of(report: Mapping[str, Any]) -> list[str]:
+    """Named effects that are not certain."""
+    return [
+        row["name"]
+        for row in report.get("causes", ())
+        if row["origin"] == EFFECT and row["name"] in report["named"] and row["status"] != CERTAIN
+    ]
+
+
+@one_thread
+def advise_narrowing(
+    inputs: Inputs, report: Mapping[str, Any], numerics: Numerics | None = None
+) -> Narrowing | None:
+    """Refit the answer of a report that leaves nothing open; what a run would narrow.
+
+    Sizes of the named effects; without one, the data sheets that are off; without these, what is
+    known of the parameters that all runs share.
+
+    Args:
+        inputs: Study and setup with a bank.
+        report: Content of ``report.json``.
+        numerics: Refined numerical settings of the report; None: the model's own.
+
+    Returns:
+        None where there is no bank of runs, nothing to narrow, or something is open.
+    """
+    setup, named = inputs.setup, report["named"]
+    if report["verdict"] not in SETTLED or not setup.bank:
+        return None
+    by_name = {e.name: e for e in setup.effects}
+    effects = [by_name[require_choice("effect", name, by_name)] for name in named]
+    null = fit_null(inputs, numerics)
+    shared = [p.name for p in null.fit.problem.model.base if "@" not in p.name]
+    off = [name for name in report.get("findings", ()) if name in shared]
+    names = effect_coordinates(effects) or off or shared
+    return narrowing(refit(null, effects, inputs, {}), setup.bank, names) if names else None
 
 
 @one_thread
@@ -237,6 +281,10 @@ def _case(inputs: Inputs, numerics: Numerics | None) -> Case:
     study = inputs.study.without_tests()
     settings = (setup.effects, setup.unknowns, setup.settings)
     return Case(study, setup.model, *settings, numerics=numerics)
+
+
+def _is_or_are(names: Sequence[str]) -> str:
+    return "is" if len(names) == 1 else "are"
 
 
 def _words(names: Sequence[str]) -> str:

@@ -355,7 +355,8 @@ def _next_run(r: Report) -> page.Section:
     if r.next_run is None:
         alone = r.verdict in ("none", "data_sheet", "named") and not r.rivals
         text = (
-            "No advice: one explanation stands alone."
+            "Nothing is open. The command “diffsim diagnose next” says which run would narrow "
+            "what is known."
             if alone
             else "The command “diffsim diagnose next” looks for runs that part what is left open."
         )

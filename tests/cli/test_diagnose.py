@@ -279,8 +279,23 @@ def test_extend_without_an_explanation_says_how_to_get_one(study_folder, tmp_pat
 def test_next_takes_a_run_of_the_bank(explained, study_folder, capsys):
     assert run("next", study_folder, explained) == 0
     said = capsys.readouterr().out
-    assert "stands alone" in said and "record " in said
+    assert "nothing is open: drag is certain" in said and "for more, record " in said
     advice = json.loads((explained / "next.json").read_text())
+    left = {run: shares["drag"] for run, shares in advice["shares"].items()}
+    assert advice["best"] == min(left, key=left.get) and 0.0 < left[advice["best"]] < 0.95
+    assert left["small_0.3"] > left[advice["best"]]
+
+
+def test_next_parts_a_likely_cause_from_the_nearest_other_set(
+    explained, study_folder, tmp_path, capsys
+):
+    report = json.loads((explained / "report.json").read_text())
+    report["causes"][0]["status"] = "likely"
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    assert run("next", study_folder, tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "stands alone" in said and "record " in said
+    advice = json.loads((tmp_path / "next.json").read_text())
     assert advice["best"] == max(advice["chi2_gain"], key=advice["chi2_gain"].get)
     assert advice["chi2_gain"]["small_0.3"] < advice["chi2_gain"][advice["best"]]
 
@@ -356,9 +371,14 @@ def test_rivals_of_a_saved_report():
     report = {"table": table, "hypotheses": hypotheses, "named": ["a"], "verdict": "ambiguous"}
     sets, why = rival_sets({**report, "rivals": [["b"], ["unknown force"]]})
     assert sets == [("a",), ("b",)] and "1 with an unknown cause" in why
-    sets, why = rival_sets({**report, "verdict": "named", "rivals": []})
+    alone = {**report, "verdict": "named", "rivals": []}
+    row = {"name": "a", "origin": "effect", "status": "likely"}
+    sets, why = rival_sets({**alone, "causes": [row]})
     assert sets == [("a",), ("b",)] and "stands alone" in why  # a + b holds a: it is no rival
-    assert rival_sets({**report, "verdict": "none", "named": [], "rivals": []})[0] == []
+    sets, why = rival_sets({**alone, "causes": [{**row, "status": "certain"}]})
+    assert sets == [("a",)] and why == "nothing is open: a is certain"
+    sets, why = rival_sets({**report, "verdict": "none", "named": [], "rivals": []})
+    assert sets == [] and "nothing is open" in why
     off = {"verdict": "data_sheet", "named": [], "rivals": [], "findings": ["mass", "arm"]}
     assert rival_sets({**report, **off}) == (
         [],

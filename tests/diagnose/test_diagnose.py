@@ -17,6 +17,7 @@ from diffsim.diagnose.gates import (
     numerical_shift,
     numerics_gate,
 )
+from diffsim.diagnose.next_run import Narrowing, narrowing
 from diffsim.identify import (
     DiagnosisSettings,
     Numerics,
@@ -205,6 +206,25 @@ def test_next_run_distance_is_what_a_refit_leaves():
         np.testing.assert_allclose(advice.chi2_gain[run.name], left @ left, rtol=1e-6)
     with pytest.raises(ValueError, match="at least two fits"):
         next_run(fits[:1], bank)
+
+
+@pytest.mark.reference
+def test_what_a_run_narrows_is_what_a_fit_with_it_knows():
+    push = linear.line("push")
+    runs = [linear.run("r1", 1), linear.run("r2", 5)]
+    now, then = (
+        fit(linear.model(), given, linear.CHANNELS, effects=(push,)) for given in (runs[:1], runs)
+    )
+    again = replace(now, jacobian=then.problem.linearize(now.x)[1])  # slopes where it is now
+    found = narrowing(now, [runs[1]], ["push"])
+    k = now.problem.names.index("push")
+    expected = np.sqrt(again.covariance[k, k] / now.covariance[k, k])
+    assert found.shares["r2"]["push"] == pytest.approx(expected, rel=1e-9)
+    assert found.best == "r2" and found.words.endswith(f"of push to {expected:.2g} of its width")
+    useless = Narrowing("r2", {"r2": {"push": 0.97}})
+    assert useless.words == "none of these runs narrows an interval by more than 5 %"
+    with pytest.raises(ValueError, match="names is empty"):
+        narrowing(now, runs, [])
 
 
 def test_threads_change_nothing():
