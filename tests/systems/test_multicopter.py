@@ -18,7 +18,9 @@ from diffsim.identify import Numerics, Parameter, coarse
 from diffsim.systems import actuator, library
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import flight_model, single_rotors, unknown_wrench
+from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
 from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.sensors import GROUND_SCALE
 from diffsim.systems.multicopter.shooting import Windows
@@ -291,6 +293,36 @@ def test_voltage_exponent_is_the_power_of_the_voltage():
     np.testing.assert_allclose(channels[:, 2], place, atol=1e-12)
     # the accelerometer shows thrust alone
     np.testing.assert_allclose(channels[:, 11], -GRAVITY + held, atol=1e-9)
+
+
+def test_a_sagging_battery_takes_thrust_with_time():
+    """Closed form: z'' = g r t, z = g r t^3 / 6, to the first order of held steps."""
+    rate = 0.05
+    channels, t = straight_up(causes.BATTERY_SAG, size(rate), thrust=HOVER)
+    np.testing.assert_allclose(channels[:, 11], -GRAVITY * (1.0 - rate * (t - t[0])), atol=1e-9)
+    want = GRAVITY * rate * (t - t[0]) ** 3 / 6.0
+    np.testing.assert_allclose(channels[:, 2], want, atol=GRAVITY * rate * t[-1] ** 2 * DT)
+
+
+def test_an_unrecorded_battery_is_a_cause_where_commands_are_no_speeds():
+    described = {"battery": None, "has_speed": False}
+    for change, expected in (
+        ({}, {"battery_sag"}),
+        ({"battery": "voltage_V"}, {"voltage_exponent"}),
+        ({"has_speed": True}, set()),
+    ):
+        vehicle = a_vehicle(**{**described, **change})
+        found = {e.name for e in candidate_causes(vehicle)}
+        assert found & {"battery_sag", "voltage_exponent"} == expected
+
+
+def a_vehicle(**changes) -> Vehicle:
+    facts = {
+        "num_rotors": 4, "mass": 1.0, "arm": 0.25, "frames": Frames("NED", "FRD"),
+        "sensors": ("position",), "lags_speed": False, "battery": None,
+    }  # fmt: skip
+    has = {f"has_{n}": False for n in ("radius", "lag", "clock", "center", "mass", "speed")}
+    return Vehicle(**{**facts, **has, **changes})
 
 
 def test_drags_slow_down():

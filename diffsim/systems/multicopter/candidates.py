@@ -135,6 +135,8 @@ def _of_vehicle(
         yield replace(_scaled(causes.GYROSCOPIC, mass * arm**2), needs=_nothing)
     if of.battery is not None:
         yield causes.voltage_exponent(of.battery)
+    elif not of.has_speed:  # a speed that was measured has fallen already
+        yield causes.BATTERY_SAG
     if of.has_radius and "position" in of.sensors:
         yield causes.GROUND_EFFECT
 

@@ -145,6 +145,12 @@ def _voltage_exponent(
     return scene.with_command(lambda u, dt: u * share ** amount(size, 2))
 
 
+def _battery_sag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    since = torch.as_tensor(run.time_s - run.time_s[0], dtype=torch.float64)
+    since = torch.cat([since[:1], since])[:, None]  # before the record, too
+    return scene.with_command(lambda u, dt: u * (1.0 - amount(size, 2) * since))
+
+
 def _thrust_curvature(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     vehicle = scene.vehicle
     hover = vehicle.mass[:, None, None] * GRAVITY / vehicle.num_rotors
@@ -291,6 +297,17 @@ VOLTAGE_EXPONENT = Effect(
     also_looks_like=("loss of thrust as motors warm", "falling mass"),
     needs=_needs_command,
     apply=_voltage_exponent,
+)
+BATTERY_SAG = Effect(
+    name="battery_sag",
+    form="Thrust times 1 - size (time since the run began): a battery that nobody recorded.",
+    family="thrust",
+    kind="actuator",
+    unit="1/s",
+    typical=2e-3,
+    signed=False,
+    also_looks_like=("loss of thrust as motors warm", "rising mass", "vertical wind that rises"),
+    apply=_battery_sag,
 )
 THRUST_CURVATURE = Effect(
     name="thrust_curvature",
