@@ -12,6 +12,7 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
+from diffsim.systems.soft_body.kept import OfScene
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 
@@ -45,8 +46,8 @@ class _Drag(Force):
     leading_axes, reads = True, ()
 
     def __init__(self, shares: Tensor, coefficient: Tensor, *, quadratic: bool):
-        self._coefficient, self._quadratic = coefficient, quadratic
-        self._shares = shares[:, None]
+        self._quadratic = quadratic
+        self._shares = -coefficient * shares[:, None]
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         v = moment.v - scene.current
@@ -55,7 +56,7 @@ class _Drag(Force):
             square = (v * v).sum(-1, keepdim=True)
             speed = torch.where(square > 0.0, torch.where(square > 0.0, square, 1.0).sqrt(), 0.0)
             v = speed * v
-        return -self._coefficient * self._shares * v
+        return self._shares * v
 
 
 def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
@@ -129,14 +130,20 @@ class _DryFriction(Force):
     leading_axes, reads = True, ()
 
     def __init__(self, size: Tensor, slip_speed: float):
-        self._size, self._slip_speed = size, slip_speed
+        self._slip_speed = slip_speed
+        self._shares = OfScene(_friction_shares)
+        self._scaled = OfScene(lambda scene: -size * self._shares(scene)[:, None])
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        shares = scene.friction_shares
-        if shares is None:
-            shares = scene.body.nodal_volume / scene.body.nodal_volume.sum()
-        speed = shares @ moment.v
-        return -self._size * shares[:, None] * torch.tanh(speed / self._slip_speed)[..., None, :]
+        speed = self._shares(scene) @ moment.v
+        return self._scaled(scene) * torch.tanh(speed / self._slip_speed)[..., None, :]
+
+
+def _friction_shares(scene: SoftScene) -> Tensor:
+    """(num_nodes,) of dry friction, summing to 1."""
+    if scene.friction_shares is not None:
+        return scene.friction_shares
+    return scene.body.nodal_volume / scene.body.nodal_volume.sum()
 
 
 LINEAR_DRAG = Effect(

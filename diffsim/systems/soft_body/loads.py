@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.places import Region, spread_evenly
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
@@ -20,10 +21,17 @@ class HungWeight(Force):
 
     leading_axes, reads = True, ("gravity",)
 
+    def __init__(self) -> None:
+        self._weight = OfScene(_hung_weight)
+
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        assert scene.hung_mass is not None
-        force = scene.hung_mass[:, None] * scene.parameter("gravity")
-        return force.expand(moment.x.shape)
+        return self._weight(scene).expand(moment.x.shape)
+
+
+def _hung_weight(scene: SoftScene) -> Tensor:
+    """(num_nodes, 3) [N]."""
+    assert scene.hung_mass is not None
+    return scene.hung_mass[:, None] * scene.parameter("gravity")
 
 
 def _load_inertia(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -160,17 +168,19 @@ class _Shaking(Force):
     leading_axes, reads = True, ("density", "attached_mass", "added_mass")
 
     def __init__(self, size: Tensor, frequency_hz: float, axes: str):
-        self._parts = size.reshape(len(axes), 2)
-        self._rate = 2.0 * math.pi * frequency_hz
-        self._axes = ["xyz".index(a) for a in axes]
+        parts, rate = size.reshape(len(axes), 2), 2.0 * math.pi * frequency_hz
+        idx = torch.tensor(["xyz".index(a) for a in axes])
+
+        def acceleration(times: Tensor) -> Tensor:
+            angle = rate * times
+            now = torch.stack([angle.cos(), angle.sin()], -1) @ parts.T
+            return now.new_zeros(len(times), 3).index_copy(1, idx, now)
+
+        self._acceleration = OfTime(acceleration)
+        self._mass = OfScene(lambda scene: -scene.inert_mass[:, None])
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        mass = scene.solid_mass + scene.parameter("attached_mass") + scene.parameter("added_mass")
-        angle = torch.tensor(self._rate * moment.time, dtype=torch.float64)
-        now = self._parts @ torch.stack([angle.cos(), angle.sin()])
-        acceleration = torch.zeros(3, dtype=torch.float64)
-        acceleration = acceleration.index_copy(0, torch.tensor(self._axes), now)
-        return (-mass[:, None] * acceleration).expand(moment.x.shape)
+        return (self._mass(scene) * self._acceleration(moment)).expand(moment.x.shape)
 
 
 def _body_scale(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:

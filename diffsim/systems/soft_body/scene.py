@@ -193,6 +193,11 @@ class SoftScene:
         )
         return volume.mass(density)
 
+    @property
+    def inert_mass(self) -> Tensor:
+        """Mass at each node that a moving frame acts on, (num_nodes,) [kg]."""
+        return self.solid_mass + self.parameter("attached_mass") + self.parameter("added_mass")
+
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
         """Force of the solid without fibers, as a function of x (..., num_nodes, 3) [m].
 
@@ -377,12 +382,10 @@ class SoftScene:
         """Sum of the hooks' forces at the start of step k, (num_nodes, 3) [N]."""
         dt = self.body.dt
         moment = Moment(state.x, state.v, self.start_time + k * dt, dt)
-        total = torch.zeros_like(state.x)
+        found = [force(self, moment) for force in forces]
         if self.water is not None:
-            total = total + self.water(state.x, state.v, water_velocity=self.current)
-        for force in forces:
-            total = total + force(self, moment)
-        return total
+            found.insert(0, self.water(state.x, state.v, water_velocity=self.current))
+        return sum(found[1:], found[0]) if found else torch.zeros_like(state.x)
 
 
 def _force_and_strain(

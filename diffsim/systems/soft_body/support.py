@@ -12,6 +12,7 @@ from scipy.signal import butter, filtfilt
 from torch import Tensor
 
 from diffsim.identify.effect import Effect
+from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 if TYPE_CHECKING:
@@ -136,11 +137,10 @@ class _Inertia(Force):
     leading_axes, reads = True, ("density", "attached_mass", "added_mass")
 
     def __init__(self, path: _Path):
-        self._path = path
+        self._modes = path.modes.flatten(1)
+        self._rates = OfTime(lambda times: path.amplitudes(times.numpy(), 2))
+        self._mass = OfScene(lambda scene: -scene.inert_mass[:, None])
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        mass = scene.solid_mass
-        mass = mass + scene.parameter("attached_mass") + scene.parameter("added_mass")
-        rates = self._path.amplitudes(np.array([moment.time]), 2)[0]
-        frame = torch.tensordot(rates, self._path.modes, 1)
-        return (-mass[:, None] * frame).expand(moment.x.shape)
+        frame = (self._rates(moment)[None] @ self._modes).view(-1, 3)
+        return (self._mass(scene) * frame).expand(moment.x.shape)

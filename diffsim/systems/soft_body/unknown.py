@@ -10,6 +10,7 @@ from torch import Tensor
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.signals import straight
+from diffsim.systems.soft_body.kept import OfTime
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 _SHAPES = ("even", "growing")
@@ -43,13 +44,12 @@ class _Knots(Force):
     leading_axes, reads = True, ()
 
     def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
-        self._rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
-        self._shapes, self._spacing = shapes, spacing
+        rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
+        self._shapes = shapes
+        self._knots = OfTime(lambda times: straight(rows, spacing, times).unflatten(1, (3, -1)))
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        time = torch.tensor([moment.time], dtype=torch.float64)
-        now = straight(self._rows, self._spacing, time).reshape(3, -1)
-        return (now @ self._shapes).T.expand(moment.x.shape)
+        return (self._knots(moment) @ self._shapes).T.expand(moment.x.shape)
 
 
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
