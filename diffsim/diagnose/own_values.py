@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
@@ -100,46 +100,71 @@ def own_point(
     own = [i for i, n in enumerate(problem.names) if n in names]
     if not own:
         return x
-
-    def full(part: Array) -> Array:
-        point = x.copy()
-        point[own] = part
-        return point
-
-    @lru_cache(maxsize=1)  # where slopes of before are given up, they are asked for twice
-    def columns_of(key: bytes) -> Array:
-        part = np.frombuffer(key, dtype=np.float64)
-        return -np.asarray(problem.linearize(full(part), only=own)[1][:, own])
-
-    def columns_at(part: Array) -> Array:
-        return columns_of(part.tobytes())
-
+    alone = _Alone(problem, x, own)
     # what is stated per run acts almost linearly: slopes of its start serve for all steps; a size
     # is no straight function of its coordinate
     is_linear = not names & set(unmet) and max(own) < problem.num_base
     start = np.zeros(len(own))
-    columns = columns_at(start) if slopes is None or not is_linear else -slopes[:, own]
-    low, high = (b[own] for b in problem.bounds)
+    if not is_linear:
+        return alone.full(alone.fitted(start, alone.columns))
+    held = alone.columns(start) if slopes is None else -slopes[:, own]
+    part = alone.fitted(start, lambda _: held)
+    if slopes is None and alone.is_left_short(part):
+        part = alone.fitted(part, alone.columns)  # a ball that begins to roll: no straight function
+    return alone.full(part)
 
-    def best_from(part: Array, held: Array | None) -> Array:
-        slopes_at = columns_at if held is None else lambda _: held
+
+class _Alone:
+    """Values of one run, all others held.
+
+    Args:
+        problem: Model and noise, with this run only.
+        x: Standardized coordinates, (n,).
+        own: Indices of the run's own.
+    """
+
+    def __init__(self, problem: Problem, x: Array, own: list[int]):
+        self._problem, self._x, self._own = problem, x, own
+        self._bounds = tuple(b[own] for b in problem.bounds)
+        # where slopes of the start are given up, they are asked for twice
+        self._slopes = lru_cache(maxsize=1)(self._simulated)
+
+    def full(self, part: Array) -> Array:
+        """All coordinates, (n,)."""
+        point = self._x.copy()
+        point[self._own] = part
+        return point
+
+    def columns(self, part: Array) -> Array:
+        """Slopes of the residual, (num_valid, num_own)."""
+        return self._slopes(part.tobytes())
+
+    def fitted(self, start: Array, columns: Callable[[Array], Array]) -> Array:
+        """The least misfit from a start, (num_own,)."""
+        low, high = self._bounds
+        unit = np.eye(len(self._own))
+        is_bounded = np.isfinite(low).any() or np.isfinite(high).any()
         found: Array = optimize.least_squares(
-            lambda part: np.concatenate([problem.residual(full(part)), part]),
-            np.clip(part, low, high),
-            jac=lambda part: np.vstack([slopes_at(part), np.eye(len(own))]),
+            lambda part: np.concatenate([self._problem.residual(self.full(part)), part]),
+            np.clip(start, low, high),
+            jac=lambda part: np.vstack([columns(part), unit]),
             bounds=(low, high),
-            method="trf" if not (np.isfinite(low).any() or np.isfinite(high).any()) else "dogbox",
+            method="dogbox" if is_bounded else "trf",
             ftol=FIT_RTOL,
             max_nfev=_MAX_STEPS,
         ).x
         return found
 
-    part = best_from(start, columns if is_linear else None)
-    if is_linear and slopes is None:
-        left = problem.residual(full(part))
-        if left @ left > _FAR * len(left) and _promise(left, columns_at(part), part) > _STRAIGHT:
-            part = best_from(part, None)  # a ball that begins to roll: no straight function
-    return full(part)
+    def is_left_short(self, part: Array) -> bool:
+        """Whether the misfit is large, and slopes taken anew promise to lower it."""
+        left = self._problem.residual(self.full(part))
+        if left @ left <= _FAR * len(left):
+            return False
+        return _promise(left, self.columns(part), part) > _STRAIGHT
+
+    def _simulated(self, key: bytes) -> Array:
+        point = self.full(np.frombuffer(key, dtype=np.float64))
+        return -np.asarray(self._problem.linearize(point, only=self._own)[1][:, self._own])
 
 
 def _promise(left: Array, columns: Array, part: Array) -> float:
