@@ -182,10 +182,13 @@ def test_what_comes_before_a_delay_of_zero_keeps_its_slope():
 
 
 @pytest.mark.parametrize("differentiated", [False, True])
-def test_decayed_is_a_recursion_of_scipy(differentiated):
+def test_decayed_is_one_recursion_for_numbers_and_for_gradients(differentiated):
     rng = np.random.default_rng(4)
     term = torch.from_numpy(rng.standard_normal((2, 3, 9))).requires_grad_(differentiated)
     factor = torch.tensor([[0.4], [0.9]], dtype=torch.float64)
     got = maps.decayed(factor, term).detach().numpy()
-    for row, one, a in zip(got, term.detach().numpy(), (0.4, 0.9), strict=True):
-        np.testing.assert_allclose(row, signal.lfilter([1.0], [1.0, -a], one), atol=1e-14)
+    for row, terms, a in zip(got, term.detach().numpy(), (0.4, 0.9), strict=True):
+        state = np.zeros(3)
+        for k in range(9):
+            state = a * state + terms[:, k]
+            np.testing.assert_allclose(row[:, k], state, atol=1e-14)

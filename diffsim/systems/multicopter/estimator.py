@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -187,7 +188,7 @@ def _chained(
     upper = torch.cat([(1.0 - decay[..., None, None, None]) * keep, lean.expand_as(keep)], -1)
     lower = torch.cat([-turning[..., None, :, None] * across, keep], -1)
     factor = torch.cat(torch.broadcast_tensors(upper, lower), -2)
-    shape = torch.broadcast_shapes(factor.shape[:-2], pull.shape[:-1], (*start.shape[:-2], 1))
+    shape = np.broadcast_shapes(factor.shape[:-2], pull.shape[:-1], (*start.shape[:-2], 1))
     added = torch.cat([pull, torch.zeros_like(pull)], -1).expand(*shape, 6)[..., None]
     factor = factor.expand(*shape, 6, 6)
     reach = 1

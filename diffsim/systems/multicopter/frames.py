@@ -56,11 +56,7 @@ class Frames:
 
     def quaternion(self, quaternion: Tensor) -> Tensor:
         """World from body (w, x, y, z), (..., 4), of the model as the recording writes it."""
-        if self.world != "NED":
-            quaternion = quaternion_product(_turn(self.world), quaternion)
-        if self.body != "FRD":
-            quaternion = quaternion_product(quaternion, quaternion_conjugate(_turn(self.body)))
-        return quaternion
+        return quaternion if self == Frames() else quaternion @ _turned(self.world, self.body)
 
     def inertia(self, inertia: Tensor) -> Tensor:
         """Inertia (..., 3, 3) about body axes of the recording in those of the model."""
@@ -71,6 +67,13 @@ class Frames:
 @cache
 def _turn(name: str) -> Tensor:
     return torch.tensor(_TURNS[name], dtype=torch.float64)
+
+
+@cache
+def _turned(world: str, body: str) -> Tensor:
+    """(4, 4): products with the turns of both frames are linear in the quaternion between them."""
+    units = quaternion_product(_turn(world), torch.eye(4, dtype=torch.float64))
+    return quaternion_product(units, quaternion_conjugate(_turn(body)))
 
 
 @cache

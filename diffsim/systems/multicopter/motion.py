@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import torch
+import numpy as np
 from torch import Tensor
 
 from diffsim.copter.fleet import Fleet
@@ -55,6 +55,6 @@ def turned(rotation: Tensor, value: Tensor) -> Tensor:
 
 def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
     """Products of vectors (points, windows, length, k) with rows (points, n_rotors, k)."""
-    lead = torch.broadcast_shapes(vectors.shape[:1], rotors.shape[:1])
+    lead = np.broadcast_shapes(vectors.shape[:1], rotors.shape[:1])
     rows = vectors.expand(*lead, *vectors.shape[1:]).flatten(1, -2)
     return (rows @ rotors.mT).unflatten(1, vectors.shape[1:-1])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -17,6 +18,7 @@ from diffsim.core.rotation import (
     rpy_from_matrix,
 )
 from diffsim.systems.dials import delays_of
+from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
 from diffsim.systems.multicopter.motion import Motion, turned, turned_back
 
@@ -86,55 +88,74 @@ class _Shown:
 
     Attributes:
         scene: Run that was flown.
+        record: How it was flown.
         position, velocity, rotation, quaternion: As cameras show them, late where they are.
-        body_rates: Angular velocity in the body frame [rad/s].
-        acceleration: Mean over the step, gravity not counted, world frame [m/s^2].
-        halfway: World from body in the middle of the step.
-        facing: The same as it is shown.
+        turn: Error of the shown attitude as a quaternion, (points, num_windows, length + 1, 4);
+            None: none.
     """
 
     scene: CopterFlight
+    record: Record
     position: Tensor
     velocity: Tensor
     rotation: Tensor
     quaternion: Tensor
-    body_rates: Tensor
-    acceleration: Tensor
-    halfway: Tensor
-    facing: Tensor
+    turn: Tensor | None = None
 
     @classmethod
     def of(cls, scene: CopterFlight, record: Record) -> _Shown:
-        rotation, quaternion = record.rotation[:, :, 1:], record.quaternion[:, :, 1:]
-        position, velocity = record.position[:, :, 1:], record.velocity[:, :, 1:]
-        body_rates = record.body_rates[:, :, 1:]
-        acceleration = record.velocity.diff(dim=2) / scene.dt
-        halfway = 0.5 * (record.rotation[:, :, :-1] + rotation)
-        facing = halfway
+        states = record.position, record.velocity, record.rotation, record.quaternion
+        shown = cls(scene, record, *(state[:, :, 1:] for state in states))
         if scene.estimator is not None:
-            error, turned = _mistaken(scene, record, acceleration, halfway)
-            velocity = velocity + error[:, :, 1:]
-            turn = quaternion_from_rotation_vector(turned)
-            quaternion = quaternion_product(turn[:, :, 1:], quaternion)
-            rotation = matrix_from_quaternion(quaternion)
-            facing = matrix_from_quaternion(turn[:, :, :-1]) @ halfway
-        if scene.camera_delay is not None:
-            late = _wide(scene.camera_delay)[..., None]
-            position = position - late * (velocity - 0.5 * late * acceleration)
-            velocity = velocity - late * acceleration
-            back = quaternion_from_rotation_vector(-late * body_rates)
-            quaternion = quaternion_product(quaternion, back)
-            rotation = matrix_from_quaternion(quaternion)
-        return cls(
-            scene,
-            position,
-            velocity,
-            rotation,
-            quaternion,
-            body_rates,
-            acceleration,
-            halfway,
-            facing,
+            shown = shown._mistaken(scene.estimator)
+        return shown if scene.camera_delay is None else shown._late(_wide(scene.camera_delay))
+
+    @property
+    def body_rates(self) -> Tensor:
+        """Angular velocity in the body frame [rad/s]."""
+        return self.record.body_rates[:, :, 1:]
+
+    @cached_property
+    def acceleration(self) -> Tensor:
+        """Mean over the step, gravity not counted, world frame [m/s^2]."""
+        return self.record.velocity.diff(dim=2) / self.scene.dt
+
+    @cached_property
+    def halfway(self) -> Tensor:
+        """World from body in the middle of the step."""
+        rotation = self.record.rotation
+        return 0.5 * (rotation[:, :, :-1] + rotation[:, :, 1:])
+
+    @property
+    def facing(self) -> Tensor:
+        """The same as it is shown."""
+        if self.turn is None:
+            return self.halfway
+        return matrix_from_quaternion(self.turn[:, :, :-1]) @ self.halfway
+
+    def _mistaken(self, estimator: BlindEstimator) -> _Shown:
+        """As an estimator shows it."""
+        gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
+        axis = self.halfway[..., 2]
+        force = ((self.acceleration - gravity) * axis).sum(-1, keepdim=True) * axis
+        rows, dt = self.scene.windows.rows, self.scene.dt
+        error, turned = estimator.in_windows(rows, self.record.velocity, force, dt)
+        turn = quaternion_from_rotation_vector(turned)
+        quaternion = quaternion_product(turn[:, :, 1:], self.quaternion)
+        rotation = matrix_from_quaternion(quaternion)
+        velocity = self.velocity + error[:, :, 1:]
+        return replace(self, velocity=velocity, rotation=rotation, quaternion=quaternion, turn=turn)
+
+    def _late(self, delay: Tensor) -> _Shown:
+        """As it was a time ago, (points, 1, 1) [s]."""
+        late = delay[..., None]
+        position = self.position - late * (self.velocity - 0.5 * late * self.acceleration)
+        velocity = self.velocity - late * self.acceleration
+        back = quaternion_from_rotation_vector(-late * self.body_rates)
+        quaternion = quaternion_product(self.quaternion, back)
+        rotation = matrix_from_quaternion(quaternion)
+        return replace(
+            self, position=position, velocity=velocity, rotation=rotation, quaternion=quaternion
         )
 
     def in_unit(self, value: Tensor) -> Tensor:
@@ -212,18 +233,6 @@ class _Shown:
             if column in columns:
                 out[..., column - start] = measured[..., channel]
         return out
-
-
-def _mistaken(
-    scene: CopterFlight, record: Record, acceleration: Tensor, halfway: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Errors of the estimator's velocity and attitude, (points, num_windows, length + 1, 3)."""
-    assert scene.estimator is not None
-    gravity = acceleration.new_tensor([0.0, 0.0, GRAVITY])
-    axis = halfway[..., 2]
-    force = ((acceleration - gravity) * axis).sum(-1, keepdim=True) * axis
-    rows = scene.windows.rows
-    return scene.estimator.in_windows(rows, record.velocity, force, scene.dt)
 
 
 _GROUPS: dict[str, Callable[[_Shown], Tensor]] = {
