@@ -30,6 +30,7 @@ from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.frozen import judge_saved
+from diffsim.diagnose.headline import judged_headline
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.next_run import Narrowing, NextRun
 from diffsim.diagnose.progress import progress_bar
@@ -39,7 +40,7 @@ from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 from diffsim.identify.numerics import Numerics
 
-CACHE, JUDGE_FILE, NEXT_FILE = "interrupted", "judge.json", "next.json"
+CACHE, JUDGE_FILE, JUDGE_PAGE, NEXT_FILE = "interrupted", "judge.json", "judge.html", "next.json"
 MAX_OUTSIDE = 3  # lines per run; the file holds all
 
 
@@ -259,10 +260,19 @@ def _judge(args: argparse.Namespace) -> None:
         print(found.gain.words)
     for name in found.runs:
         _tell_outside(name, [far for far in found.outside if far.run == name])
-    content = {"study": inputs.study.name, "model": str(saved.path), **found.to_dict()}
-    print(f"wrote {write_json_atomic(out / JUDGE_FILE, content)}")
+    said = judged_headline(found.errors, found.gain, extended=bool(saved.components))
+    content = {"study": inputs.study.name, "model": str(saved.path), "headline": said}
+    print(f"wrote {write_json_atomic(out / JUDGE_FILE, {**content, **found.to_dict()})}")
     for path in write_judged(out, inputs.study, found):
         print(f"wrote {path}")
+
+    def page() -> Path:
+        from diffsim.viz.judged_report import write_judgment
+
+        return write_judgment(found, inputs.study, saved, out / JUDGE_PAGE)
+
+    (out / JUDGE_PAGE).unlink(missing_ok=True)  # of other runs: not to pass for this answer's
+    _if_installed(page)
 
 
 def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:

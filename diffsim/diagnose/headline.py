@@ -67,6 +67,20 @@ def headline(
     return f"{said[-1]}."
 
 
+def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended: bool) -> str:
+    """The errors of a saved model on new runs in a sentence.
+
+    Args:
+        errors: Errors on the runs; none where no run could be simulated.
+        gained: Gain over all of them; None: not known.
+        extended: Whether the model names a cause.
+    """
+    if not errors:
+        return "No run could be simulated."
+    ends = _on_unseen(errors, extended, "The extended model takes", gained)
+    return f"{capital(ends[0].lstrip('.; ').removeprefix('but '))}."
+
+
 def _said(answer: Answer) -> list[str]:
     """What is wrong, without a full stop; shorter ones later."""
     named = [

@@ -19,6 +19,7 @@ from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_motion import moving_runs
+from diffsim.viz.diagnosis_parts import error_numbers, gain_number, runs_section
 from diffsim.viz.diagnosis_series import (
     CONFOUNDED,
     PredictedRun,
@@ -128,41 +129,8 @@ def _numbers(r: Report) -> list[page.Number]:
         note=MEANINGS[r.verdict],
         tone=TONES[r.verdict],
     )
-    shown = [verdict]
-    for kind in dict.fromkeys((e.kind, e.unit) for e in r.errors):
-        rows = [e for e in r.errors if (e.kind, e.unit) == kind]
-        before, after, noise = (
-            _pooled([getattr(e, which) for e in rows], [e.num_samples for e in rows])
-            for which in ("before", "after", "noise")
-        )
-        note = f"before: {figure(before)}, noise alone: {figure(noise)}"
-        shown.append(
-            page.Number(
-                label=f"rms error of {kind[0]} on {rows[0].use} runs",
-                value=figure(after),
-                unit=unit_of(kind[1]),
-                note=note,
-            )
-        )
-    if r.gain is not None:
-        g = r.gain
-        tones = {"confirmed": "good", "not confirmed": "fair", "withdrawn": "bad"}
-        shown.append(
-            page.Number(
-                label=f"share of the error above the noise removed on test runs: {g.status}",
-                value=f"{100 * g.value:.0f}",
-                unit="%",
-                note=f"90 % interval {100 * g.low:.0f} to {100 * g.high:.0f} %"
-                + ("; beyond 100: below the noise as stated" if g.value > 1.0 else ""),
-                tone=tones.get(g.status, "fair"),
-            )
-        )
-    return shown
-
-
-def _pooled(values: Sequence[float], counts: Sequence[int]) -> float:
-    """Root mean square over runs of different length."""
-    return float(np.sqrt(np.average(np.square(values), weights=counts)))
+    gained = [] if r.gain is None else [gain_number(r.gain)]
+    return [verdict, *error_numbers(r.errors), *gained]
 
 
 def _errors(r: Report) -> page.Section:
@@ -171,7 +139,9 @@ def _errors(r: Report) -> page.Section:
         why = "The study has no run with “use: test”, so no gain is known."
         return page.Section(title=title, text=[why])
     text = [f"Causes were chosen by {r.chosen_by}."] if r.chosen_by else []
-    return page.Section(title=title, text=text, content=[tables.errors(r), *tables.outside(r)])
+    return page.Section(
+        title=title, text=text, content=[tables.errors(r.errors), *tables.outside(r.outside)]
+    )
 
 
 def _test_runs(
@@ -180,22 +150,7 @@ def _test_runs(
     """All test runs; without any, select runs, else those that were fitted."""
     use = next(use for use in _TITLES if any(run.use == use for run in all_runs))
     runs = [run for run in all_runs if run.use == use]
-    caption = "Dots: measured, with the noise. Dashed: the fitted model before. "
-    if any(run.extended is not None for run in runs):
-        caption += "Line: the extended model. "
-    caption += "The menu chooses the run; drag" if len(runs) > 1 else "Drag"
-    caption += " to zoom, double-click to zoom out."
-    text, seen = [], len(draw.seen_channels(runs))
-    if seen > draw.MAX_PANELS:
-        text.append(f"The first {draw.MAX_PANELS} of {seen} channels.")
-    longest, most = max(len(run.time_s) for run in runs), draw.points_drawn(runs)
-    if longest > most:
-        text.append(f"Of the {longest} samples of the longest run {most} are drawn, evenly.")
-    content: list[page.Item] = []
-    if (view := moving_runs(r, runs)) is not None:
-        content.append(view)
-    content.append(page.Chart(figure=draw.runs_over_time(runs, channels), caption=caption))
-    return page.Section(title=_TITLES[use], text=text, content=content)
+    return runs_section(_TITLES[use], runs, channels, moving_runs(r, runs))
 
 
 _TITLES = {

@@ -14,6 +14,7 @@ from diffsim.diagnose.records import (
     UNTOLD,
     BaseRow,
     CauseRow,
+    ErrorRow,
     Interval,
     OutsideRow,
 )
@@ -24,7 +25,7 @@ from diffsim.viz.report import Table
 MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
 
 
-def errors(r: Report) -> Table:
+def errors(rows: Sequence[ErrorRow]) -> Table:
     """Error before and after on every run that was not fitted."""
     return Table(
         columns=[
@@ -48,7 +49,7 @@ def errors(r: Report) -> Table:
                 str(e.num_fitted),
                 e.use,
             ]
-            for e in r.errors
+            for e in rows
         ],
         caption="Root mean square over the samples. Before: the plain model at its own fit. After: "
         "the extended model. Nothing is fitted to these runs but what the study declares unknown "
@@ -95,21 +96,26 @@ def base(rows: Sequence[BaseRow]) -> Table:
     )
 
 
-def outside(r: Report) -> list[Table]:
-    """Where test runs lie outside of what was fitted; empty where they do not."""
-    beyond = [o for o in r.outside if o.times > 1.0]
+def outside(rows: Sequence[OutsideRow], file: str = "report.json") -> list[Table]:
+    """Where test runs lie outside of what was fitted; empty where they do not.
+
+    Args:
+        rows: Quantities of the test runs, the farthest first.
+        file: File that holds all of them.
+    """
+    beyond = [o for o in rows if o.times > 1.0]
     if not beyond:
         return []
-    rows = [_outside(row) for row in beyond[:MOST_OUTSIDE]]
+    shown = [_outside(row) for row in beyond[:MOST_OUTSIDE]]
     caption = (
         "These runs ask for more than was fitted: the model is extrapolated there. Outside: "
         "strokes and rates over the largest fitted one; else the distance from the middle of the "
         "range over half its width."
     )
     if len(beyond) > MOST_OUTSIDE:  # the farthest come first
-        caption += f" {len(beyond) - MOST_OUTSIDE} more lie outside by less; report.json has them."
+        caption += f" {len(beyond) - MOST_OUTSIDE} more lie outside by less; {file} has them."
     columns = ["run", "quantity", "value", "fitted range", "outside"]
-    return [Table(columns=columns, rows=rows, caption=caption)]
+    return [Table(columns=columns, rows=shown, caption=caption)]
 
 
 def _outside(o: OutsideRow) -> list[str]:

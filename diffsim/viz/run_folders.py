@@ -78,7 +78,13 @@ def _run_folder(root: Path, folder: Path) -> RunFolder | None:
 def _diagnosis(files: dict[str, Path]) -> tuple[str, str]:
     report = _json(files.get("report.json"))
     said = str(report.get("headline") or report.get("verdict") or "")
+    if later := _judgment(files)[0]:  # into the folder of the answer
+        said = f"{said} Judged: {later}"
     return said, "finished" if "inputs.json" in files and report else "going on, or interrupted"
+
+
+def _judgment(files: dict[str, Path]) -> tuple[str, str]:
+    return str(_json(files.get("judge.json")).get("headline") or ""), "finished"
 
 
 def _training(files: dict[str, Path]) -> tuple[str, str]:
@@ -113,6 +119,7 @@ def _finished(files: dict[str, Path]) -> tuple[str, str]:
 _KINDS = {
     "report.json": "diagnosis",
     "inputs.json": "diagnosis",
+    "judge.json": "judgment",
     "results.jsonl": "training",
     "progress.jsonl": "device",
     "flight.csv": "flight",
@@ -121,6 +128,7 @@ _KINDS = {
 }
 _TOLD: dict[str, Callable[[dict[str, Path]], tuple[str, str]]] = {
     "diagnosis": _diagnosis,
+    "judgment": _judgment,
     "training": _training,
     "device": _device,
     "flight": _flight,

@@ -66,6 +66,19 @@ def test_runs_are_told_by_their_files(runs):
     assert by_path["funnel"].progress == "3 evaluations so far"
 
 
+def test_judgments_are_told_beside_the_answer_or_alone(runs):
+    said = json.dumps({"headline": "The extended model takes the error from 2 to 1 mm."})
+    for name in ("cart", "later"):
+        (runs / name).mkdir(exist_ok=True)
+        (runs / name / "judge.json").write_text(said)
+        (runs / name / "judge.html").write_text("<h1>judged</h1>")
+    by_path = {run.path: run for run in run_folders(runs)}
+    assert by_path["cart"].kind == "diagnosis" and "judge.html" in by_path["cart"].files
+    assert by_path["cart"].said.endswith("is missing. Judged: " + json.loads(said)["headline"])
+    assert by_path["later"].kind == "judgment"
+    assert by_path["later"].said == json.loads(said)["headline"]
+
+
 def test_a_built_site_is_one_run_and_not_a_run_for_each_folder(runs):
     for name in ("index.html", "404.html", "guide.html", "images/beam.png"):
         path = runs / "docs" / "0.1.0" / name

@@ -1,0 +1,85 @@
+"""Parts that the pages of a diagnosis and of a judgment share: key figures, runs over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diffsim.data.study import Channel
+from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.records import ErrorRow
+from diffsim.viz import diagnosis_charts as draw
+from diffsim.viz import report as page
+from diffsim.viz.diagnosis_series import PredictedRun
+from diffsim.viz.moving import MovingChoice
+from diffsim.viz.numbers import figure, unit_of
+
+_TONES = {"confirmed": "good", "not confirmed": "fair", "withdrawn": "bad"}
+
+
+def error_numbers(errors: Sequence[ErrorRow]) -> list[page.Number]:
+    """Error before and after in the recordings' unit, a key figure for each kind of channel."""
+    shown = []
+    for kind in dict.fromkeys((e.kind, e.unit) for e in errors):
+        rows = [e for e in errors if (e.kind, e.unit) == kind]
+        before, after, noise = (
+            _pooled([getattr(e, which) for e in rows], [e.num_samples for e in rows])
+            for which in ("before", "after", "noise")
+        )
+        shown.append(
+            page.Number(
+                label=f"rms error of {kind[0]} on {rows[0].use} runs",
+                value=figure(after),
+                unit=unit_of(kind[1]),
+                note=f"before: {figure(before)}, noise alone: {figure(noise)}",
+            )
+        )
+    return shown
+
+
+def gain_number(gain: Gain) -> page.Number:
+    """The gain on test runs as a key figure."""
+    return page.Number(
+        label=f"share of the error above the noise removed on test runs: {gain.status}",
+        value=f"{100 * gain.value:.0f}",
+        unit="%",
+        note=f"90 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %"
+        + ("; beyond 100: below the noise as stated" if gain.value > 1.0 else ""),
+        tone=_TONES.get(gain.status, "fair"),
+    )
+
+
+def runs_section(
+    title: str,
+    runs: Sequence[PredictedRun],
+    channels: Sequence[Channel],
+    view: MovingChoice | None = None,
+) -> page.Section:
+    """Runs over time, measured and predicted.
+
+    Args:
+        title: Heading.
+        runs: Runs with their predictions, one or more.
+        channels: Channels of the study with their noise.
+        view: What moved in these runs; None: nothing to see.
+    """
+    caption = "Dots: measured, with the noise. Dashed: the fitted model before. "
+    if any(run.extended is not None for run in runs):
+        caption += "Line: the extended model. "
+    caption += "The menu chooses the run; drag" if len(runs) > 1 else "Drag"
+    caption += " to zoom, double-click to zoom out."
+    text, seen = [], len(draw.seen_channels(runs))
+    if seen > draw.MAX_PANELS:
+        text.append(f"The first {draw.MAX_PANELS} of {seen} channels.")
+    longest, most = max(len(run.time_s) for run in runs), draw.points_drawn(runs)
+    if longest > most:
+        text.append(f"Of the {longest} samples of the longest run {most} are drawn, evenly.")
+    content: list[page.Item] = [] if view is None else [view]
+    content.append(page.Chart(figure=draw.runs_over_time(runs, channels), caption=caption))
+    return page.Section(title=title, text=text, content=content)
+
+
+def _pooled(values: Sequence[float], counts: Sequence[int]) -> float:
+    """Root mean square over runs of different length."""
+    return float(np.sqrt(np.average(np.square(values), weights=counts)))

@@ -1,0 +1,131 @@
+"""The page of a judgment: a saved model on runs that nothing was fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from diffsim.data.study import Channel, Study
+from diffsim.diagnose.headline import judged_headline
+from diffsim.diagnose.unseen import Unseen
+from diffsim.identify.model_file import SavedModel
+from diffsim.viz import diagnosis_charts as draw
+from diffsim.viz import diagnosis_tables as tables
+from diffsim.viz import report as page
+from diffsim.viz.diagnosis_parts import error_numbers, gain_number, runs_section
+from diffsim.viz.diagnosis_series import PredictedRun, with_noise
+from diffsim.viz.numbers import figure, unit_of, with_sd
+
+
+def write_judgment(found: Unseen, study: Study, saved: SavedModel, path: str | Path) -> Path:
+    """Write the page, one static HTML file.
+
+    Args:
+        found: Answer about the runs.
+        study: Study that holds them.
+        saved: Model that was judged.
+        path: File to write.
+
+    Returns:
+        ``path``.
+    """
+    return page.write(judgment_page(found, study, saved), path)
+
+
+def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report:
+    """The page: gain, errors and gain of each run, how far outside, the runs over time."""
+    sd = {name: entry["sd"] for name, entry in saved.facts["noise"].items()}
+    channels = with_noise(study.channels, sd)
+    runs = _predicted(found, study, extended=bool(saved.components))
+    gained = [] if found.gain is None or not saved.components else [gain_number(found.gain)]
+    sections = [_errors(found), _gains(found, saved)]
+    if runs:
+        sections += [
+            runs_section("Measured and predicted", runs, channels),
+            _left(runs, channels),
+        ]
+    return page.Report(
+        title=f"Judgment of {study.name}",
+        subtitle=f"Recorded runs against the saved model {saved.path.name}; nothing was fitted to "
+        "them but what the study declares unknown per run",
+        verdict=[judged_headline(found.errors, found.gain, extended=bool(saved.components))],
+        numbers=[*error_numbers(found.errors), *gained],
+        sections=[*sections, _sizes(saved)],
+        held_fixed=[
+            ("saved model", str(saved.path)),
+            ("verdict of its diagnosis", saved.verdict or "unknown"),
+            ("runs that it was fitted to or chosen by", ", ".join(saved.facts["seen_runs"])),
+            ("spikes taken out", str(found.num_spikes)),
+        ],
+    )
+
+
+def _predicted(found: Unseen, study: Study, *, extended: bool) -> list[PredictedRun]:
+    by_name = {run.name: run for run in study.runs}
+    return [
+        PredictedRun(**vars(by_name[name]), null=before, extended=after if extended else None)
+        for name, (before, after) in found.predicted.items()
+    ]
+
+
+def _errors(found: Unseen) -> page.Section:
+    text = [f"Run {name} could not be simulated: {why}" for name, why in found.failed.items()]
+    outside = tables.outside(found.outside, "judge.json")
+    if not outside and found.errors:
+        text.append("All runs lie inside of what was fitted.")
+    content = [tables.errors(found.errors), *outside] if found.errors else []
+    return page.Section(title="Error on these runs", text=text, content=content)
+
+
+def _gains(found: Unseen, saved: SavedModel) -> page.Section:
+    title = "Gain, run by run"
+    if not saved.components:
+        return page.Section(
+            title=title, text=["The saved model names no cause: it is the plain one."]
+        )
+    rows = [
+        [name, f"{100 * g.value:.0f}", f"{100 * g.low:.0f} to {100 * g.high:.0f}", g.status]
+        for name, g in found.gains.items()
+    ]
+    table = page.Table(
+        columns=["run", "removed [%]", "90 % interval [%]", "status"],
+        rows=rows,
+        caption="Share of the error above the noise that the named causes remove. A short run may "
+        "have too few blocks of samples to confirm anything alone.",
+    )
+    return page.Section(title=title, content=[table] if rows else [])
+
+
+def _left(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> page.Section:
+    caption = (
+        "Measured minus predicted over the noise's standard deviation, all these runs and "
+        "channels. Grey: 95 % of noise alone."
+    )
+    chart = page.Chart(figure=draw.residual_views(runs, channels), caption=caption)
+    return page.Section(title="Where and when the models are off", content=[chart])
+
+
+def _sizes(saved: SavedModel) -> page.Section:
+    """Sizes and parameters of the saved model."""
+    shared = [n for n in saved.parameters if "@" not in n]
+    moved = [n for n in shared if n not in saved.plain or saved.plain[n] != saved.values[n]]
+    rows = [
+        [
+            name,
+            with_sd(saved.values[name], saved.sd[name]),
+            figure(saved.plain[name], 4) if name in saved.plain else "–",
+            unit_of(saved.units.get(name, "-")) or "–",
+        ]
+        for name in (*saved.components, *moved)
+    ]
+    table = page.Table(
+        columns=["name", "extended model ± 1 sd", "plain model", "unit"],
+        rows=rows,
+        caption="As they were saved. The plain model has a fit of its own; parameters that are the "
+        "same in both are left out.",
+        emphasis=list(range(len(saved.components))),
+    )
+    return page.Section(title="What was judged", content=[table])
+
+
+__all__ = ["judgment_page", "write_judgment"]

@@ -1,0 +1,122 @@
+"""The page of a judgment: what a saved model says of new runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.headline import judged_headline
+from diffsim.diagnose.records import ErrorRow, OutsideRow
+from diffsim.diagnose.unseen import Unseen
+from diffsim.identify.model_file import SavedModel
+
+pytest.importorskip("plotly")
+from diffsim.viz.judged_report import judgment_page, write_judgment
+
+TIME = np.linspace(0.0, 1.0, 40)
+CHANNELS = (Channel(name="place", unit="m", kind="position", sd=0.002, shown_unit="mm"),)
+GAIN = Gain(0.9, 0.7, 1.1, 5.0, 8)
+SAVED = SavedModel(
+    Path("extended_model.yaml"),
+    {"drag": 0.2, "mass": 1.5, "arm": 0.3},
+    {"drag": 0.02, "mass": 0.1, "arm": 0.0},
+    ("mass", "arm"),
+    ("drag",),
+    "named",
+    units={"drag": "N s/m", "mass": "kg", "arm": "m"},
+    plain={"mass": 1.6, "arm": 0.3},
+    facts={"noise": {"place": {"sd": 0.001}}, "seen_runs": {"sine": {}}},
+)
+
+
+def recorded(name) -> Run:
+    measured = np.sin(6.0 * TIME)[:, None]
+    return Run(name, TIME, measured, {"u": np.cos(TIME)}, name, 0, "test")
+
+
+RUNS = {name: recorded(name) for name in ("slow", "fast", "lost")}
+STUDY = Study("cart", "ode", CHANNELS, tuple(RUNS.values()))
+
+
+def error(run, after=1.1) -> ErrorRow:
+    return ErrorRow(run, "position", "mm", 2.5, after, 1.0, 40, 1)
+
+
+def found(**changes) -> Unseen:
+    judged = ("slow", "fast")
+    predicted = {n: (RUNS[n].measured + 2e-3, RUNS[n].measured + 1e-4) for n in judged}
+    given = {
+        "runs": judged,
+        "errors": tuple(map(error, judged)),
+        "gain": GAIN,
+        "gains": dict.fromkeys(judged, GAIN),
+        "outside": (OutsideRow("fast", "rate of u", 3.0, -1.0, 1.0, 3.0, "N/s"),),
+        "predicted": predicted,
+    }
+    return Unseen(**{**given, **changes})
+
+
+def sections(page) -> dict:
+    return {section.title: section for section in page.sections}
+
+
+def test_all_judged_runs_are_drawn_with_errors_gain_and_distance(tmp_path):
+    page = judgment_page(found(), STUDY, SAVED)
+    assert page.verdict == [
+        "The extended model takes the error on unseen runs from 2.5 to 1.1 mm; 1 mm is noise."
+    ]
+    assert [n.value for n in page.numbers] == ["1.1", "90"]
+    parts = sections(page)
+    errors, outside = parts["Error on these runs"].content
+    assert [row[0] for row in errors.rows] == ["slow", "fast"] and errors.rows[0][2:4] == [
+        "2.5",
+        "1.1",
+    ]
+    assert outside.rows[0][:2] == ["fast", "rate of u"]
+    (gains,) = parts["Gain, run by run"].content
+    assert gains.rows[1] == ["fast", "90", "70 to 110", "confirmed"]
+    (chart,) = parts["Measured and predicted"].content
+    names = {trace.name for trace in chart.figure.data}
+    assert names == {"measured ± noise", "model before", "extended model"}
+    assert len(chart.figure.data) == 2 * 5  # both runs, three signals and two that are left
+    before = chart.figure.data[0]
+    np.testing.assert_allclose(before.y, 1000.0 * np.sin(6.0 * TIME) + 2.0, rtol=1e-3, atol=1e-3)
+    (sizes,) = parts["What was judged"].content
+    assert [row[0] for row in sizes.rows] == ["drag", "mass"]  # arm is the same in both
+    text = write_judgment(found(), STUDY, SAVED, tmp_path / "judge.html").read_text("utf-8")
+    assert page.verdict[0] in text and "http" not in text.partition("<script")[0]
+
+
+def test_a_run_that_fails_and_runs_inside_are_said():
+    lost = found(failed={"lost": "it runs away"}, gain=None, outside=())
+    page = judgment_page(lost, STUDY, SAVED)
+    said = sections(page)["Error on these runs"].text
+    assert said == [
+        "Run lost could not be simulated: it runs away",
+        "All runs lie inside of what was fitted.",
+    ]
+    assert len(page.numbers) == 1  # no gain over chosen runs
+    none = found(failed={"lost": "it runs away"}, errors=(), gain=None, gains={}, predicted={})
+    page = judgment_page(none, STUDY, SAVED)
+    assert page.verdict == ["No run could be simulated."]
+    assert "Measured and predicted" not in sections(page)
+
+
+def test_a_plain_model_has_no_gain():
+    plain = SavedModel(**{**vars(SAVED), "components": ()})
+    page = judgment_page(found(), STUDY, plain)
+    assert page.verdict == ["The error on unseen runs is 2.5 mm, noise 1 mm."]
+    assert "names no cause" in sections(page)["Gain, run by run"].text[0]
+    (chart,) = sections(page)["Measured and predicted"].content
+    assert {trace.name for trace in chart.figure.data} == {"measured ± noise", "model before"}
+
+
+def test_a_judgment_praises_no_gain_that_is_not_there():
+    worse = judged_headline([error("a", 3.0)], None, extended=True)
+    assert worse == "The error on unseen runs rises from 2.5 to 3 mm, noise 1 mm."
+    unsure = judged_headline([error("a")], Gain(0.2, -0.1, 0.5, 2.0, 9), extended=True)
+    assert unsure.startswith("No gain is confirmed on unseen runs: error 2.5 to 1.1 mm")
