@@ -115,7 +115,8 @@ def _told(error: Exception) -> str:
     lines = str(error).splitlines() if isinstance(error, Mistakes) else [str(error)]
     lines = [" ".join(line.split()) for line in lines]
     if len(lines) > 1:
-        return "\n    ".join([f"{len(lines)} mistakes:", *lines])
+        count = error.count if isinstance(error, Mistakes) else len(lines)
+        return "\n    ".join([f"{count} mistakes:", *lines])
     kind = ValueError if isinstance(error, Mistakes) else type(error)
     return f"{kind.__name__}: {lines[0]}"
 

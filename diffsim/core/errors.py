@@ -25,10 +25,16 @@ class Mistakes(ValueError):
 
     Args:
         lines: What is wrong, and where.
+        most: Lines that are told; how many more there are is told after them. None: all.
+
+    Attributes:
+        count: Number of mistakes, those that are not told included.
     """
 
-    def __init__(self, lines: Sequence[str]):
-        super().__init__("\n".join(lines))
+    def __init__(self, lines: Sequence[str], most: int | None = None):
+        told, self.count = list(lines[:most]), len(lines)
+        more = [f"... and {self.count - len(told)} more"] if len(told) < self.count else []
+        super().__init__("\n".join([*told, *more]))
 
 
 class ConvergenceError(DiffsimError):

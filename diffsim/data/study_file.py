@@ -90,7 +90,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     reader = RunReader(stated, root, given)
     runs = reader.runs()
     if reader.problems:
-        raise Mistakes(_told(path, reader.problems))
+        raise Mistakes(_placed(path, reader.problems), MAX_LINES)
     return Study(
         name=stated.name,
         system=str((stated.model or {}).get("system") or stated.system),
@@ -141,11 +141,9 @@ def _root(path: Path, stated: StudyFile) -> Path:
     return found
 
 
-def _told(path: Path, problems: list[str]) -> list[str]:
+def _placed(path: Path, problems: list[str]) -> list[str]:
     """Problems, a line each; those of an entry begin with the study's path."""
-    lines = [p if p.startswith(("/", str(path.parent))) else f"{path}: {p}" for p in problems]
-    more = [f"... and {len(lines) - MAX_LINES} more"] if len(lines) > MAX_LINES else []
-    return [*lines[:MAX_LINES], *more]
+    return [p if p.startswith(("/", str(path.parent))) else f"{path}: {p}" for p in problems]
 
 
 def _channel(entry: ChannelEntry) -> Channel:

@@ -72,6 +72,10 @@ def test_mistakes_that_are_found_together_are_a_line_each(fake_demo, capsys):
     assert cli.main(["demo"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[:3] == ["diffsim: 2 mistakes:", "    a.csv: no column x", "    b.csv: no column y"]
+    fake_demo.error = Mistakes([f"a.csv: no column x{k}" for k in range(9)], most=2)
+    assert cli.main(["demo"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "diffsim: 9 mistakes:" and lines[3] == "    ... and 7 more"
     fake_demo.error = Mistakes(["a.csv: no column x"])
     assert cli.main(["demo"]) == 2
     assert capsys.readouterr().err.startswith("diffsim: ValueError: a.csv: no column x\n")

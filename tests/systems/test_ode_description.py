@@ -17,6 +17,8 @@ from diffsim.diagnose.fit import Case
 from diffsim.identify import Numerics, Problem, WhiteNoise
 from diffsim.identify.stability import runs_away
 from diffsim.systems.holding import looks_held
+from diffsim.systems.ode import described as described_file
+from diffsim.systems.ode import stepping
 from diffsim.systems.registry import description_of, load_extended, setup_of
 from tests.systems.toy_cart import TIME, cart_study, described
 
@@ -263,6 +265,23 @@ def test_equations_too_fast_for_the_samples_are_stepped_more_often():
     assert made.frame["steps_per_sample"] >= 8
     frozen = setup_of(replace(study, frame=made.frame)).model
     torch.testing.assert_close(frozen.predict(run, frozen.at_prior()), predicted)
+
+
+def test_steps_are_tried_once_for_the_check_and_the_set_up(monkeypatch):
+    """Both simulated the plain model, and asked twice whether a command moves all the time."""
+    tried, asked = [], []
+    away, moves = stepping.runs_away, described_file.moves_on
+    monkeypatch.setattr(stepping, "runs_away", lambda *a: tried.append(a) or away(*a))
+    monkeypatch.setattr(described_file, "moves_on", lambda *a: asked.append(a) or moves(*a))
+    study = winding(inputs=[{"name": "force"}])
+    description = description_of(study)
+    notes = description.problems(study)
+    assert any("are taken" in str(note) for note in notes) and len(asked) == 1
+    first = len(tried)
+    parts = description_of(study).setup(study).model.frame["steps_per_sample"]
+    assert len(tried) == first == np.log2(parts)
+    slower = replace(study, model={**study.model, "rates": {"i": "(force - resistance*i)/0.5"}})
+    assert setup_of(slower).model.frame["steps_per_sample"] == 1  # other formulas are tried
 
 
 def test_a_first_look_keeps_a_step_whose_double_is_unstable():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 
@@ -83,14 +83,12 @@ class Described:
     ):
         self.keys, self.motion, self.study = keys, motion, study
         self._reader, self._given = reader, inputs
-        self.input_held = self._held()
+        open_ = (i for i in inputs if i.held is None)
+        moving = {i.name for i in open_ if moves_on(study.runs, self._commands_of(i))}
+        self.input_held = self._held(moving)
         self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
         taken = {name for name, held in self.input_held.items() if held}
-        self.assumed = frozenset(
-            i.name
-            for i in inputs
-            if i.name in self.unsure & taken and moves_on(study.runs, self._commands_of(i))
-        )
+        self.assumed = self.unsure & taken & moving
         self.unsure -= taken
         self.clocks = self._clocks()
         self.quantities = self._quantities()
@@ -165,8 +163,12 @@ class Described:
         words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
         return sorted(words & {c for run in self.study.runs for c in run.command})
 
-    def _held(self) -> dict[str, bool]:
-        """Inputs, with whether they keep their value until the next sample."""
+    def _held(self, moving: Collection[str]) -> dict[str, bool]:
+        """Inputs, with whether they keep their value until the next sample.
+
+        Args:
+            moving: Names of those that some run does not show to be held.
+        """
         out = {}
         for i, given in enumerate(self._given):
             commands = self._commands_of(given)
@@ -181,7 +183,7 @@ class Described:
                     f"inputs[{i}].held",
                     f"{' and '.join(commands)} rests and jumps, so {given.name} is held between "
                     "samples; give `held: false` for straight lines"
-                    + (cause if moves_on(self.study.runs, commands) else ""),
+                    + (cause if given.name in moving else ""),
                 )
         return out
 
@@ -301,7 +303,8 @@ class Described:
         self.parts = 1
         if self.motion.time_step is not None or not self.motion.states:
             return 1
-        parts = parts_needed(self.study, self.model())
+        formulas = repr((self.keys, self._given, self.motion))
+        parts = parts_needed(self.study, self.model(), formulas)
         if parts > 1:
             self._reader.note(
                 "time_step",

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.stability import runs_away
 
 MOST_PARTS = 64  # of a sample interval
+_KNOWN: WeakKeyDictionary[Study, tuple[str, int]] = WeakKeyDictionary()
 
 
-def parts_needed(study: Study, model: SimModel) -> int:
+def parts_needed(study: Study, model: SimModel, formulas: str) -> int:
     """Parts of the sample interval with which the plain model does not run away.
 
     An explicit method grows without bounds where a step is long against the fastest time constant,
@@ -19,11 +22,20 @@ def parts_needed(study: Study, model: SimModel) -> int:
     Args:
         study: Study with the recordings.
         model: Plain model, stepped once per sample.
+        formulas: What the model is made of, in text. The check and the set-up of one command ask
+            for the same study and formulas: the second one simulates nothing.
 
     Returns:
         1, or a power of two of which half is enough, too: parameters will move, and a quick look
         steps twice as far. 1 where no number up to ``MOST_PARTS`` helps.
     """
+    known = _KNOWN.get(study)
+    if known is None or known[0] != formulas:
+        known = _KNOWN[study] = (formulas, _found(study, model))
+    return known[1]
+
+
+def _found(study: Study, model: SimModel) -> int:
     runs = (*study.fit_runs, *study.select_runs) or study.runs
     parts = 1
     while parts <= MOST_PARTS:
