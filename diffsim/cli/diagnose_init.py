@@ -185,7 +185,8 @@ def _command(q: Quantity) -> dict[str, Any]:
     ends = {
         k: float(f"{v:.4g}") for k, v in (("lower", q.lower), ("upper", q.upper)) if v is not None
     }
-    filled = {"fill": "hold"} if q.column.is_asked else {}  # its topic has a clock of its own
+    # with a clock of its own it may begin later and end sooner
+    filled = {"fill": "hold"} if q.column.is_asked or q.column.is_further else {}
     return _quantity(q) | filled | ({"is_measured": True} if q.is_measured else ends)
 
 

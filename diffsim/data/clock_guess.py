@@ -14,7 +14,9 @@ from diffsim.data.columns import Table
 from diffsim.data.study_check import LATE
 from diffsim.data.table_guess import Column, Layout
 
-TIME = re.compile(r"^(t|time|timestamp|stamp|zeit|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I)
+TIME = re.compile(
+    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I
+)
 #: What people call a clock by its unit alone.
 _UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunden"), "s"),

@@ -1,13 +1,14 @@
 """Tables of an unknown folder, in whatever format: which of them are the runs.
 
-In HDF5 and MAT files with several tables of the same columns each is a run. In logs (ULog, MCAP,
-rosbags) a table is a topic: one is the record, and another may hold what was commanded.
+Files of several instruments, such as run1_mocap.csv and run1_imu.csv, are one run. In HDF5 and
+MAT files with several tables of the same columns each is a run. In logs (ULog, MCAP, rosbags) a
+table is a topic: one is the record, and another may hold what was commanded.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from diffsim.data.clock_guess import TIME
 from diffsim.data.columns import Table
 from diffsim.data.formats import SUFFIXES, parts_of
 from diffsim.data.log_columns import BESIDE, COMMAND, DRIVES, log_column
+from diffsim.data.paired_files import clocks_of, joined, joined_layout, paired, share_columns
 from diffsim.data.runs_guess import say
 from diffsim.data.table_guess import Layout, column_of, layout_of, tables_in
 
@@ -102,13 +104,18 @@ class Recording:
 
 def recordings_in(
     folder: Path, said: list[str], parts: Sequence[str] = ()
-) -> tuple[Layout, list[Recording]]:
+) -> tuple[Layout, list[Recording], list[dict[str, Any]]]:
     """Tables with the same columns: those that most files, then most bytes, have.
+
+    Files of other columns that share the names of these, but for a word, are read with them.
 
     Args:
         folder: Folder of the files.
         said: Sentences on what was guessed; more are added.
         parts: Tables of each file that are used, the record first; empty: as they look.
+
+    Returns:
+        Columns, runs, and the clock of each file of a run where it has several: keys of ``time``.
 
     Raises:
         ValueError: no table that looks like a recording, or no such part.
@@ -135,14 +142,57 @@ def recordings_in(
         )
     timed = {k: v for k, v in families.items() if any(TIME.match(_bare(n)) for n in k[2])}
     best = max((timed or families).values(), key=_worth)
-    taken = {f.path for f in best}
+    kinds = [] if best[0].part else _kinds(best, families.values())
+    times = _times(kinds)
+    taken = {f.path for kind in (kinds if times else [best]) for f in kind}
     others = dict.fromkeys(f.path.name for f in found if f.path not in taken)
     say(said, "files with other columns, not used", list(others))
+    if times:
+        return *_of_kinds(kinds, times, said), times
     further = _further(found, best, parts, said)
     runs = [_recording(one, further, found) for one in best]
     layout = best[0].layout
     if best[0].is_topic:
         layout = _of_topics(runs[0].table, (best[0].part, *further), best[0], found, said)
+    return layout, runs, []
+
+
+def _kinds(best: Sequence[Found], families: Iterable[Sequence[Found]]) -> list[list[Found]]:
+    """Files of several instruments, run by run: what sounds like the record of a motion first."""
+    kinds, names = [list(best)], [one.path.stem for one in best]
+    for family in families:
+        one = family[0]
+        alike = any(share_columns(one.layout, kind[0].layout) for kind in kinds)
+        lines = (one.layout.header_line, one.layout.first_line)
+        at = (best[0].layout.header_line, best[0].layout.first_line)  # one study states one
+        if alike or one.part or lines != at:
+            continue
+        if found := paired(names, [f.path.stem for f in family]):
+            kinds.append([family[k] for _, k in found.values()])
+    return sorted(kinds, key=lambda kind: not _STATE.search(kind[0].path.stem))
+
+
+def _times(kinds: Sequence[Sequence[Found]]) -> list[dict[str, Any]]:
+    """Clocks of the files of a run; empty where a run has one file, or they do not fit."""
+    if len(kinds) < 2:
+        return []
+    layouts = [kind[0].layout for kind in kinds]
+    return clocks_of(layouts, [[f.table() for f in kind] for kind in kinds]) or []
+
+
+def _of_kinds(
+    kinds: Sequence[Sequence[Found]], times: Sequence[dict[str, Any]], said: list[str]
+) -> tuple[Layout, list[Recording]]:
+    """Runs of several files each."""
+    runs = []
+    for files in zip(*kinds, strict=True):
+        shared = paired([files[0].path.stem], [files[1].path.stem]) or {files[0].name: (0, 0)}
+        table = joined([f.table() for f in files], times)
+        first, *further = (f.reference for f in files)
+        runs.append(Recording(next(iter(shared)), first, tuple(further), table))
+    one = " with ".join(f.path.name for f in next(zip(*kinds, strict=True)))
+    said.append(f"runs: files that share a name are one, such as {one}, at the clock of the first")
+    layout = joined_layout([kind[0].layout for kind in kinds], times, runs[0].table)
     return layout, runs
 
 

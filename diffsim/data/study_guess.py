@@ -33,14 +33,29 @@ Array = NDArray[np.float64]
 _COMMAND = re.compile(
     r"(^|_)(cmd|command|commanded|set|setpoint|desired|des|ref|reference|target|input|pwm|duty|"
     r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction|soll|"
-    r"sollwert|consigne)(_|\d|$)"
+    r"sollwert|consigne|voltage)(_|\d|$)"
     r"|^u\d*$|^(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
     re.I,
 )
+#: Sensors by their names, and motion by names that mean it with a unit of motion.
+_SENSOR = re.compile(
+    r"(^|_)(gyro|acc|accel|accelerometer|imu|mocap|vicon|optitrack|encoder|odom|gps|baro|"
+    r"measured|meas|ist|istwert|bat|battery|emf)(_|\d|$)",
+    re.I,
+)
+_MOTION = re.compile(
+    r"^(p|q|r|[xyz]|[vapgw][xyz]|d?(phi|theta|psi))(_?\d)?(_(pos|ned|enu|world|body|b|w))?$"
+    r"|(^|_)(pos|position|vel|velocity|acc|acceleration|height|altitude|displacement|"
+    r"(ang(ular|le)?_?)(rate|vel|velocity|speed|acc)?|(body_?)?rates?|omega|"
+    r"(roll|pitch|yaw|nick|gier|heading|tilt)(_?rate|_?speed)?)(_?[xyzpqr\d])?(_|$)",
+    re.I,
+)
+_MOTION_UNITS = ("m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
 _QUATERNION = re.compile(r"(^|_)(q|quat|quaternion)_?[wxyz0-3]$", re.I)  # has no unit
 _STAMP = re.compile(r"(^|_)(time)?stamp(_|$)", re.I)  # further clocks of a log
 _FLAG = re.compile(r"(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)", re.I)
 _MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
+_BY_TOPIC = "by its topic"
 _SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
 _SMOOTH = 1e-5  # of the range: a sensor scatters by more
 _HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
@@ -55,7 +70,7 @@ class Guess:
 
     Attributes:
         layout: Lay-out of the files that are used.
-        time: Keys of ``time``.
+        time: Keys of ``time``, of each file of a run where these have clocks of other names.
         is_late: Whether the clock counts from long ago, so that runs should start at 0 s.
         channels: Columns that look measured.
         commands: Columns that look commanded.
@@ -68,7 +83,7 @@ class Guess:
     """
 
     layout: Layout
-    time: dict[str, Any]
+    time: dict[str, Any] | list[dict[str, Any]]
     is_late: bool
     channels: list[Quantity]
     commands: list[Quantity]
@@ -92,7 +107,7 @@ def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
     """
     said: list[str] = []
     todo: list[str] = []
-    layout, recordings = recordings_in(folder, said, parts)
+    layout, recordings, times = recordings_in(folder, said, parts)
     tables = [one.table for one in recordings]
     time, clock, clock_todo = guess_clock(layout, tables, said)
     todo += clock_todo
@@ -129,7 +144,8 @@ def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
     late = is_late(time, clock, tables)
     if late:
         said.append("zero_time: the clock counts from long ago; every run starts at 0 s")
-    return Guess(layout, time, late, channels, commands, facts, runs, split, every, said, todo)
+    clocks = times if any(t != time for t in times) else time
+    return Guess(layout, clocks, late, channels, commands, facts, runs, split, every, said, todo)
 
 
 def _runs(
@@ -178,6 +194,7 @@ def _sorted_out(
     for column in columns:
         values = samples[column.name]
         why = _commanded(column, values) or equal.get(column.name, "")
+        why = "" if _is_sensed(column) and why != _BY_TOPIC else why
         name = column.name if _keeps_name(column) else column.base
         taken = {q.name for q in (*commands, *channels)}
         name = name if name not in taken else f"{name}_{len(taken)}"
@@ -237,7 +254,7 @@ def _keeps_name(column: Column) -> bool:
 def _commanded(column: Column, values: Sequence[Array]) -> str:
     """Why a column looks commanded; empty: it does not."""
     if column.is_asked:
-        return "by its topic"
+        return _BY_TOPIC
     if _COMMAND.search(column.base):
         return "by its name"
     repeats = [np.diff(v) == 0.0 for v in values if len(v) > 1]
@@ -254,6 +271,15 @@ def _commanded(column: Column, values: Sequence[Array]) -> str:
         if len(second) and float(np.median(second)) < _SMOOTH * float(np.ptp(there)):
             return "by its lack of noise"
     return ""
+
+
+def _is_sensed(column: Column) -> bool:
+    """Whether the name says that a column was measured, however still it is at times."""
+    if _SENSOR.search(column.base):
+        return True
+    if _COMMAND.search(column.base) or not _MOTION.search(column.base):
+        return False
+    return column.unit is not None and to_si(column.unit).unit in _MOTION_UNITS
 
 
 def _noise(values: Sequence[Array]) -> float | None:

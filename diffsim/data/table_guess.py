@@ -54,6 +54,7 @@ class Column:
         is_said: Whether the unit stands apart, in brackets or a row of units; else it is the
             ending of the name.
         is_asked: Whether it is of a table that holds what was commanded.
+        is_further: Whether it is of a file that is read at the clock of another one.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Column:
     unit: str | None
     is_said: bool
     is_asked: bool = False
+    is_further: bool = False
 
 
 @dataclass(frozen=True)

@@ -431,3 +431,82 @@ def test_speeds_of_motors_are_commands_in_rpm(tmp_path):
     said = (tmp_path / "study.yaml").read_text()
     for name in ("rpm1", "rpm2"):
         assert f"- {{name: {name}, unit: rpm, " in said.split("\ncommands:")[1]
+
+
+def two_instruments(folder: Path, names=("hop", "turn"), first="mocap", second="fcu", late=0.0):
+    """A camera at 100 Hz and a controller at 50 Hz, each with a file and a clock of its own."""
+    for seed, run in enumerate(names):
+        slow = 20.0 * np.arange(40) + 5.0
+        place = np.sin(0.01 * T) + noisy(seed, 0.01)
+        write(folder / f"{run}_{first}.csv", "Zeit (ms),z_m", [T + late, place])
+        throttle = np.where(slow > 300.0, 0.6 + 0.1 * seed, 0.4)
+        rate = np.cos(0.01 * slow) + noisy(seed)[:40]
+        write(folder / f"{run}_{second}.csv", "stamp_ms,p_dps,throttle", [slow, rate, throttle])
+
+
+def test_files_of_two_instruments_are_one_run(tmp_path, capsys):
+    """Of each flight two files: those of one instrument had become the runs, the others nothing."""
+    two_instruments(tmp_path)
+    assert init(tmp_path) == 0
+    assert "hop_mocap.csv with hop_fcu.csv" in capsys.readouterr().out
+    study = load_study(tmp_path)
+    assert [run.name for run in study.runs] == ["hop", "turn"]
+    assert [c.name for c in study.channels] == ["z_m", "p"]
+    assert [c.name for c in study.commands] == ["throttle"]
+    run = study.runs[0]
+    assert len(run.time_s) == 60 and run.time_s[1] == pytest.approx(0.01)
+    at = 20.0 * np.arange(40) + 5.0
+    expected = np.interp(T, at, np.deg2rad(np.cos(0.01 * at) + noisy(0)[:40]), np.nan)
+    np.testing.assert_allclose(run.measured[:, 1], expected, atol=1e-8)
+    assert np.isfinite(run.command["throttle"]).all()  # before its first sample it is held
+
+
+def test_an_instrument_may_stand_first_in_the_name_and_one_run_is_enough(tmp_path):
+    two_instruments(tmp_path, names=("hop",))
+    for path in list(tmp_path.iterdir()):
+        run, tag = path.stem.split("_")
+        path.rename(tmp_path / f"{tag}-{run}.csv")
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert {run.name.partition("_")[0] for run in study.runs} == {"hop"}
+    assert [c.name for c in study.channels] == ["z_m", "p"]
+
+
+@pytest.mark.parametrize(
+    "change", [{"late": 1e6}, {"first": "1", "second": "2", "names": ("hop",)}]
+)
+def test_files_that_are_not_of_one_run_stay_apart(tmp_path, capsys, change):
+    """Clocks that do not meet; numbers count runs, whatever their columns."""
+    two_instruments(tmp_path, **change)
+    assert init(tmp_path) == 0
+    assert "files with other columns, not used" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["z_m", "p_dps", "gyro_x (deg/s)", "roll_deg", "vx_mps", "Position (mm)", "az_mps2",
+     "body_rate_y (deg/s)", "joint angle 1 [deg]", "battery_voltage_V"],
+)  # fmt: skip
+def test_what_is_called_a_measurement_is_a_channel(tmp_path, name):
+    """Held between slow samples, they had become commands."""
+    for k in range(2):
+        held = np.repeat(np.sin(0.7 * np.arange(12) + k), 5)
+        force = np.where(T > 200.0, 1.0 + k, 0.0)
+        write(tmp_path / f"r{k}.csv", f"t (ms),{name},cmd_1,pos_x (mm)", [T, held, force, noisy(k)])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["cmd_1"] and len(study.channels) == 2
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["motor_voltage (V)", "pwm_1", "Throttle %", "z_setpoint (m)", "cmd_vx (m/s)", "u",
+     "torque_cmd (N m)", "pressure_set (bar)", "roll_ref (deg)"],
+)  # fmt: skip
+def test_what_is_called_a_command_is_one(tmp_path, name):
+    for k in range(2):
+        asked = np.sin(0.01 * T) + noisy(k + 3)
+        write(tmp_path / f"r{k}.csv", f"t (ms),{name},x (mm)", [T, asked, noisy(k)])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert len(study.commands) == 1 and [c.name for c in study.channels] == ["x"]
