@@ -326,6 +326,28 @@ def test_channels_and_commands_that_do_not_fit_are_named():
     )
 
 
+def test_the_range_of_a_throttle_has_a_unit_and_holds_the_commands():
+    """`low: 1000 us` was refused, as its key reads; 1000 was taken, and 1.5 ms is none of it."""
+    s = study()
+    commands = {"columns": MODEL["commands"]["columns"], "as": "throttle"}
+    pulses = tuple(
+        replace(r, command={n: np.full(len(v), 1.5e-3) for n, v in r.command.items()})
+        for r in s.runs
+    )
+    law = {"coefficient": 8.0}
+
+    def said(low, high):
+        keys = {"commands": {**commands, "low": low, "high": high}, "thrust": law}
+        given = replace(s, runs=pulses, model={**MODEL, **keys})
+        return [str(p) for p in description_of(given).problems(given)]
+
+    assert said("1000 us", "2000 us") == [] == said(1e-3, "2 ms")
+    (problem,) = said(1000, 2000)[:1]
+    assert "is 0.0015 in SI units, outside of low 1000 to high 2000" in problem
+    with pytest.raises(ValueError, match="must be a number, or one with its unit, got 'half'"):
+        said("half", "2000 us")
+
+
 def test_quantities_per_fact_and_causes_by_choice():
     s = study(
         thrust={"coefficient": {"value": small_copter.COEFFICIENT, "percent": 5, "per": "prop"}},

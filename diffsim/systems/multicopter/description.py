@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.check import did_you_mean
@@ -67,6 +68,19 @@ class MulticopterDescription(MulticopterKeys):
             study=study,
         )
 
+    def _beyond(self, values: NDArray[np.float64]) -> str:
+        """How a throttle lies outside of its range for half of the samples; empty: it does not."""
+        keys, found = self.commands, values[np.isfinite(values)]
+        if keys.meaning != "throttle" or not len(found):
+            return ""
+        middle = float(np.median(found))
+        if abs(middle - 0.5 * (keys.low + keys.high)) <= 0.6 * (keys.high - keys.low):
+            return ""
+        return (
+            f"is {middle:.4g} in SI units, outside of low {keys.low:g} to high {keys.high:g}; give "
+            "these a unit, such as `low: 1000 us`"
+        )
+
     def _command_problems(self, study: Study) -> Iterator[Problem]:
         # new runs of a saved model need not be of those in which its causes act
         for fact, value in self.causes_act_in.items():
@@ -84,6 +98,9 @@ class MulticopterDescription(MulticopterKeys):
                         f"model.{key}",
                         f"run {run.name} has no command {name!r}{did_you_mean(name, run.command)}",
                     )
+                    break
+                if key == "commands.columns" and (said := self._beyond(run.command[name])):
+                    yield Problem("error", "model.commands", f"run {run.name}: {name} {said}")
                     break
                 if not np.isfinite(run.command[name]).all():
                     yield Problem(

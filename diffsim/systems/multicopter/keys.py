@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from diffsim.core.schema import Part
+from diffsim.core.schema import Part, Said
 from diffsim.core.schema_numbers import (
     Acceleration,
     Angle,
@@ -18,10 +18,12 @@ from diffsim.core.schema_numbers import (
     Seconds,
     Volts,
 )
+from diffsim.core.units import in_si
 from diffsim.systems.description import Quantity
 from diffsim.systems.quantities import Inertia, Length, Moment, PerSecond, Plain
 
 _NONE = Quantity(value=0.0)
+Level = Annotated[float, BeforeValidator(lambda given: in_si(given)[0]), Said("number")]
 
 
 class FrameKeys(Part):
@@ -128,8 +130,12 @@ class CommandKeys(Part):
         "where the file has rpm); throttle, from `low` to `high`; or pulse [us], which needs "
         "`rotor_model`",
     )
-    low: float = Field(0.0, description="Throttle at which nothing turns, such as 1000 us")
-    high: float = Field(1.0, description="Full throttle, such as 2000 us or 65535")
+    low: Level = Field(
+        0.0,
+        description="Throttle at which nothing turns, such as 1000 us; a number alone is in the "
+        "SI unit of the commands",
+    )
+    high: Level = Field(1.0, description="Full throttle, such as 2000 us or 65535")
     per_voltage: Volts | None = Field(
         None,
         description="Battery voltage at which the throttle means what `thrust` says; the throttle "
