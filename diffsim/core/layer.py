@@ -2,17 +2,22 @@
 
 A custom op alone has no forward mode: PyTorch takes its derivative for zero, without a word. A
 :class:`torch.autograd.Function` has one, but the compiler of PyTorch refuses to trace it. So a
-layer is both: the op where PyTorch compiles, the function everywhere else.
+layer is both: the op where PyTorch compiles, the function everywhere else. Where neither a
+derivative nor anything else of PyTorch is asked for, it is the kernel alone: for small systems the
+way through the dispatcher takes longer than the kernel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
+
+_PLAIN = (Tensor, torch.nn.Parameter)
 
 
 class Call(NamedTuple):
@@ -185,14 +190,16 @@ def _callable(
     by_name = {a.name for a in arguments if a.kwarg_only}
 
     def layer(*args: Any, **named: Any) -> Any:
-        if torch.compiler.is_compiling() or not _may_be_differentiated():
+        if torch.compiler.is_compiling():
             return op(*args, **named)
-        args = (*args, *(named[name] for name in by_place[len(args) :]))
-        call = Call.of(args, {name: value for name, value in named.items() if name in by_name})
-        row = call.flat(args)
-        if not _is_differentiated(row):
-            return op(*args, **call.options)
-        return kind.apply(call, *row)
+        if _may_be_differentiated():
+            args = (*args, *(named.pop(name) for name in by_place[len(args) :]))
+            call = Call.of(args, {name: value for name, value in named.items() if name in by_name})
+            row = call.flat(args)
+            if _is_differentiated(row):
+                return kind.apply(call, *row)
+        alone = _is_unwatched() and _are_plain((*args, *named.values()))
+        return (op._init_fn if alone else op)(*args, **named)
 
     layer.__name__ = layer.__qualname__ = _name(op)
     layer.__doc__ = op.__doc__
@@ -208,6 +215,39 @@ def _is_differentiated(row: Sequence[Any]) -> bool:
 
 def _may_be_differentiated() -> bool:
     return torch.is_grad_enabled() or _is_transformed()
+
+
+def is_kernel_alone(tensors: Sequence[Tensor]) -> bool:
+    """Whether a kernel may be called past PyTorch: nothing of PyTorch has to see that it is called.
+
+    Args:
+        tensors: All that the kernel reads.
+    """
+    if torch.compiler.is_compiling() or not _is_unwatched() or not _are_plain(tensors):
+        return False
+    return not (_may_be_differentiated() and _is_differentiated(tensors))
+
+
+def _is_unwatched() -> bool:
+    """Whether no compiler, tracer, profiler or mode follows the calls of ops."""
+    return not (
+        "torch._dynamo" in sys.modules
+        or torch._C._len_torch_dispatch_stack()
+        or torch._C._len_torch_function_stack()
+        or torch._C._get_tracing_state() is not None
+        or torch.autograd._profiler_enabled()
+    )
+
+
+def _are_plain(values: Iterable[Any]) -> bool:
+    """Whether all tensors among arguments and their lists are what their memory says."""
+    for value in values:
+        if isinstance(value, Tensor):
+            if type(value) not in _PLAIN or not value.is_cpu or value.is_neg():
+                return False
+        elif isinstance(value, list) and not _are_plain(value):
+            return False
+    return True
 
 
 def _is_transformed() -> bool:

@@ -122,11 +122,23 @@ class Arrays:
             sizes: Of the body, by the names that shapes use.
             damped: Whether the tensors of damping are given.
         """
-        for name, tensor in self.named().items():
-            spec = self.specs[name]
+        self.require_shapes(self.shapes(batch, sizes, damped=damped))
+
+    def shapes(
+        self, batch: int, sizes: Mapping[str, int], *, damped: bool = True
+    ) -> dict[str, tuple[int, ...]]:
+        """What :meth:`require_sizes` requires, by name."""
+        found = {}
+        for name, spec in self.specs.items():
             own = tuple(sizes[size] if isinstance(size, str) else size for size in spec.shape)
             shape = (batch, *own) if self.has_batch(name) else own
-            require_array(name, tensor, (0,) if spec.damping and not damped else shape)
+            found[name] = (0,) if spec.damping and not damped else shape
+        return found
+
+    def require_shapes(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        """Refuse other shapes of some tensors, by name."""
+        for name, shape in shapes.items():
+            require_array(name, getattr(self, name), shape)
 
     def gradient_buffers(self, batch: int) -> dict[str, Tensor]:
         """Zeroed outputs of an adjoint; those of shared tensors get a batch axis as well."""
@@ -223,7 +235,7 @@ class ContactArrays(Arrays):
 
 def require_array(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
     """Refuse a tensor that a kernel could not read as (shape) doubles in a row."""
-    if tuple(tensor.shape) != shape:
+    if tensor.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
     if tensor.dtype != torch.float64 or not tensor.is_contiguous():
         raise TypeError(f"{name} must be contiguous float64")

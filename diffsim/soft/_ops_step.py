@@ -38,9 +38,10 @@ def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0)
 
 
 def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
-    failed = stats[:, STATS.index("converged")] == 0
-    if not bool(failed.any()):
+    converged = stats.numpy()[:, STATS.index("converged")]  # called too often for torch
+    if converged.all():
         return
+    failed = stats[:, STATS.index("converged")] == 0
     row = dict(zip(STATS, stats[failed][0].tolist(), strict=True))
     residual, tolerance, iters = row["residual_norm"], row["tolerance"], int(row["num_iters"])
     message = (
@@ -67,6 +68,67 @@ def new_stats(batch: int) -> Tensor:
     return torch.zeros(batch, len(STATS), dtype=torch.float64)
 
 
+class BoundStep:
+    """Implicit steps that share their parameters, checked and handed to the solver once.
+
+    Args:
+        arrays: Inputs of one of the steps.
+        handle, method, preconditioner, rtol, atol, max_iters, num_threads, on_failure: As for
+            :func:`soft_step`.
+        adjoint: Options of the adjoint, which steps do not need.
+    """
+
+    def __init__(
+        self,
+        arrays: StepArrays,
+        *,
+        handle: int,
+        method: str,
+        preconditioner: str,
+        rtol: float,
+        atol: float,
+        max_iters: int,
+        num_threads: int,
+        on_failure: str,
+        **adjoint: float,
+    ):
+        self._context = context(handle)
+        self._batch = arrays.y.shape[0]
+        shapes = arrays.shapes(self._batch, self._context.sizes, damped=arrays.damped)
+        self._moving = {n: s for n, s in shapes.items() if StepArrays.specs[n].batched}
+        arrays.require_shapes({n: s for n, s in shapes.items() if n not in self._moving})
+        self._shared = {n: getattr(arrays, n) for n in shapes if n not in self._moving}
+        self._system = self._context.system(arrays, num_threads, method, preconditioner)
+        self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters)
+        self._max_iters, self._num_threads, self._on_failure = max_iters, num_threads, on_failure
+        self._hint = LINEAR_HINT if method == LINEAR else STEP_HINT
+
+    def shares(self, arrays: StepArrays) -> bool:
+        """Whether a step has the very tensors that are shared."""
+        same = all(getattr(arrays, name) is tensor for name, tensor in self._shared.items())
+        return same and arrays.y.shape[0] == self._batch
+
+    def __call__(self, arrays: StepArrays) -> tuple[Tensor, Tensor]:
+        """x (batch, num_nodes, 3) [m] and stats of a step that :meth:`shares` its parameters."""
+        arrays.require_shapes(self._moving)
+        x = torch.empty_like(arrays.y)
+        stats = new_stats(self._batch)
+        core.implicit_step(
+            system=self._system,
+            inputs=soft_addresses(arrays.named()),
+            options=self._options,
+            batch=self._batch,
+            x=x.data_ptr(),
+            stats=stats.data_ptr(),
+            num_threads=self._num_threads,
+        )
+        notify("step", stats, self._max_iters)
+        # x is the start where that failed
+        require_upright(self._context, stats[:, STATS.index("energy")], x)
+        report_failure(stats, "implicit step", self._hint, self._on_failure)
+        return x, stats
+
+
 @custom_op("diffsim::soft_step")
 def soft_step(
     inputs: list[Tensor],
@@ -90,25 +152,19 @@ def soft_step(
     Returns:
         x (batch, num_nodes, 3) [m], stats.
     """
-    ctx = context(handle)
-    batch = StepArrays.of(inputs).y.shape[0]
-    arrays = require_step(ctx, inputs, batch)
-    x = torch.empty_like(arrays.y)
-    stats = new_stats(batch)
-    core.implicit_step(
-        system=ctx.system(arrays, num_threads, method, preconditioner),
-        inputs=soft_addresses(arrays.named()),
-        options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
-        batch=batch,
-        x=x.data_ptr(),
-        stats=stats.data_ptr(),
+    arrays = StepArrays.of(inputs)
+    bound = BoundStep(
+        arrays,
+        handle=handle,
+        method=method,
+        preconditioner=preconditioner,
+        rtol=rtol,
+        atol=atol,
+        max_iters=max_iters,
         num_threads=num_threads,
+        on_failure=on_failure,
     )
-    notify("step", stats, max_iters)
-    require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
-    hint = LINEAR_HINT if method == LINEAR else STEP_HINT
-    report_failure(stats, "implicit step", hint, on_failure)
-    return x, stats
+    return bound(arrays)
 
 
 @soft_step.register_fake

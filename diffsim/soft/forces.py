@@ -11,18 +11,19 @@ from diffsim.core.check import require
 from diffsim.soft import _ops_elastic
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, energy_arrays, flat
 from diffsim.soft.physics import Physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
 
 def elastic_gradient(
-    body: Solid, x: Tensor, loads: Loads, frame: DampingFrame | None = None
+    x: Tensor, loads: Loads, frame: DampingFrame | None = None
 ) -> tuple[Tensor, Tensor]:
     """Gradient of the energy, with damping where a frame is given [N], and the energy [J].
 
     The arguments are checked already; the energy's gradient is right in x alone.
     """
-    arrays = energy_arrays(body, loads, frame)
+    arrays, body = energy_arrays(loads, frame), loads.prepared.body
     gradient, energy = _ops_elastic.elastic_gradient_layer(
         flat(x),
         arrays.tensors(),
@@ -54,7 +55,7 @@ def elastic_force(
         Forces, shape of x [N]. Gradients: x, activation, pressure, physics; first order.
     """
     x, loads = _checked(body, x, activation=activation, pressure=pressure, physics=physics)
-    return -elastic_gradient(body, x, loads)[0]
+    return -elastic_gradient(x, loads)[0]
 
 
 def elastic_energy(
@@ -89,9 +90,9 @@ def elastic_energy(
         loads,
         activation=loads.activation.detach(),
         pressure=loads.pressure.detach(),
-        physics=constants,
+        prepared=Prepared(body, constants),
     )
-    return elastic_gradient(body, x, loads)[1]
+    return elastic_gradient(x, loads)[1]
 
 
 def _checked(
@@ -102,7 +103,7 @@ def _checked(
     pressure: Tensor | None,
     physics: Physics | None,
 ) -> tuple[Tensor, Loads]:
-    physics = body.physics() if physics is None else physics
     x = require("x", x, ("...", body.mesh.num_nodes, 3))
     state = State(x, torch.zeros_like(x))
-    return check_inputs(body, state, physics, activation=activation, pressure=pressure)
+    prepared = Prepared(body, physics)
+    return check_inputs(prepared, state, activation=activation, pressure=pressure)

@@ -62,7 +62,7 @@ def solve_in_contact(
         force_guess=flat(guess[..., nodes, :].expand(vector)),
     )
     x, force, _, _ = _ops_contact.contact_step_layer(
-        problem.arrays(body).tensors(),
+        problem.arrays().tensors(),
         contacts.tensors(),
         nodes,
         handle=body.handle,

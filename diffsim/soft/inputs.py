@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -10,8 +11,8 @@ from torch import Tensor
 
 from diffsim.core.check import require
 from diffsim.soft._arrays import EnergyArrays
-from diffsim.soft.physics import Physics, require_physics
-from diffsim.soft.solid import Solid
+from diffsim.soft.physics import DampingWeights, Physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.state import State, require_state
 
 EMPTY = torch.zeros(0, dtype=torch.float64)
@@ -26,14 +27,29 @@ class Loads:
         target: Positions of Dirichlet nodes, (..., num_nodes, 3) [m].
         activation: Activations of the muscles, (..., num_muscles) [-].
         pressure: Gauge pressures of the chambers, (..., num_chambers) [Pa].
-        physics: The body's parameters.
+        prepared: The body and its parameters.
     """
 
     force: Tensor
     target: Tensor
     activation: Tensor
     pressure: Tensor
-    physics: Physics
+    prepared: Prepared
+
+    @property
+    def physics(self) -> Physics:
+        """The body's parameters."""
+        return self.prepared.physics
+
+    def with_target(self, target: Tensor) -> Loads:
+        """The same loads with other positions of the Dirichlet nodes."""
+        return Loads(
+            force=self.force,
+            target=target,
+            activation=self.activation,
+            pressure=self.pressure,
+            prepared=self.prepared,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,59 +57,103 @@ class DampingFrame:
     """What stiffness-proportional damping refers to, see csrc/kernels/soft/damping.h.
 
     Attributes:
-        kappa: Velocity per displacement [1/s]: v = kappa (x - x_velocity).
+        weights: Of the elements; None: no damping.
         x_frame: Positions that define the frame, (..., num_nodes, 3) [m].
         x_velocity: Positions that velocity is measured from, (..., num_nodes, 3) [m].
     """
 
-    kappa: float
+    weights: DampingWeights | None
     x_frame: Tensor
     x_velocity: Tensor
 
 
-def check_inputs(
-    body: Solid,
-    state: State,
-    physics: Physics,
-    *,
-    external_force: Tensor | None = None,
-    activation: Tensor | None = None,
-    pressure: Tensor | None = None,
-    dirichlet_target: Tensor | None = None,
-) -> tuple[Tensor, Loads]:
+def check_inputs(prepared: Prepared, state: State, **given: Tensor | None) -> tuple[Tensor, Loads]:
     """Positions (..., num_nodes, 3) [m] of a state, and what acts on it; see ``step``."""
-    num_nodes = body.mesh.num_nodes
-    require_physics(physics, num_nodes, body.mesh.num_elements, body.material.law)
+    x = check_state(prepared, state).x
+    return x, check_loads(prepared, x.shape, given)
+
+
+def check_state(prepared: Prepared, state: State) -> State:
+    """The state, contiguous; refuses what a step cannot begin from."""
+    physics = prepared.physics
     require_state(state)
-    x = require("state.x", state.x, ("...", num_nodes, 3))
-    require("state.v", state.v, tuple(x.shape))
+    x = require("state.x", state.x, ("...", prepared.body.mesh.num_nodes, 3))
+    checked = {"x": x, "v": require("state.v", state.v, tuple(x.shape))}
     for name in ("x_prev", "v_prev", "contact_force"):
         value = getattr(state, name)
         if value is not None:
-            require(f"state.{name}", value, tuple(x.shape))
+            checked[name] = require(f"state.{name}", value, tuple(x.shape))
     if physics.batch is not None and tuple(x.shape[:-2]) != (physics.batch,):
         raise ValueError(
             f"state.x must have the batch axis ({physics.batch},) of physics(batch=...), got "
             f"{tuple(x.shape[:-2])}; begin with body.rest_state(batch={physics.batch})"
         )
-    force = physics.weighing_mass[..., None] * physics.gravity.unsqueeze(-2)
-    if external_force is not None:
-        force = force + require("external_force", external_force, ("...", num_nodes, 3))
-    target = body.x_rest
-    if dirichlet_target is not None:
-        target = require("dirichlet_target", dirichlet_target, ("...", num_nodes, 3))
-    batch = x.shape[:-2]
-    return x, Loads(
-        force=broadcast("external_force", force, x.shape),
-        target=broadcast("dirichlet_target", target, x.shape),
-        activation=_signal(
-            "activation", activation, "muscles", body.muscles.rest_activation, batch
-        ),
-        pressure=_signal(
-            "pressure", pressure, "chambers", x.new_zeros(body.chambers.num_chambers), batch
-        ),
-        physics=physics,
+    return state._replace(**checked)
+
+
+def check_loads(
+    prepared: Prepared, shape: tuple[int, ...], given: Mapping[str, Tensor | None]
+) -> Loads:
+    """What acts in a step.
+
+    Args:
+        prepared: The body and its parameters.
+        shape: Of the positions, (..., num_nodes, 3).
+        given: ``LOADS`` by name, as ``step`` takes them; None and what is missing: none.
+    """
+    parts = {name: check_load(prepared, shape, name, given.get(name)) for name in LOADS}
+    return make_loads(prepared, parts)
+
+
+def check_load(
+    prepared: Prepared, shape: tuple[int, ...], name: str, value: Tensor | None
+) -> Tensor:
+    """One of ``LOADS`` with the batch axes of positions (..., num_nodes, 3)."""
+    return _CHECKS[name](prepared, shape, value)
+
+
+def make_loads(prepared: Prepared, parts: Mapping[str, Tensor]) -> Loads:
+    """All of ``LOADS``, checked, as one record."""
+    return Loads(
+        force=parts["external_force"],
+        target=parts["dirichlet_target"],
+        activation=parts["activation"],
+        pressure=parts["pressure"],
+        prepared=prepared,
     )
+
+
+def _force(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+    """External forces and weight."""
+    force, name = prepared.weight, "external_force"
+    if value is not None:
+        force = force + require(name, value, ("...", shape[-2], 3))
+    return broadcast(name, force, shape)
+
+
+def _target(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+    target, name = prepared.body.x_rest, "dirichlet_target"
+    if value is not None:
+        target = require(name, value, ("...", shape[-2], 3))
+    return broadcast(name, target, shape)
+
+
+def _activation(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+    rest = prepared.body.muscles.rest_activation
+    return _signal("activation", value, "muscles", rest, shape[:-2])
+
+
+def _pressure(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+    return _signal("pressure", value, "chambers", prepared.no_pressure, shape[:-2])
+
+
+_CHECKS: dict[str, Callable[[Prepared, tuple[int, ...], Tensor | None], Tensor]] = {
+    "external_force": _force,
+    "dirichlet_target": _target,
+    "activation": _activation,
+    "pressure": _pressure,
+}
+LOADS = tuple(_CHECKS)
 
 
 def _signal(
@@ -106,40 +166,43 @@ def _signal(
     return broadcast(name, value, (*batch, len(rest)))
 
 
-def energy_arrays(body: Solid, loads: Loads, frame: DampingFrame | None = None) -> EnergyArrays:
+def energy_arrays(loads: Loads, frame: DampingFrame | None = None) -> EnergyArrays:
     """Parameters of the energy as the ops take them, batch axes flattened.
 
     Args:
-        body: The body.
-        loads: Activations, pressures and physics.
+        loads: Activations, pressures, body and physics.
         frame: Reference of damping; None: the energy without damping.
     """
-    physics = loads.physics
-    fibers = body.muscles.fibers(physics.fiber_stiffness, loads.activation)
-    damping = None if frame is None else physics.damping(frame.kappa)
-    stiffness = fibers.stiffness
-    if physics.batch is not None and stiffness.ndim == 1:  # no fibers
-        stiffness = stiffness.expand(physics.batch, -1)
-    terms = dict.fromkeys(("damp_mu", "damp_lambda", "x_frame", "x_velocity"), EMPTY)
-    if frame is not None and damping is not None:
-        terms = {
-            "damp_mu": damping.mu.contiguous(),
-            "damp_lambda": damping.lame_lambda.contiguous(),
-            "x_frame": flat(frame.x_frame),
-            "x_velocity": flat(frame.x_velocity),
-        }
-    return EnergyArrays(
-        w_mu=physics.w_mu.contiguous(),
-        w_vol=physics.w_vol.contiguous(),
-        fiber_stiffness=stiffness.contiguous(),
-        activation=flat(fibers.stretch, 1),
-        pressure=flat(loads.pressure, 1),
-        **terms,
-    )
+    return EnergyArrays(**energy_terms(loads, frame))
+
+
+def energy_terms(loads: Loads, frame: DampingFrame | None = None) -> dict[str, Tensor]:
+    """Tensors of :func:`energy_arrays` by name."""
+    prepared, muscles = loads.prepared, loads.prepared.body.muscles
+    stiffness = prepared.fiber_stiffness
+    if stiffness is None:
+        fibers = muscles.fibers(prepared.physics.fiber_stiffness, loads.activation)
+        stiffness, stretch = prepared.of_members(fibers.stiffness), fibers.stretch
+    else:
+        stretch = muscles.stretch_of_fibers(loads.activation)
+    damped = frame is not None and frame.weights is not None
+    return {
+        "w_mu": prepared.w_mu,
+        "w_vol": prepared.w_vol,
+        "fiber_stiffness": stiffness,
+        "activation": flat(stretch, 1),
+        "damp_mu": frame.weights.mu if damped else EMPTY,
+        "damp_lambda": frame.weights.lame_lambda if damped else EMPTY,
+        "x_frame": flat(frame.x_frame) if damped else EMPTY,
+        "x_velocity": flat(frame.x_velocity) if damped else EMPTY,
+        "pressure": flat(loads.pressure, 1),
+    }
 
 
 def broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
     """``value`` expanded to ``shape``, or an error that names it."""
+    if value.shape == shape:
+        return value
     try:
         return value.expand(shape)
     except RuntimeError as err:
@@ -151,5 +214,8 @@ def broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
 
 def flat(value: Tensor, trailing: int = 2) -> Tensor:
     """(batch, ...) with one leading axis, contiguous."""
-    batch = math.prod(value.shape[: value.ndim - trailing])
-    return value.reshape(batch, *value.shape[value.ndim - trailing :]).contiguous()
+    leading = value.ndim - trailing
+    if leading == 0:
+        return value.contiguous().unsqueeze(0)
+    batch = math.prod(value.shape[:leading])
+    return value.reshape(batch, *value.shape[leading:]).contiguous()

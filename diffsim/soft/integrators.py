@@ -9,6 +9,7 @@ O((w h)^3) (BDF2), and not at all (implicit midpoint).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,25 +23,60 @@ INTEGRATORS = IMPLICIT + EXPLICIT
 WITH_CONTACT = ("implicit_euler", "bdf2")
 
 
+class Rates(NamedTuple):
+    """What an integrator's problems have of the time step.
+
+    Attributes:
+        c: Inertia per mass [1/s^2].
+        kappa: Velocity per displacement [1/s].
+    """
+
+    c: float
+    kappa: float
+
+
+VELOCITY = Rates(c=0.0, kappa=1.0)  # of explicit steps: displacements stand for velocities
+
+
 @dataclass(frozen=True)
 class Stage:
     """The implicit problem of one step.
 
     Attributes:
-        c: Inertia per mass [1/s^2].
+        rates: Inertia per mass, and velocity per displacement.
         y: Inertial position, (..., num_nodes, 3) [m].
-        kappa: Velocity per displacement [1/s].
         x_velocity: Position that velocity is measured from, (..., num_nodes, 3) [m].
             The frame of stiffness-proportional damping is y: it predicts the unknown to second
             order, so that damping keeps the integrator's order.
         midpoint: The unknown is the position in the middle of the step.
     """
 
-    c: float
+    rates: Rates
     y: Tensor
-    kappa: float
     x_velocity: Tensor
     midpoint: bool = False
+
+
+def rates_of(integrator: str, dt: float) -> tuple[Rates, ...]:
+    """The rates of all problems that an integrator may pose."""
+    if integrator in EXPLICIT:
+        return (VELOCITY,)
+    if integrator == "bdf2":  # it starts with implicit Euler, and takes it in contact
+        return _euler(dt), _bdf2(dt)
+    return (_euler(_euler_step(integrator, dt)),)
+
+
+def _bdf2(dt: float) -> Rates:
+    return Rates(c=2.25 / dt**2, kappa=1.5 / dt)
+
+
+def _euler(h: float) -> Rates:
+    return Rates(c=1.0 / h**2, kappa=1.0 / h)
+
+
+def _euler_step(integrator: str, dt: float) -> float:
+    # Implicit midpoint is implicit Euler over half a step, extrapolated.
+    return dt / 2.0 if integrator == "implicit_midpoint" else dt
 
 
 def make_stage(integrator: str, dt: float, state: State) -> Stage:
@@ -50,18 +86,17 @@ def make_stage(integrator: str, dt: float, state: State) -> Stage:
         # Curtiss and Hirschfelder 1952: x1 = (4 x - x_prev)/3 + 2h/3 v1, and the same for v1.
         x_velocity = (4.0 * x - state.x_prev) / 3.0
         y = x_velocity + (2.0 * dt / 9.0) * (4.0 * v - state.v_prev)
-        return Stage(c=2.25 / dt**2, y=y, kappa=1.5 / dt, x_velocity=x_velocity)
-    # Implicit midpoint is implicit Euler over half a step, extrapolated.
+        return Stage(rates=_bdf2(dt), y=y, x_velocity=x_velocity)
+    h = _euler_step(integrator, dt)
     midpoint = integrator == "implicit_midpoint"
-    h = dt / 2.0 if midpoint else dt
-    return Stage(c=1.0 / h**2, y=x + h * v, kappa=1.0 / h, x_velocity=x, midpoint=midpoint)
+    return Stage(rates=_euler(h), y=x + h * v, x_velocity=x, midpoint=midpoint)
 
 
 def finish_stage(
     integrator: str, stage: Stage, state: State, solution: Tensor, fixed: Tensor
 ) -> State:
     """The state after a step, from the solution of its problem; fixed (num_nodes, 3) bool."""
-    velocity = stage.kappa * (solution - stage.x_velocity)
+    velocity = stage.rates.kappa * (solution - stage.x_velocity)
     if stage.midpoint:
         # Extrapolated, the velocity of a node with prescribed motion would alternate.
         return State(

@@ -141,8 +141,16 @@ class MuscleSet:
             stiffness = stiffness * slack
             activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
         return FiberValues(
-            stiffness=stiffness[..., self.owner] * self.weights, stretch=activation[..., self.owner]
+            stiffness=self.of_fibers(stiffness), stretch=self.stretch_of_fibers(activation)
         )
+
+    def stretch_of_fibers(self, activation: Tensor) -> Tensor:
+        """Target stretch of each fiber, (..., num_fibers), where no muscle is a contraction [-]."""
+        return activation[..., self.owner] if self.num_muscles else activation
+
+    def of_fibers(self, stiffness: Tensor) -> Tensor:
+        """Stiffness of each fiber, (..., num_fibers), from that of the muscles [Pa]."""
+        return stiffness[..., self.owner] * self.weights if self.num_muscles else stiffness
 
 
 def _shared_activation(activation: Tensor, which: Tensor) -> Tensor:

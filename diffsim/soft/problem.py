@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from torch import Tensor
 
-from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
-from diffsim.soft._ops_step import LINEAR
-from diffsim.soft.inputs import DampingFrame, Loads, energy_arrays, flat
-from diffsim.soft.solid import Solid
+from diffsim.soft.inputs import DampingFrame, Loads, energy_terms, flat
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,30 +31,25 @@ class Problem:
     loads: Loads
     frame: DampingFrame | None = None
 
-    def arrays(self, body: Solid) -> StepArrays:
+    def arrays(self) -> StepArrays:
         """The tensors that the ops take, batch axes flattened."""
+        is_linear = self.loads.prepared.is_linear
         return StepArrays(
-            **energy_arrays(body, self.loads, self.frame).named(),
+            **energy_terms(self.loads, self.frame),
             y=flat(self.y),
             force=flat(self.loads.force),
             target=flat(self.loads.target),
-            guess=flat(self.guess if body.solver.method == LINEAR else self.guess.detach()),
+            guess=flat(self.guess if is_linear else self.guess.detach()),
             inertia=self.inertia.contiguous(),
         )
 
 
-def solve(body: Solid, problem: Problem, *, iterate: bool = False) -> Tensor:
+def solve(problem: Problem, *, iterate: bool = False) -> Tensor:
     """The positions (..., num_nodes, 3) that solve a problem [m].
 
     Args:
-        body: The body.
         problem: What is solved.
         iterate: Whether the solution is asked for where the body's own steps are linearly implicit.
     """
-    solver = body.solver
-    if iterate and solver.method == LINEAR:
-        solver = replace(solver, method="auto")
-    x, _ = _ops_step.soft_step_layer(
-        problem.arrays(body).tensors(), handle=body.handle, **solver.arguments()
-    )
+    x = problem.loads.prepared.solve(problem.arrays(), iterate=iterate)
     return x.reshape(problem.y.shape)

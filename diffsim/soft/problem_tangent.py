@@ -12,15 +12,13 @@ from diffsim.soft._context import small_strain_lambda
 from diffsim.soft.integrators import Stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.problem import Problem
-from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
 
-def solve_along(body: Solid, problem: Problem, x: Tensor, rates: Mapping[str, Tensor]) -> Tensor:
+def solve_along(problem: Problem, x: Tensor, rates: Mapping[str, Tensor]) -> Tensor:
     """Derivatives of a problem's solution x along K directions.
 
     Args:
-        body: The body.
         problem: The problem, without batch axes.
         x: Its solution, (num_nodes, 3) [m].
         rates: Directions by name of ``StepArrays.differentiable()``, with a leading K.
@@ -30,14 +28,13 @@ def solve_along(body: Solid, problem: Problem, x: Tensor, rates: Mapping[str, Te
     """
     return _ops_step.step_tangents(
         x[None].contiguous(),
-        problem.arrays(body),
+        problem.arrays(),
         {name: rate.contiguous() for name, rate in rates.items()},
-        **_ops_step.adjoint_arguments({"handle": body.handle, **body.solver.arguments()}),
+        **problem.loads.prepared.adjoint_arguments,
     )
 
 
 def stage_rates(
-    body: Solid,
     problem: Problem,
     stage: Stage,
     d_stage: Stage,
@@ -46,20 +43,20 @@ def stage_rates(
     changing: Physics,
 ) -> dict[str, Tensor]:
     """Directions in the inputs of a step's problem, see ``stage_problem``."""
-    physics = problem.loads.physics
-    total = stage.c + physics.rayleigh_alpha * stage.kappa
-    d_total = changing.rayleigh_alpha * stage.kappa
+    physics, (c, kappa) = problem.loads.physics, stage.rates
+    alpha = physics.rayleigh_alpha * kappa
+    total, d_total = c + alpha, changing.rayleigh_alpha * kappa
     rates = {
         "y": (
-            stage.c * d_stage.y
-            + physics.rayleigh_alpha * stage.kappa * d_stage.x_velocity
+            c * d_stage.y
+            + alpha * d_stage.x_velocity
             + d_total[:, None, None] * (stage.x_velocity - problem.y)
         )
         / total,
         "inertia": d_total[:, None] * physics.mass + total * changing.mass,
     }
     rates |= load_rates(problem, moved, changing)
-    if body.solver.method == _ops_step.LINEAR:  # its steps are linearized at the old positions
+    if problem.loads.prepared.is_linear:  # its steps are linearized at the old positions
         rates["guess"] = moving.x
     if stage.midpoint:  # its unknown is in the middle of the step
         rates["target"] = 0.5 * (moving.x + rates.get("target", torch.zeros_like(moving.x)))
@@ -74,9 +71,9 @@ def stage_rates(
                 small_strain_lambda(physics.material, changing.w_vol),
             ),
         ):
-            rates[name] = stage.kappa * (d_beta * w + beta * d_w)
+            rates[name] = kappa * (d_beta * w + beta * d_w)
         rates["x_frame"], rates["x_velocity"] = d_stage.y, d_stage.x_velocity
-    return rates | stiffness_rates(body, problem, moved["activation"], changing)
+    return rates | stiffness_rates(problem, moved["activation"], changing)
 
 
 def load_rates(
@@ -98,11 +95,11 @@ def load_rates(
 
 
 def stiffness_rates(
-    body: Solid, problem: Problem, d_activation: Tensor | None, changing: Physics
+    problem: Problem, d_activation: Tensor | None, changing: Physics
 ) -> dict[str, Tensor]:
     """Rates of the solid's weights and of the fibers (``MuscleSet.fibers``)."""
     rates = {"w_mu": changing.w_mu, "w_vol": changing.w_vol}
-    muscles = body.muscles
+    muscles = problem.loads.prepared.body.muscles
     if not muscles.num_muscles:
         return rates
     d_stiffness = changing.fiber_stiffness

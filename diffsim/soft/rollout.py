@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -11,10 +11,12 @@ from torch.utils.checkpoint import checkpoint
 from diffsim.contact import Obstacle, check_clear
 from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.check import require_number
+from diffsim.soft.inputs import LOADS, Loads, check_load, check_state, make_loads
 from diffsim.soft.physics import Physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.solid import Solid
-from diffsim.soft.state import State, Trajectory, require_state
-from diffsim.soft.step import step
+from diffsim.soft.state import State, Trajectory
+from diffsim.soft.step import advance
 
 Obstacles = Sequence[Obstacle] | Obstacle | Callable[[int, State], Sequence[Obstacle]] | None
 Signal = Tensor | Callable[[int, State], Tensor] | None
@@ -66,24 +68,22 @@ def rollout(
         require_number("checkpoint_every", checkpoint_every, at_least=1)
     if keep is not None and not callable(keep):
         raise TypeError(f"keep must be a function of a State, got {type(keep).__name__}")
-    require_state(state)
-    physics = body.physics() if physics is None else physics
+    prepared = Prepared(body, physics)
+    state = check_state(prepared, state)
+    signals = {
+        "external_force": external_force,
+        "activation": activation,
+        "pressure": pressure,
+        "dirichlet_target": dirichlet_target,
+    }
+    loads_at = LoadsInTime(prepared, state.x.shape, signals)
     obstacles_at = _obstacles_at(body, obstacles, state)
 
-    def advance(first: int, count: int, start: State) -> tuple[list[Tensor], list[Tensor], State]:
+    def go_on(first: int, count: int, start: State) -> tuple[list[Tensor], list[Tensor], State]:
         xs, vs = [], []
         now = start
         for k in range(first, first + count):
-            now = step(
-                body,
-                now,
-                external_force=at_step(external_force, k, now),
-                activation=at_step(activation, k, now),
-                pressure=at_step(pressure, k, now),
-                dirichlet_target=at_step(dirichlet_target, k, now),
-                obstacles=obstacles_at(k, now),
-                physics=physics,
-            )
+            now = advance(now, loads_at(k, now), obstacles_at(k, now))
             xs.append(now.x if keep is None else keep(now))
             vs.append(now.v)
         return xs, vs, now
@@ -93,17 +93,41 @@ def rollout(
     for first in range(0, num_steps, block):
         count = min(block, num_steps - first)
         if checkpoint_every is None:
-            more_x, more_v, state = advance(first, count, state)
+            more_x, more_v, state = go_on(first, count, state)
         else:
-            more_x, more_v, state = checkpoint(advance, first, count, state, use_reentrant=False)
+            more_x, more_v, state = checkpoint(go_on, first, count, state, use_reentrant=False)
         xs += more_x
         vs += more_v
     return Trajectory(torch.stack(xs), torch.stack(vs), state)
 
 
-def at_step(signal: Signal, k: int, state: State) -> Tensor | None:
-    """What a signal gives in step k from ``state``."""
-    return signal(k, state) if callable(signal) and not isinstance(signal, Tensor) else signal
+class LoadsInTime:
+    """What acts in each step of a rollout; what no step changes is checked once.
+
+    Args:
+        prepared: The body and its parameters.
+        shape: Of the positions, (..., num_nodes, 3).
+        signals: ``LOADS`` by name, as ``rollout`` takes them.
+    """
+
+    def __init__(self, prepared: Prepared, shape: tuple[int, ...], signals: Mapping[str, Signal]):
+        self._prepared, self._shape = prepared, shape
+        self._moving = {
+            n: s for n, s in signals.items() if callable(s) and not isinstance(s, Tensor)
+        }
+        self._parts = {
+            name: check_load(prepared, shape, name, signals.get(name))
+            for name in LOADS
+            if name not in self._moving
+        }
+
+    def __call__(self, k: int, state: State) -> Loads:
+        """The loads in step k from ``state``."""
+        moved = {
+            name: check_load(self._prepared, self._shape, name, signal(k, state))
+            for name, signal in self._moving.items()
+        }
+        return make_loads(self._prepared, self._parts | moved)
 
 
 def _obstacles_at(

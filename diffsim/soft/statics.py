@@ -8,6 +8,7 @@ from torch import Tensor
 from diffsim.core.check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.problem import Problem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
@@ -43,7 +44,6 @@ def static_equilibrium(
         FactorizationError: nothing holds the body.
         ConvergenceError: the solver stopped above its tolerance.
     """
-    physics = body.physics() if physics is None else physics
     nodal = ("...", body.mesh.num_nodes, 3)
     start = body.x_rest if guess is None else require("guess", guess, nodal)
     for name, given in (("external_force", external_force), ("dirichlet_target", dirichlet_target)):
@@ -60,14 +60,14 @@ def static_equilibrium(
             start = start.expand(*given.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
     x, loads = check_inputs(
-        body,
+        Prepared(body, physics),
         state,
-        physics,
         external_force=external_force,
         activation=activation,
         pressure=pressure,
         dirichlet_target=dirichlet_target,
     )
-    problem = Problem(y=x.detach(), guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
-    x = solve(body, problem, iterate=True)
+    mass = loads.physics.mass
+    problem = Problem(y=x.detach(), guess=x, inertia=torch.zeros_like(mass), loads=loads)
+    x = solve(problem, iterate=True)
     return State(x, torch.zeros_like(x))

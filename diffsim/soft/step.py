@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -14,9 +13,17 @@ from diffsim.core.errors import DiffsimError
 from diffsim.soft._ops_step import LINEAR
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
-from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, flat
-from diffsim.soft.integrators import EXPLICIT, WITH_CONTACT, Stage, finish_stage, make_stage
+from diffsim.soft.inputs import DampingFrame, Loads, check_loads, check_state, flat
+from diffsim.soft.integrators import (
+    EXPLICIT,
+    VELOCITY,
+    WITH_CONTACT,
+    Stage,
+    finish_stage,
+    make_stage,
+)
 from diffsim.soft.physics import Physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.problem import Problem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
@@ -64,29 +71,35 @@ def step(
         TypeError, ValueError: wrong shape, dtype or non-finite input.
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
-    physics = body.physics() if physics is None else physics
-    x, loads = check_inputs(
-        body,
-        state,
-        physics,
-        external_force=external_force,
-        activation=activation,
-        pressure=pressure,
-        dirichlet_target=dirichlet_target,
-    )
+    prepared = Prepared(body, physics)
+    state = check_state(prepared, state)
+    given = {
+        "external_force": external_force,
+        "activation": activation,
+        "pressure": pressure,
+        "dirichlet_target": dirichlet_target,
+    }
+    return advance(state, check_loads(prepared, state.x.shape, given), obstacles)
+
+
+def advance(
+    state: State, loads: Loads, obstacles: Sequence[Obstacle] | Obstacle | None = None
+) -> State:
+    """One time step from a checked state under checked loads; obstacles as for :func:`step`."""
+    body = loads.prepared.body
     many = () if obstacles is None else require_obstacles(obstacles)
     if many and body.integrator not in WITH_CONTACT:
         raise ValueError(
             f"obstacles need one of the integrators {list(WITH_CONTACT)}, the body has "
             f"{body.integrator!r}; or use contact.penalty_force as an external force"
         )
-    if many and body.solver.method == LINEAR:
+    if many and loads.prepared.is_linear:
         raise ValueError(
             f"obstacles need a solver that iterates, the body has method={LINEAR!r}; use "
             "method='auto', or contact.penalty_force as an external force"
         )
     if body.integrator in EXPLICIT:
-        return _explicit_step(body, state, x, loads)
+        return _explicit_step(body, state, loads)
     if many:
         return _contact_step(body, state, many, loads)
     return _free_step(body, state, loads)
@@ -94,10 +107,8 @@ def step(
 
 def _free_step(body: Solid, state: State, loads: Loads) -> State:
     stage = make_stage(body.integrator, body.dt, state)
-    if stage.midpoint:
-        loads = replace(loads, target=0.5 * (state.x + loads.target))
     problem = stage_problem(stage, state.x, loads)
-    return finish_stage(body.integrator, stage, state, solve(body, problem), body.fixed)
+    return finish_stage(body.integrator, stage, state, solve(problem), body.fixed)
 
 
 def _contact_step(body: Solid, state: State, obstacles: Sequence[Obstacle], loads: Loads) -> State:
@@ -128,30 +139,28 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
 
     Args:
         stage: The integrator's implicit problem.
-        guess: Start of the iteration, (..., num_nodes, 3) [m].
+        guess: Start of the iteration, where the step begins, (..., num_nodes, 3) [m].
         loads: What acts in the step.
     """
-    alpha = loads.physics.rayleigh_alpha * stage.kappa
+    terms, c = loads.prepared.terms(stage.rates), stage.rates.c
+    if stage.midpoint:  # the unknown is in the middle of the step
+        loads = loads.with_target(0.5 * (guess + loads.target))
     return Problem(
-        y=(stage.c * stage.y + _nodal(alpha) * stage.x_velocity) / (stage.c + _nodal(alpha)),
+        y=(c * stage.y + terms.alpha * stage.x_velocity) / terms.total,
         guess=guess,
-        inertia=(stage.c + alpha[..., None]) * loads.physics.mass,
+        inertia=terms.inertia,
         loads=loads,
-        frame=DampingFrame(kappa=stage.kappa, x_frame=stage.y, x_velocity=stage.x_velocity),
+        frame=DampingFrame(weights=terms.damping, x_frame=stage.y, x_velocity=stage.x_velocity),
     )
 
 
-def _nodal(value: Tensor) -> Tensor:
-    """One number, or one per member, as a factor of (..., num_nodes, 3)."""
-    return value[..., None, None]
-
-
-def _explicit_step(body: Solid, state: State, x: Tensor, loads: Loads) -> State:
+def _explicit_step(body: Solid, state: State, loads: Loads) -> State:
     """Semi-implicit Euler: v1 = v + h a(x, v), x1 = x + h v1; stable for h below 2 / w_max only."""
-    physics = loads.physics
-    frame = DampingFrame(kappa=1.0, x_frame=flat(x), x_velocity=flat(x - state.v))
-    gradient, _ = elastic_gradient(body, x, loads, frame)
-    mass, alpha = physics.mass[..., None], _nodal(physics.rayleigh_alpha)
+    x, physics = state.x, loads.physics
+    weights = loads.prepared.terms(VELOCITY).damping
+    frame = DampingFrame(weights=weights, x_frame=flat(x), x_velocity=flat(x - state.v))
+    gradient, _ = elastic_gradient(x, loads, frame)
+    mass, alpha = physics.mass[..., None], physics.rayleigh_alpha[..., None, None]
     v = state.v + body.dt * ((loads.force - gradient) / mass - alpha * state.v)
     target = loads.target
     v = torch.where(body.fixed, (target - x) / body.dt, v)

@@ -9,20 +9,21 @@ after the solve is linear in the state, so the same functions serve states and t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require
-from diffsim.soft.inputs import check_inputs
+from diffsim.soft.inputs import LOADS, Loads, check_inputs, check_state
 from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import as_damped_as, still_physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.problem import Problem, solve
 from diffsim.soft.problem_tangent import load_rates, solve_along, stage_rates, stiffness_rates
-from diffsim.soft.rollout import Signal, at_step
+from diffsim.soft.rollout import LoadsInTime, Signal
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, require_state
 from diffsim.soft.step import stage_problem
@@ -135,13 +136,15 @@ def rollout_tangents(
         body.physics() if physics is None else physics, count
     )
     physics = as_damped_as(changing, body.physics() if physics is None else physics)
+    prepared = Prepared(body, physics)
+    state = check_state(prepared, state)
+    loads_at = LoadsInTime(prepared, shape, signals)
     keep = keep or (lambda state, moving: (state.x, moving.x))
     kept = [keep(state, moving)]
     with torch.no_grad():
         for k in range(num_steps):
-            given = {n: at_step(s, k, state) for n, s in signals.items()}
-            moved = {n: _rate(body, directions, n, count, k, state, moving) for n in signals}
-            state, moving = _step(body, state, moving, given, moved, physics, changing)
+            moved = {n: _rate(body, directions, n, count, k, state, moving) for n in LOADS}
+            state, moving = _step(state, moving, loads_at(k, state), moved, changing)
             kept.append(keep(state, moving))
     return Tangents(
         torch.stack([x for x, _ in kept]), torch.stack([t for _, t in kept]), state, moving
@@ -179,9 +182,8 @@ def static_tangents(
     state = State(x, torch.zeros_like(x))
     with torch.no_grad():
         x, loads = check_inputs(
-            body,
+            Prepared(body, physics),
             state,
-            physics,
             external_force=external_force,
             activation=activation,
             pressure=pressure,
@@ -189,11 +191,10 @@ def static_tangents(
         )
         problem = Problem(y=x, guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
         still = State(torch.zeros(count, *x.shape, dtype=x.dtype), torch.zeros(0))
-        names = ("external_force", "activation", "pressure", "dirichlet_target")
-        moved = {n: _rate(body, directions, n, count, 0, state, still) for n in names}
+        moved = {n: _rate(body, directions, n, count, 0, state, still) for n in LOADS}
         rates = load_rates(problem, moved, changing)
-        rates |= stiffness_rates(body, problem, moved["activation"], changing)
-        return solve_along(body, problem, x, rates)
+        rates |= stiffness_rates(problem, moved["activation"], changing)
+        return solve_along(problem, x, rates)
 
 
 def _rate(
@@ -216,24 +217,20 @@ def _rate(
 
 
 def _step(
-    body: Solid,
     state: State,
     moving: State,
-    given: Mapping[str, Tensor | None],
+    loads: Loads,
     moved: Mapping[str, Tensor | None],
-    physics: Physics,
     changing: Physics,
 ) -> tuple[State, State]:
     """The next state and its tangents, as :func:`diffsim.soft.step` makes them."""
-    x, loads = check_inputs(body, state, physics, **given)
+    body = loads.prepared.body
     stage = make_stage(body.integrator, body.dt, state)
-    if stage.midpoint:
-        loads = replace(loads, target=0.5 * (x + loads.target))
-    problem = stage_problem(stage, x, loads)
-    solution = solve(body, problem)
+    problem = stage_problem(stage, state.x, loads)
+    solution = solve(problem)
     d_stage = make_stage(body.integrator, body.dt, moving)
-    rates = stage_rates(body, problem, stage, d_stage, moving, moved, changing)
-    d_solution = solve_along(body, problem, solution, rates)
+    rates = stage_rates(problem, stage, d_stage, moving, moved, changing)
+    d_solution = solve_along(problem, solution, rates)
     return (
         finish_stage(body.integrator, stage, state, solution, body.fixed),
         finish_stage(body.integrator, d_stage, moving, d_solution, body.fixed),

@@ -12,10 +12,12 @@ from torch import Tensor
 
 from diffsim import soft
 from diffsim.contact import Obstacle
+from diffsim.core.check import require
 from diffsim.core.errors import ConvergenceError
 from diffsim.soft.forces import elastic_gradient
-from diffsim.soft.inputs import check_inputs
+from diffsim.soft.inputs import Loads, check_loads
 from diffsim.soft.physics import LumpedVolume
+from diffsim.soft.prepared import Prepared
 from diffsim.systems.dials import delays_of
 from diffsim.systems.signals import sample, straight
 from diffsim.systems.soft_body.history import History
@@ -210,7 +212,7 @@ class SoftScene:
         physics = body.physics(**values)
         # a field of moduli weighs the strain; the energy carries gradients in x alone
         scale = 0.5 * self.parameter("youngs_modulus").detach().mean() * body.nodal_volume.sum()
-        return lambda x: _force_and_strain(body, x, physics, scale)
+        return SolidForce(Prepared(body, physics), scale)
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
@@ -388,9 +390,23 @@ class SoftScene:
         return sum(found[1:], found[0]) if found else torch.zeros_like(state.x)
 
 
-def _force_and_strain(
-    body: soft.SoftBody, x: Tensor, physics: soft.Physics, scale: Tensor
-) -> tuple[Tensor, Tensor]:
-    loads = check_inputs(body, soft.State(x, torch.zeros_like(x)), physics)[1]
-    gradient, energy = elastic_gradient(body, x, loads)
-    return -gradient, energy / scale
+class SolidForce:
+    """Force of a solid at places, see :meth:`SoftScene.solid_force`.
+
+    Args:
+        prepared: The body without fibers.
+        scale: Energy of the mean square strain one, E V / 2 [J].
+    """
+
+    def __init__(self, prepared: Prepared, scale: Tensor):
+        self._prepared, self._scale = prepared, scale
+        self._loads: dict[tuple[int, ...], Loads] = {}
+
+    def __call__(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Force, shape of x (..., num_nodes, 3) [m], and mean square strain (...) [-]."""
+        x = require("x", x, ("...", self._prepared.body.mesh.num_nodes, 3))
+        shape = tuple(x.shape)
+        if shape not in self._loads:
+            self._loads[shape] = check_loads(self._prepared, shape, {})
+        gradient, energy = elastic_gradient(x, self._loads[shape])
+        return -gradient, energy / self._scale

@@ -1,0 +1,118 @@
+"""A body with its parameters, checked and expanded once for all steps of a rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from diffsim.core.layer import is_kernel_alone
+from diffsim.soft import _ops_step
+from diffsim.soft._arrays import StepArrays
+from diffsim.soft._ops_step import LINEAR, BoundStep, adjoint_arguments
+from diffsim.soft.integrators import Rates, rates_of
+from diffsim.soft.physics import DampingWeights, Physics, require_physics
+from diffsim.soft.solid import Solid
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StageTerms:
+    """What no state changes in the problem of a step.
+
+    Attributes:
+        alpha: Mass-proportional damping per displacement, (..., 1, 1) [1/s^2].
+        total: Inertia per mass with that damping, (..., 1, 1) [1/s^2].
+        inertia: The same of each node, (num_nodes,) [N/m].
+        damping: Weights of stiffness-proportional damping; None: none.
+    """
+
+    alpha: Tensor
+    total: Tensor
+    inertia: Tensor
+    damping: DampingWeights | None
+
+    @classmethod
+    def of(cls, physics: Physics, rates: Rates) -> StageTerms:
+        """The terms of an integrator's constants."""
+        alpha = physics.rayleigh_alpha * rates.kappa
+        damping = physics.damping(rates.kappa)
+        nodal = alpha[..., None, None]  # one number, or one per member
+        return cls(
+            alpha=nodal,
+            total=rates.c + nodal,
+            inertia=((rates.c + alpha[..., None]) * physics.mass).contiguous(),
+            damping=None if damping is None else DampingWeights(*(w.contiguous() for w in damping)),
+        )
+
+
+class Prepared:
+    """A body with parameters: what all steps of a rollout share.
+
+    Everything that a gradient may pass through is computed here, before the first step: a step
+    that checkpointing takes twice does the same both times.
+
+    Args:
+        body: The body.
+        physics: Its parameters, from ``body.physics(...)``; None: the body's own.
+
+    Attributes:
+        body, physics: As given.
+        weight: Force of gravity, (num_nodes, 3) [N].
+        w_mu, w_vol: Parameters of the solid as kernels read them.
+        fiber_stiffness: Of each fiber, (num_fibers,) [Pa]; None: it depends on the activation.
+        no_pressure: (num_chambers,) [Pa].
+        adjoint_arguments: Options of adjoints and tangents.
+    """
+
+    def __init__(self, body: Solid, physics: Physics | None):
+        physics = body.physics() if physics is None else physics
+        mesh, muscles = body.mesh, body.muscles
+        require_physics(physics, mesh.num_nodes, mesh.num_elements, body.material.law)
+        self.body, self.physics = body, physics
+        self.weight = physics.weighing_mass[..., None] * physics.gravity.unsqueeze(-2)
+        self.w_mu, self.w_vol = physics.w_mu.contiguous(), physics.w_vol.contiguous()
+        self.fiber_stiffness = None
+        if not muscles.has_contraction:
+            stiffness = muscles.of_fibers(physics.fiber_stiffness)
+            self.fiber_stiffness = self.of_members(stiffness)
+        self.no_pressure = torch.zeros(body.chambers.num_chambers, dtype=torch.float64)
+        self._terms: Mapping[Rates, StageTerms] = {
+            rates: StageTerms.of(physics, rates) for rates in rates_of(body.integrator, body.dt)
+        }
+        self._arguments = {"handle": body.handle, **body.solver.arguments()}
+        self.adjoint_arguments = adjoint_arguments(self._arguments)
+        self._bound: BoundStep | None = None
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether steps are linearly implicit."""
+        return self.body.solver.method == LINEAR
+
+    def terms(self, rates: Rates) -> StageTerms:
+        """The terms of a stage with these constants."""
+        return self._terms[rates]
+
+    def of_members(self, fibers: Tensor) -> Tensor:
+        """(num_fibers,), for each member of a batch where parameters are given for each."""
+        if self.physics.batch is not None and fibers.ndim == 1:  # no fibers
+            fibers = fibers.expand(self.physics.batch, -1)
+        return fibers.contiguous()
+
+    def solve(self, arrays: StepArrays, *, iterate: bool = False) -> Tensor:
+        """Solution of a step's problem, (batch, num_nodes, 3) [m].
+
+        Args:
+            arrays: The problem.
+            iterate: Whether it is asked for where the body's own steps are linearly implicit.
+        """
+        tensors = arrays.tensors()
+        if iterate and self.is_linear:
+            iterating = replace(self.body.solver, method="auto")
+            return _ops_step.soft_step_layer(tensors, **self._arguments | iterating.arguments())[0]
+        if not is_kernel_alone(tensors):
+            return _ops_step.soft_step_layer(tensors, **self._arguments)[0]
+        if self._bound is None or not self._bound.shares(arrays):
+            self._bound = BoundStep(arrays, **self._arguments)
+        return self._bound(arrays)[0]

@@ -1,0 +1,184 @@
+"""Rollouts are prepared once: with and without gradient, and step by step, they are the same."""
+
+import sys
+
+import pytest
+import torch
+
+from diffsim import contact, soft
+from diffsim.soft import _ops_contact, _ops_step
+from diffsim.soft.integrators import IMPLICIT, INTEGRATORS
+from tests.soft.cases import irregular_mesh, leaf, noise, soft_body, two_muscles
+from tests.soft.test_chambers import hollow
+
+STEPS = 5
+HELD = torch.tensor([0, 1, 2])
+
+
+def forced(**changes):
+    """A damped body under its own weight and a force that follows it."""
+    m = irregular_mesh("hex")
+    given = {"rayleigh_alpha": 0.2, "rayleigh_beta": 0.05, "fixed": HELD, "dt": 0.02}
+    body = soft_body(m, **{**given, **changes})
+    push = 0.5 * noise(m.num_nodes, 3, seed=4)
+    return body, {"external_force": lambda k, s: (1 + k) * push - 0.1 * s.v}
+
+
+def activated(kinds=slice(None)):
+    m = irregular_mesh("hex")
+    body = soft_body(m, fixed=HELD, muscles=two_muscles()[kinds], rayleigh_beta=0.05)
+    still = torch.linspace(1.0, 0.8, body.muscles.num_muscles, dtype=torch.float64)
+    return body, {"activation": lambda k, s: still - 0.02 * k}
+
+
+def inflated():
+    m, chamber = hollow()
+    body = soft_body(m, chambers=[chamber], fixed=HELD)
+    pressure = torch.tensor([0.4], dtype=torch.float64)
+    return body, {"pressure": pressure, "external_force": lambda k, s: -0.1 * s.v}
+
+
+def moved():
+    body, given = forced()
+    target = body.x_rest + 0.01
+    return body, given | {"dirichlet_target": lambda k, s: target + 0.01 * k}
+
+
+def dropped(integrator):
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m, integrator=integrator)
+    lowest = float(m.x_rest[:, 2].min())
+    ground = contact.plane((0.0, 0.0, 1.0), offset=lowest - 0.05, friction=0.2)
+    return body, {"obstacles": ground}
+
+
+def many():
+    body, given = forced(gravity=(0.0, 0.0, -1.0))
+    values = torch.tensor([20.0, 30.0, 40.0], dtype=torch.float64)
+    physics = body.physics(batch=3, youngs_modulus=values)
+    return body, given | {"physics": physics, "state": body.rest_state(batch=3)}
+
+
+LINEAR = soft.SolverOptions(method="linearly_implicit")
+CASES = {
+    **{name: (lambda name=name: forced(integrator=name)) for name in IMPLICIT},
+    "explicit": lambda: forced(integrator="semi_implicit_euler", dt=1e-3),
+    "linear": lambda: forced(solver=LINEAR),
+    "undamped": lambda: forced(rayleigh_alpha=0.0, rayleigh_beta=0.0),
+    "muscles": activated,
+    "length_muscle": lambda: activated(slice(1)),
+    "chamber": inflated,
+    "target": moved,
+    "obstacle": lambda: dropped("implicit_euler"),
+    "obstacle_bdf2": lambda: dropped("bdf2"),
+    "batch": many,
+}
+
+
+def start_of(body, given):
+    given = dict(given)
+    state = given.pop("state", None) or body.rest_state()
+    push = 0.1 * noise(*state.x.shape[-2:], seed=6)
+    return soft.State(state.x, torch.where(body.fixed, 0.0, push).expand_as(state.x)), given
+
+
+def alone(monkeypatch, body, start, given):
+    """A rollout in which the step's ops are not called, as where nobody imported the compiler."""
+
+    def refuse(*args, **named):
+        raise AssertionError("the op was called")
+
+    with monkeypatch.context() as patch, torch.no_grad():
+        patch.delitem(sys.modules, "torch._dynamo", raising=False)
+        patch.setattr(_ops_step, "soft_step_layer", refuse)
+        patch.setattr(_ops_contact.contact_step, "_opoverload", refuse)
+        return soft.rollout(body, start, STEPS, **given)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_with_and_without_gradient_bits_are_the_same(case, monkeypatch):
+    body, given = CASES[case]()
+    start, given = start_of(body, given)
+    plain = alone(monkeypatch, body, start, given)
+    x = leaf(start.x)
+    graph = soft.rollout(body, start._replace(x=x), STEPS, **given)
+    assert graph.x.requires_grad
+    assert float((plain.x[-1] - plain.x[0]).abs().max()) > 1e-3
+    assert torch.equal(plain.x, graph.x)
+    assert torch.equal(plain.v, graph.v)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_rollout_is_a_loop_of_steps(case):
+    body, given = CASES[case]()
+    start, given = start_of(body, given)
+    with torch.no_grad():
+        whole = soft.rollout(body, start, STEPS, **given)
+        physics, ground = given.pop("physics", None), given.pop("obstacles", None)
+        now = start
+        for k in range(STEPS):
+            loads = {n: s(k, now) if callable(s) else s for n, s in given.items()}
+            now = soft.step(body, now, physics=physics, obstacles=ground, **loads)
+    assert torch.equal(whole.x[-1], now.x)
+    assert torch.equal(whole.v[-1], now.v)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_parameters_have_their_gradient_through_all_steps(integrator):
+    """Terms that steps share are in the graph: by checkpointing, which computes steps twice."""
+    body, given = forced(integrator=integrator, dt=1e-3)
+    found = []
+    for every in (None, 2):
+        beta, density = leaf(0.05), leaf(1.5)
+        physics = body.physics(rayleigh_beta=beta, density=density)
+        start, signals = start_of(body, given)
+        ran = soft.rollout(body, start, STEPS, physics=physics, checkpoint_every=every, **signals)
+        found.append(torch.autograd.grad((ran.x[-1] ** 2).sum(), (beta, density)))
+    assert all(abs(float(g)) > 0.0 for g in found[0])
+    torch.testing.assert_close(found[0], found[1], rtol=1e-12, atol=0.0)
+
+
+BAD = {
+    "external_force": (torch.full((12, 3), torch.nan, dtype=torch.float64), "must be finite"),
+    "activation": (torch.ones(3, dtype=torch.float64), "activation must have shape"),
+    "dirichlet_target": (torch.ones(12, 3), "dirichlet_target must be torch.float64"),
+    "pressure": (torch.ones(1, dtype=torch.float64), "the body has no chambers"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_a_signal_gives_is_checked_in_every_step(name, monkeypatch):
+    body, _ = activated()
+    bad, message = BAD[name]
+    seen = []
+
+    def signal(k, state):
+        seen.append(k)
+        return bad if k == 2 else None
+
+    with pytest.raises((ValueError, TypeError), match=message):
+        alone(monkeypatch, body, body.rest_state(), {name: signal})
+    assert seen == [0, 1, 2]
+
+
+def test_a_bad_state_is_refused_once_at_the_start():
+    body, _ = forced()
+    start = body.rest_state()
+    start.v[3, 1] = torch.inf
+    with torch.no_grad(), pytest.raises(ValueError, match=r"state\.v must be finite"):
+        soft.rollout(body, start, STEPS)
+
+
+def test_shared_parameters_are_bound_once(monkeypatch):
+    body, given = forced()
+    start, given = start_of(body, given)
+    made = []
+    bound = _ops_step.BoundStep.__init__
+
+    def counted(self, *args, **named):
+        made.append(1)
+        bound(self, *args, **named)
+
+    monkeypatch.setattr(_ops_step.BoundStep, "__init__", counted)
+    alone(monkeypatch, body, start, given)
+    assert len(made) == 1
