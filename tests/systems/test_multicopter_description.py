@@ -247,6 +247,20 @@ def test_a_cause_at_its_true_size_leaves_noise(name):
         assert misfit(s) > 1.5 * found
 
 
+def test_flights_of_test_runs_alone_are_set_up_for_a_saved_model():
+    """`judge` on a new flight ended in "max() arg is an empty sequence": no run to fit, no gust."""
+    s = study(causes=Causes(gust=(0.15, 0.7)))
+    full = setup_of(s).model
+    new = replace(s, runs=(replace(s.runs[-1], name="new", use="test"),))
+    framed = setup_of(replace(new, frame=full.frame)).model
+    kept, same = (
+        next((p.value, p.sd) for p in m.base if p.name == "gust_frequency") for m in (full, framed)
+    )
+    assert kept == same and framed.frame == full.frame
+    of_before = {k: v for k, v in full.frame.items() if k != "gust"}
+    assert setup_of(replace(new, frame=of_before)).model.base
+
+
 def test_the_frequency_of_a_gust_is_seen_in_the_records():
     s = study(causes=Causes(gust=(0.15, 0.7)))
     base = {p.name: p for p in setup_of(s).model.base}

@@ -29,6 +29,7 @@ from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
 FULL_THRUST = "full_thrust"  # its place in a study's frame
+GUST = "gust"  # frequency and sd [Hz], likewise
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
 _WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
@@ -101,7 +102,9 @@ def with_shapes(
     if "gust" in causes:
         given: Quantity | None = of.gust_frequency
         if given is None:
-            value, sd = strongest_frequency(flights, study.fit_runs)
+            # new runs of a saved model have its frequency; files of before do not tell it
+            kept = study.frame.get(GUST)
+            value, sd = kept or strongest_frequency(flights, study.fit_runs or study.runs)
             given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz")
         more["gust_frequency"] = given
     if "blind_estimator" in causes:

@@ -15,7 +15,13 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.dials import channels_of, clock_problems
-from diffsim.systems.multicopter.assembly import FULL_THRUST, assembled, vehicle_of, with_shapes
+from diffsim.systems.multicopter.assembly import (
+    FULL_THRUST,
+    GUST,
+    assembled,
+    vehicle_of,
+    with_shapes,
+)
 from diffsim.systems.multicopter.bank import flights_to_record
 from diffsim.systems.multicopter.candidates import acting_in, candidate_causes
 from diffsim.systems.multicopter.cutting import LONGEST
@@ -59,6 +65,10 @@ class MulticopterDescription(MulticopterKeys):
             effects = tuple(acting_in(e, self.causes_act_in) for e in effects)
         model = CopterModel(flights, flights.parameters.base)
         model.frame = {FULL_THRUST: flights.full_thrust, LONGEST: flights.cutter.longest_s}
+        if self.gust_frequency is None and (
+            gust := flights.parameters.quantities.get("gust_frequency")
+        ):
+            model.frame[GUST] = [gust.value, gust.sd]
         return DiagnosisSetup(
             model,
             effects,
