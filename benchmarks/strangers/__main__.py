@@ -11,7 +11,8 @@ import numpy as np
 
 CASES = (
     "arm", "stand", "rubber", "plate", "manifold", "finger", "quadrotor", "quadrotor_thrust",
-    "swing", "bounce", "ladder", "steering", "loadcell", "tanks", "billiard", "hexarotor",
+    "swing", "bounce", "ladder", "steering", "loadcell", "tanks", "billiard", "hexarotor", "boat",
+    "survey",
 )  # fmt: skip
 
 
