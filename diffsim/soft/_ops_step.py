@@ -73,9 +73,9 @@ class BoundStep:
 
     Args:
         arrays: Inputs of one of the steps.
-        handle, method, preconditioner, rtol, atol, max_iters, num_threads, on_failure: As for
-            :func:`soft_step`.
-        adjoint: Options of the adjoint, which steps do not need.
+        handle, method, preconditioner, rtol, atol, max_iters, num_threads, on_failure,
+            adjoint_rtol, adjoint_max_iters: As for :func:`soft_step`; those of the adjoint serve
+            tangents.
     """
 
     def __init__(
@@ -90,7 +90,8 @@ class BoundStep:
         max_iters: int,
         num_threads: int,
         on_failure: str,
-        **adjoint: float,
+        adjoint_rtol: float,
+        adjoint_max_iters: int,
     ):
         self._context = context(handle)
         self._batch = arrays.y.shape[0]
@@ -101,6 +102,8 @@ class BoundStep:
         self._system = self._context.system(arrays, num_threads, method, preconditioner)
         self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters)
         self._max_iters, self._num_threads, self._on_failure = max_iters, num_threads, on_failure
+        self._tangent_options = step_options(method, rtol=adjoint_rtol, max_iters=adjoint_max_iters)
+        self._tangent_max_iters = adjoint_max_iters
         self._hint = LINEAR_HINT if method == LINEAR else STEP_HINT
 
     def shares(self, arrays: StepArrays) -> bool:
@@ -127,6 +130,42 @@ class BoundStep:
         require_upright(self._context, stats[:, STATS.index("energy")], x)
         report_failure(stats, "implicit step", self._hint, self._on_failure)
         return x, stats
+
+    def tangents(self, arrays: StepArrays, x: Tensor, directions: Mapping[str, Tensor]) -> Tensor:
+        """Derivatives of a converged step along K directions, with one factor of its tangent.
+
+        Args:
+            arrays: Of the step, of batch 1.
+            x: Its answer, (1, num_nodes, 3) [m].
+            directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
+                batch axis; what does not move may be missing.
+
+        Returns:
+            (K, num_nodes, 3).
+        """
+        shapes = self._moving | {name: tensor.shape for name, tensor in self._shared.items()}
+        arrays.require_shapes(self._moving)
+        require_array("x", x, shapes["y"])
+        count = next(iter(directions.values())).shape[0]
+        for name, direction in directions.items():
+            one = shapes[name][1:] if StepArrays.specs[name].batched else shapes[name]
+            require_array(f"direction of {name}", direction, (count, *one))
+        dx = x.new_empty(count, *x.shape[1:])
+        stats = new_stats(1)
+        core.implicit_step_tangent(
+            system=self._system,
+            inputs=soft_addresses(arrays.named()),
+            options=self._tangent_options,
+            count=count,
+            x=x.data_ptr(),
+            directions=soft_addresses(directions),
+            dx=dx.data_ptr(),
+            stats=stats.data_ptr(),
+            num_threads=self._num_threads,
+        )
+        notify("tangent", stats, self._tangent_max_iters)
+        report_failure(stats, "tangent solve", TANGENT_HINT, self._on_failure)
+        return dx
 
 
 @custom_op("diffsim::soft_step")
@@ -163,6 +202,8 @@ def soft_step(
         max_iters=max_iters,
         num_threads=num_threads,
         on_failure=on_failure,
+        adjoint_rtol=adjoint_rtol,
+        adjoint_max_iters=adjoint_max_iters,
     )
     return bound(arrays)
 
@@ -235,57 +276,6 @@ def _step_backward(ctx, grad_x, _grad_stats):
     x, *tensors = ctx.saved_tensors
     *grads, _stats = soft_step_vjp_layer(grad_x, x, tensors, **ctx.arguments)
     return StepArrays.all_gradients(grads)
-
-
-def step_tangents(
-    x: Tensor,
-    inputs: StepArrays,
-    directions: Mapping[str, Tensor],
-    *,
-    handle: int,
-    method: str,
-    preconditioner: str,
-    rtol: float,
-    max_iters: int,
-    num_threads: int,
-    on_failure: str,
-) -> Tensor:
-    """Derivatives of one converged step along K directions, all with one factor of its tangent.
-
-    Args:
-        x: Answer of the step, (1, V, 3) [m].
-        inputs: Of the step, of batch 1.
-        directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
-            batch axis; what does not move may be missing.
-        handle, method, preconditioner, rtol, max_iters, num_threads, on_failure: As for
-            :func:`soft_step_vjp`.
-
-    Returns:
-        (K, V, 3).
-    """
-    ctx = context(handle)
-    arrays = require_step(ctx, inputs.tensors(), 1, x=x)
-    count = next(iter(directions.values())).shape[0]
-    for name, direction in directions.items():
-        shape = getattr(arrays, name).shape
-        one = shape[1:] if StepArrays.specs[name].batched else shape
-        require_array(f"direction of {name}", direction, (count, *one))
-    dx = x.new_empty(count, *x.shape[1:])
-    stats = new_stats(1)
-    core.implicit_step_tangent(
-        system=ctx.system(arrays, num_threads, method, preconditioner),
-        inputs=soft_addresses(arrays.named()),
-        options=step_options(method, rtol=rtol, max_iters=max_iters),
-        count=count,
-        x=x.data_ptr(),
-        directions=soft_addresses(directions),
-        dx=dx.data_ptr(),
-        stats=stats.data_ptr(),
-        num_threads=num_threads,
-    )
-    notify("tangent", stats, max_iters)
-    report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
-    return dx
 
 
 @custom_op("diffsim::soft_step_jvp")

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffsim.core.layer import is_kernel_alone
 from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
-from diffsim.soft._ops_step import LINEAR, BoundStep, adjoint_arguments
+from diffsim.soft._ops_step import LINEAR, BoundStep
 from diffsim.soft.integrators import Rates, rates_of
 from diffsim.soft.physics import DampingWeights, Physics, require_physics
 from diffsim.soft.solid import Solid
@@ -63,7 +63,6 @@ class Prepared:
         w_mu, w_vol: Parameters of the solid as kernels read them.
         fiber_stiffness: Of each fiber, (num_fibers,) [Pa]; None: it depends on the activation.
         no_pressure: (num_chambers,) [Pa].
-        adjoint_arguments: Options of adjoints and tangents.
     """
 
     def __init__(self, body: Solid, physics: Physics | None):
@@ -82,7 +81,6 @@ class Prepared:
             rates: StageTerms.of(physics, rates) for rates in rates_of(body.integrator, body.dt)
         }
         self._arguments = {"handle": body.handle, **body.solver.arguments()}
-        self.adjoint_arguments = adjoint_arguments(self._arguments)
         self._bound: BoundStep | None = None
 
     @property
@@ -113,6 +111,10 @@ class Prepared:
             return _ops_step.soft_step_layer(tensors, **self._arguments | iterating.arguments())[0]
         if not is_kernel_alone(tensors):
             return _ops_step.soft_step_layer(tensors, **self._arguments)[0]
+        return self.bound(arrays)(arrays)[0]
+
+    def bound(self, arrays: StepArrays) -> BoundStep:
+        """The kernel with the parameters of a problem, made where the last one had others."""
         if self._bound is None or not self._bound.shares(arrays):
             self._bound = BoundStep(arrays, **self._arguments)
-        return self._bound(arrays)[0]
+        return self._bound

@@ -3,35 +3,106 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from diffsim.soft import _ops_step
+from diffsim.soft._arrays import StepArrays
 from diffsim.soft._context import small_strain_lambda
-from diffsim.soft.integrators import Stage
+from diffsim.soft.integrators import Rates, Stage, rates_of
 from diffsim.soft.physics import Physics
+from diffsim.soft.prepared import Prepared
 from diffsim.soft.problem import Problem
 from diffsim.soft.state import State
 
 
-def solve_along(problem: Problem, x: Tensor, rates: Mapping[str, Tensor]) -> Tensor:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChangingTerms:
+    """Directions of :class:`~diffsim.soft.prepared.StageTerms`.
+
+    Attributes:
+        total: Of the inertia per mass, (K, 1, 1) [1/s^2].
+        rates: Of inertia and weights of damping, by name, as kernels take them.
+    """
+
+    total: Tensor
+    rates: Mapping[str, Tensor]
+
+    @classmethod
+    def of(cls, physics: Physics, changing: Physics, stage: Rates) -> ChangingTerms:
+        """The terms of an integrator's constants."""
+        total = stage.c + physics.rayleigh_alpha * stage.kappa
+        d_total = changing.rayleigh_alpha * stage.kappa
+        rates = {"inertia": d_total[:, None] * physics.mass + total * changing.mass}
+        if physics.rayleigh_beta is not None:
+            beta, d_beta = physics.rayleigh_beta, changing.rayleigh_beta
+            d_beta = torch.zeros_like(changing.w_mu) if d_beta is None else d_beta
+            law = physics.material
+            weights = {
+                "damp_mu": (physics.w_mu, changing.w_mu),
+                "damp_lambda": (
+                    small_strain_lambda(law, physics.w_vol),
+                    small_strain_lambda(law, changing.w_vol),
+                ),
+            }
+            for name, (w, d_w) in weights.items():
+                rates[name] = stage.kappa * (d_beta * w + beta * d_w)
+        return cls(total=d_total[:, None, None], rates=_contiguous(rates))
+
+
+class Changing:
+    """K directions of a body's parameters: what all steps of a rollout share.
+
+    Args:
+        prepared: The body and its parameters.
+        physics: Their directions, with a leading K.
+
+    Attributes:
+        prepared, physics: As given.
+        weight: Directions of the weight, (K, num_nodes, 3) [N].
+        rates: Of the solid's weights, and of fibers that no activation moves, by name, as kernels
+            take them.
+    """
+
+    def __init__(self, prepared: Prepared, physics: Physics):
+        own = prepared.physics
+        self.prepared, self.physics = prepared, physics
+        self.weight = (
+            physics.weighing_mass[:, :, None] * own.gravity
+            + own.weighing_mass[:, None] * physics.gravity[:, None, :]
+        ).contiguous()
+        rates = {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
+        muscles = prepared.body.muscles
+        if muscles.num_muscles and not muscles.has_contraction:
+            rates["fiber_stiffness"] = muscles.of_fibers(physics.fiber_stiffness)
+        self.rates = _contiguous(rates)
+        body = prepared.body
+        self._terms = {
+            rates: ChangingTerms.of(own, physics, rates)
+            for rates in rates_of(body.integrator, body.dt)
+        }
+
+    def terms(self, rates: Rates) -> ChangingTerms:
+        """The terms of a stage with these constants."""
+        return self._terms[rates]
+
+
+def solve_along(
+    prepared: Prepared, arrays: StepArrays, x: Tensor, rates: Mapping[str, Tensor]
+) -> Tensor:
     """Derivatives of a problem's solution x along K directions.
 
     Args:
-        problem: The problem, without batch axes.
+        prepared: The body and its parameters.
+        arrays: The problem, of one body.
         x: Its solution, (num_nodes, 3) [m].
         rates: Directions by name of ``StepArrays.differentiable()``, with a leading K.
 
     Returns:
         (K, num_nodes, 3) [m] per unit of each direction.
     """
-    return _ops_step.step_tangents(
-        x[None].contiguous(),
-        problem.arrays(),
-        {name: rate.contiguous() for name, rate in rates.items()},
-        **problem.loads.prepared.adjoint_arguments,
-    )
+    return prepared.bound(arrays).tangents(arrays, x[None].contiguous(), _contiguous(rates))
 
 
 def stage_rates(
@@ -40,77 +111,63 @@ def stage_rates(
     d_stage: Stage,
     moving: State,
     moved: Mapping[str, Tensor | None],
-    changing: Physics,
+    changing: Changing,
 ) -> dict[str, Tensor]:
     """Directions in the inputs of a step's problem, see ``stage_problem``."""
-    physics, (c, kappa) = problem.loads.physics, stage.rates
-    alpha = physics.rayleigh_alpha * kappa
-    total, d_total = c + alpha, changing.rayleigh_alpha * kappa
+    prepared, terms = changing.prepared, changing.prepared.terms(stage.rates)
+    d_terms = changing.terms(stage.rates)
     rates = {
         "y": (
-            c * d_stage.y
-            + alpha * d_stage.x_velocity
-            + d_total[:, None, None] * (stage.x_velocity - problem.y)
+            stage.rates.c * d_stage.y
+            + terms.alpha * d_stage.x_velocity
+            + d_terms.total * (stage.x_velocity - problem.y)
         )
-        / total,
-        "inertia": d_total[:, None] * physics.mass + total * changing.mass,
+        / terms.total,
+        **d_terms.rates,
+        **load_rates(problem, moved, changing),
     }
-    rates |= load_rates(problem, moved, changing)
-    if problem.loads.prepared.is_linear:  # its steps are linearized at the old positions
+    if prepared.is_linear:  # its steps are linearized at the old positions
         rates["guess"] = moving.x
     if stage.midpoint:  # its unknown is in the middle of the step
-        rates["target"] = 0.5 * (moving.x + rates.get("target", torch.zeros_like(moving.x)))
-    if physics.rayleigh_beta is not None:
-        beta, d_beta = physics.rayleigh_beta, changing.rayleigh_beta
-        d_beta = torch.zeros_like(changing.w_mu) if d_beta is None else d_beta
-        for name, w, d_w in (
-            ("damp_mu", physics.w_mu, changing.w_mu),
-            (
-                "damp_lambda",
-                small_strain_lambda(physics.material, physics.w_vol),
-                small_strain_lambda(physics.material, changing.w_vol),
-            ),
-        ):
-            rates[name] = kappa * (d_beta * w + beta * d_w)
+        target = rates.get("target")
+        rates["target"] = 0.5 * (moving.x if target is None else moving.x + target)
+    if terms.damping is not None:
         rates["x_frame"], rates["x_velocity"] = d_stage.y, d_stage.x_velocity
-    return rates | stiffness_rates(problem, moved["activation"], changing)
+    return rates
 
 
 def load_rates(
-    problem: Problem, moved: Mapping[str, Tensor | None], changing: Physics
+    problem: Problem, moved: Mapping[str, Tensor | None], changing: Changing
 ) -> dict[str, Tensor]:
-    """Rates of force, chambers and Dirichlet targets; weight is among the forces."""
-    physics = problem.loads.physics
-    force = (
-        changing.weighing_mass[:, :, None] * physics.gravity
-        + physics.weighing_mass[:, None] * changing.gravity[:, None, :]
-    )
+    """Rates of loads and stiffness; weight is among the forces."""
     d_force, d_target = moved["external_force"], moved["dirichlet_target"]
-    rates = {"force": force if d_force is None else force + d_force}
+    rates = {"force": changing.weight if d_force is None else changing.weight + d_force}
     if moved["pressure"] is not None:
         rates["pressure"] = moved["pressure"]
     if d_target is not None:
         rates["target"] = d_target
-    return rates
+    return rates | changing.rates | _fiber_rates(problem, moved["activation"], changing)
 
 
-def stiffness_rates(
-    problem: Problem, d_activation: Tensor | None, changing: Physics
+def _fiber_rates(
+    problem: Problem, d_activation: Tensor | None, changing: Changing
 ) -> dict[str, Tensor]:
-    """Rates of the solid's weights and of the fibers (``MuscleSet.fibers``)."""
-    rates = {"w_mu": changing.w_mu, "w_vol": changing.w_vol}
-    muscles = problem.loads.prepared.body.muscles
-    if not muscles.num_muscles:
-        return rates
-    d_stiffness = changing.fiber_stiffness
+    """Rates of the fibers (``MuscleSet.fibers``) that activations have a part in."""
+    muscles = changing.prepared.body.muscles
+    if not muscles.has_contraction:
+        moves = muscles.num_muscles and d_activation is not None
+        return {"activation": muscles.stretch_of_fibers(d_activation)} if moves else {}
+    d_stiffness, which = changing.physics.fiber_stiffness, muscles.contraction
     if d_activation is None:
         d_activation = torch.zeros_like(d_stiffness)
-    if muscles.has_contraction:
-        which, slack = muscles.contraction, 1.0 - problem.loads.activation
-        stiffness = problem.loads.physics.fiber_stiffness
-        contracted = slack**2 * d_stiffness - 2.0 * slack * stiffness * d_activation
-        d_stiffness = torch.where(which, contracted, d_stiffness)
-        d_activation = torch.where(which, torch.zeros_like(d_activation), d_activation)
-    rates["fiber_stiffness"] = d_stiffness[:, muscles.owner] * muscles.weights
-    rates["activation"] = d_activation[:, muscles.owner]
-    return rates
+    slack = 1.0 - problem.loads.activation
+    stiffness = problem.loads.physics.fiber_stiffness
+    contracted = slack**2 * d_stiffness - 2.0 * slack * stiffness * d_activation
+    return {
+        "fiber_stiffness": muscles.of_fibers(torch.where(which, contracted, d_stiffness)),
+        "activation": muscles.stretch_of_fibers(d_activation.masked_fill(which, 0.0)),
+    }
+
+
+def _contiguous(rates: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name: rate.contiguous() for name, rate in rates.items()}

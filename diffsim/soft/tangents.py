@@ -21,8 +21,8 @@ from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import as_damped_as, still_physics
 from diffsim.soft.prepared import Prepared
-from diffsim.soft.problem import Problem, solve
-from diffsim.soft.problem_tangent import load_rates, solve_along, stage_rates, stiffness_rates
+from diffsim.soft.problem import Problem
+from diffsim.soft.problem_tangent import Changing, load_rates, solve_along, stage_rates
 from diffsim.soft.rollout import LoadsInTime, Signal
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, require_state
@@ -132,18 +132,18 @@ def rollout_tangents(
         "pressure": pressure,
         "dirichlet_target": dirichlet_target,
     }
-    changing = directions.physics or still_physics(
-        body.physics() if physics is None else physics, count
-    )
-    physics = as_damped_as(changing, body.physics() if physics is None else physics)
-    prepared = Prepared(body, physics)
-    state = check_state(prepared, state)
-    loads_at = LoadsInTime(prepared, shape, signals)
+    physics = body.physics() if physics is None else physics
+    directed = directions.physics or still_physics(physics, count)
     keep = keep or (lambda state, moving: (state.x, moving.x))
     kept = [keep(state, moving)]
     with torch.no_grad():
+        prepared = Prepared(body, as_damped_as(directed, physics))
+        state = check_state(prepared, state)
+        changing = Changing(prepared, directed)
+        loads_at = LoadsInTime(prepared, shape, signals)
+        moved_at = _MovedInTime(body, directions, count)
         for k in range(num_steps):
-            moved = {n: _rate(body, directions, n, count, k, state, moving) for n in LOADS}
+            moved = moved_at(k, state, moving)
             state, moving = _step(state, moving, loads_at(k, state), moved, changing)
             kept.append(keep(state, moving))
     return Tangents(
@@ -178,11 +178,12 @@ def static_tangents(
         (K, num_nodes, 3) [m] per unit of each direction.
     """
     physics = body.physics() if physics is None else physics
-    changing = directions.physics or still_physics(physics, count)
+    directed = directions.physics or still_physics(physics, count)
     state = State(x, torch.zeros_like(x))
     with torch.no_grad():
+        prepared = Prepared(body, physics)
         x, loads = check_inputs(
-            Prepared(body, physics),
+            prepared,
             state,
             external_force=external_force,
             activation=activation,
@@ -191,29 +192,39 @@ def static_tangents(
         )
         problem = Problem(y=x, guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
         still = State(torch.zeros(count, *x.shape, dtype=x.dtype), torch.zeros(0))
-        moved = {n: _rate(body, directions, n, count, 0, state, still) for n in LOADS}
-        rates = load_rates(problem, moved, changing)
-        rates |= stiffness_rates(problem, moved["activation"], changing)
-        return solve_along(problem, x, rates)
+        moved = _MovedInTime(body, directions, count)(0, state, still)
+        rates = load_rates(problem, moved, Changing(prepared, directed))
+        return solve_along(prepared, problem.arrays(), x, rates)
 
 
-def _rate(
-    body: Solid,
-    directions: Directions,
-    name: str,
-    count: int,
-    k: int,
-    state: State,
-    moving: State,
-) -> Tensor | None:
-    """How a signal moves in step k, checked."""
-    rate = getattr(directions, name)
-    rate = rate(k, state, moving) if callable(rate) else rate
-    if rate is None:
-        return None
-    widths = {"activation": body.muscles.num_muscles, "pressure": body.chambers.num_chambers}
-    shape = (widths[name],) if name in widths else (body.mesh.num_nodes, 3)
-    return require(f"directions.{name}", rate, (count, *shape))
+class _MovedInTime:
+    """How loads move in each step, checked; what no step changes is checked once.
+
+    Args:
+        body: The body.
+        directions: K directions of the inputs.
+        count: K.
+    """
+
+    def __init__(self, body: Solid, directions: Directions, count: int):
+        nodal = (count, body.mesh.num_nodes, 3)
+        self._shapes = {
+            "external_force": nodal,
+            "dirichlet_target": nodal,
+            "activation": (count, body.muscles.num_muscles),
+            "pressure": (count, body.chambers.num_chambers),
+        }
+        given = {name: getattr(directions, name) for name in LOADS}
+        self._moving = {n: f for n, f in given.items() if callable(f)}
+        self._still = {n: self._checked(n, r) for n, r in given.items() if n not in self._moving}
+
+    def __call__(self, k: int, state: State, tangent: State) -> dict[str, Tensor | None]:
+        """Directions of all ``LOADS`` by name; None: it does not move."""
+        moving = {n: self._checked(n, f(k, state, tangent)) for n, f in self._moving.items()}
+        return self._still | moving
+
+    def _checked(self, name: str, rate: Tensor | None) -> Tensor | None:
+        return None if rate is None else require(f"directions.{name}", rate, self._shapes[name])
 
 
 def _step(
@@ -221,16 +232,17 @@ def _step(
     moving: State,
     loads: Loads,
     moved: Mapping[str, Tensor | None],
-    changing: Physics,
+    changing: Changing,
 ) -> tuple[State, State]:
     """The next state and its tangents, as :func:`diffsim.soft.step` makes them."""
-    body = loads.prepared.body
+    prepared, body = loads.prepared, loads.prepared.body
     stage = make_stage(body.integrator, body.dt, state)
     problem = stage_problem(stage, state.x, loads)
-    solution = solve(problem)
+    arrays = problem.arrays()
+    solution = prepared.solve(arrays)[0]
     d_stage = make_stage(body.integrator, body.dt, moving)
     rates = stage_rates(problem, stage, d_stage, moving, moved, changing)
-    d_solution = solve_along(problem, solution, rates)
+    d_solution = solve_along(prepared, arrays, solution, rates)
     return (
         finish_stage(body.integrator, stage, state, solution, body.fixed),
         finish_stage(body.integrator, d_stage, moving, d_solution, body.fixed),
