@@ -12,7 +12,7 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
-from diffsim.systems.soft_body.kept import OfScene
+from diffsim.systems.soft_body.kept import OfScene, ratio
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 
@@ -57,6 +57,12 @@ class _Drag(Force):
             speed = torch.where(square > 0.0, torch.where(square > 0.0, square, 1.0).sqrt(), 0.0)
             v = speed * v
         return self._shares * v
+
+    def factor_of(self, other: Force) -> Tensor | None:
+        """Drags of one law are alike but for their coefficients."""
+        if not isinstance(other, _Drag) or other._quadratic != self._quadratic:
+            return None
+        return ratio(self._shares, other._shares)
 
 
 def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
@@ -130,13 +136,19 @@ class _DryFriction(Force):
     leading_axes, reads = True, ()
 
     def __init__(self, size: Tensor, slip_speed: float):
-        self._slip_speed = slip_speed
+        self._size, self._slip_speed = size, slip_speed
         self._shares = OfScene(_friction_shares)
         self._scaled = OfScene(lambda scene: -size * self._shares(scene)[:, None])
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         speed = self._shares(scene) @ moment.v
         return self._scaled(scene) * torch.tanh(speed / self._slip_speed)[..., None, :]
+
+    def factor_of(self, other: Force) -> Tensor | None:
+        """Frictions are alike but for their sizes."""
+        if not isinstance(other, _DryFriction) or other._slip_speed != self._slip_speed:
+            return None
+        return ratio(self._size, other._size)
 
 
 def _friction_shares(scene: SoftScene) -> Tensor:

@@ -14,6 +14,14 @@ _STEPS = 256  # computed at a time
 _Value = TypeVar("_Value")
 
 
+def ratio(one: Tensor, other: Tensor) -> Tensor | None:
+    """f with other = f one, of tensors of one shape; None: they are no multiples."""
+    if one.shape != other.shape:
+        return None
+    factor = (one * other).sum() / (one * one).sum()
+    return factor if torch.allclose(other, factor * one, rtol=1e-14, atol=0.0) else None
+
+
 class OfScene(Generic[_Value]):
     """A value that depends on the scene alone, of the scene that was last asked for.
 

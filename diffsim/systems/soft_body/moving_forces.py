@@ -7,7 +7,8 @@ are see all such states at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +16,53 @@ from torch import Tensor
 from diffsim import soft
 from diffsim.systems.soft_body.line import Key, LinePoints, OwnedScene, SceneLine, same_surroundings
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
+
+_ONE = torch.ones((), dtype=torch.float64)
+
+
+class _Together(NamedTuple):
+    """A hook that is evaluated once for several points.
+
+    Attributes:
+        scene: Scene of the hook.
+        hook: The hook.
+        idx: (n,) the points.
+        factor: (n, 1, 1) how many times as large the force is at each.
+    """
+
+    scene: SoftScene
+    hook: Force
+    idx: Tensor
+    factor: Tensor
+
+    @classmethod
+    def of(cls, scene: SoftScene, hook: Force, points: Mapping[int, Tensor]) -> _Together:
+        """Of factors by point."""
+        factor = torch.stack(list(points.values()))[:, None, None]
+        return cls(scene, hook, torch.tensor(list(points)), factor)
+
+
+def _multiples(
+    hooks: Sequence[tuple[int, SoftScene, Force]],
+) -> list[tuple[SoftScene, Force, dict[int, Tensor]]]:
+    """Hooks of one maker at points, in groups: the first of each, and factors by point."""
+    groups: list[tuple[SoftScene, Force, dict[int, Tensor]]] = []
+    for p, scene, hook in hooks:
+        for first, same, points in groups:
+            factor = _factor(first, same, scene, hook)
+            if factor is not None:
+                points[p] = factor
+                break
+        else:
+            groups.append((scene, hook, {p: _ONE}))
+    return groups
+
+
+def _factor(one: SoftScene, hook: Force, two: SoftScene, other: Force) -> Tensor | None:
+    """How many times as large another hook is in its scene; None: it has to be evaluated."""
+    if not hook.leading_axes or not same_surroundings(one, two, ()):
+        return None
+    return hook.factor_of(other)
 
 
 class MovingForces:
@@ -31,15 +79,19 @@ class MovingForces:
         hooks = {key: make() for key, make in makers.items()}
         self._hooks = list(hooks.values())
         shared = {key: self._sharing(key, hook) for key, hook in hooks.items()}
-        self._together = [
-            (makers[k](), torch.tensor(list(p)), torch.stack(list(p.values()))[:, None, None])
-            for k, p in shared.items()
-            if p
-        ]
-        self._alone: list[tuple[int, SoftScene, list[Force]]] = []
+        self._together = [_Together.of(self._scene, makers[k](), p) for k, p in shared.items() if p]
+        left: dict[Key, list[tuple[int, SoftScene, Force]]] = {}
         for p, owned in enumerate(self._points.scenes):
-            own = [m() for k, m in owned.makers().items() if p not in shared.get(k, {})]
-            self._alone.append((p, owned.scene, own))
+            for key, make in owned.makers().items():
+                if p not in shared.get(key, {}):
+                    left.setdefault(key, []).append((p, owned.scene, make()))
+        self._alone: list[tuple[int, SoftScene, Force]] = []
+        for hooks_left in left.values():
+            for scene, hook, points in _multiples(hooks_left):
+                if len(points) > 1:
+                    self._together.append(_Together.of(scene, hook, points))
+                else:
+                    self._alone += [(p, scene, hook) for p in points]
         waters = [p.scene.water for p in self._points.scenes]
         self._waters = {
             water: torch.tensor([p for p, w in enumerate(waters) if w is water])
@@ -53,16 +105,16 @@ class MovingForces:
         factor, by point."""
         if not hook.leading_axes:
             return {}
-        shared, one = {}, torch.ones((), dtype=torch.float64)
+        shared = {}
         for p, (owned, effect) in enumerate(
             zip(self._points.scenes, self._points.effects, strict=True)
         ):
             if (effect is None or effect is not key[0]) and same_surroundings(
                 self._scene, owned.scene, hook.reads
             ):
-                shared[p] = one
+                shared[p] = _ONE
             elif (make := owned.makers().get(key)) is not None:
-                factor = hook.factor_of(make())
+                factor = _factor(self._scene, hook, owned.scene, make())
                 if factor is not None:
                     shared[p] = factor
         return shared
@@ -80,12 +132,13 @@ class MovingForces:
         for water, idx in self._waters.items():
             flow = torch.stack([self._points.scenes[int(p)].scene.current for p in idx])
             total.index_add_(0, idx, water(x[idx], v[idx], water_velocity=flow))
-        for hook, idx, factor in self._together:
-            force = hook(self._scene, Moment(x[idx], v[idx], k * dt, dt))
+        for scene, hook, idx, factor in self._together:
+            force = hook(scene, Moment(x[idx], v[idx], k * dt, dt))
             total.index_add_(0, idx, factor * force)
-        for p, scene, hooks in self._alone:
-            for hook in hooks:
-                total[p] += hook(scene, Moment(x[p], v[p], k * dt, dt))
+        moments = [Moment(*at, k * dt, dt) for at in zip(x.unbind(), v.unbind(), strict=True)]
+        rows = total.unbind()
+        for p, scene, hook in self._alone:
+            rows[p].add_(hook(scene, moments[p]))
         return self._ahead(self._before_rates, self._points.slopes(total))
 
     def _ahead(self, before: list[Tensor], now: Tensor) -> Tensor:

@@ -67,7 +67,10 @@ class Force:
 
     def factor_of(self, other: Force) -> Tensor | None:
         """How many times larger another force is at any motion, so that derivatives evaluate only
-        one of them; None: it is of another form."""
+        one of them; None: it is of another form.
+
+        Both are in scenes that differ in no more than ``reads``.
+        """
         return None
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.signals import straight
-from diffsim.systems.soft_body.kept import OfTime
+from diffsim.systems.soft_body.kept import OfTime, ratio
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 _SHAPES = ("even", "growing")
@@ -45,11 +45,17 @@ class _Knots(Force):
 
     def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
         rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
-        self._shapes = shapes
+        self._rows, self._shapes, self._spacing = rows, shapes, spacing
         self._knots = OfTime(lambda times: straight(rows, spacing, times).unflatten(1, (3, -1)))
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         return (self._knots(moment) @ self._shapes).T.expand(moment.x.shape)
+
+    def factor_of(self, other: Force) -> Tensor | None:
+        """Signals on the same knots may be multiples of each other."""
+        if not isinstance(other, _Knots) or other._spacing != self._spacing:
+            return None
+        return ratio(self._rows, other._rows)
 
 
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:

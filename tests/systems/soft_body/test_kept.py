@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from diffsim.systems.soft_body.kept import OfScene, OfTime
+from diffsim.systems.soft_body.kept import OfScene, OfTime, ratio
 from diffsim.systems.soft_body.scene import Moment
 
 X = torch.zeros(1, 3, dtype=torch.float64)
@@ -49,3 +49,12 @@ def test_a_value_of_a_scene_is_that_of_the_scene_that_is_asked_for():
     first, second = [1.0], [1.0, 2.0]
     assert (kept(first), kept(first), kept(second), kept(first)) == (1, 1, 2, 1)
     assert made == [first, second, first]
+
+
+def test_a_ratio_is_that_of_multiples_alone():
+    one = torch.tensor([1.0, -2.0, 0.0], dtype=torch.float64)
+    assert float(ratio(one, -3.0 * one)) == -3.0
+    assert float(ratio(one, 0.0 * one)) == 0.0
+    assert ratio(one, one + 1e-9) is None
+    assert ratio(one, one[:2]) is None
+    assert ratio(0.0 * one, one) is None
