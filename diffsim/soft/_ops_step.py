@@ -102,8 +102,8 @@ class BoundStep:
         self._system = self._context.system(arrays, num_threads, method, preconditioner)
         self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters)
         self._max_iters, self._num_threads, self._on_failure = max_iters, num_threads, on_failure
-        self._tangent_options = step_options(method, rtol=adjoint_rtol, max_iters=adjoint_max_iters)
-        self._tangent_max_iters = adjoint_max_iters
+        self._method, self._adjoint_rtol = method, adjoint_rtol
+        self._adjoint_max_iters = adjoint_max_iters
         self._hint = LINEAR_HINT if method == LINEAR else STEP_HINT
 
     def shares(self, arrays: StepArrays) -> bool:
@@ -150,12 +150,15 @@ class BoundStep:
         for name, direction in directions.items():
             one = shapes[name][1:] if StepArrays.specs[name].batched else shapes[name]
             require_array(f"direction of {name}", direction, (count, *one))
+        options = step_options(
+            self._method, rtol=self._adjoint_rtol, max_iters=self._adjoint_max_iters
+        )
         dx = x.new_empty(count, *x.shape[1:])
         stats = new_stats(1)
         core.implicit_step_tangent(
             system=self._system,
             inputs=soft_addresses(arrays.named()),
-            options=self._tangent_options,
+            options=options,
             count=count,
             x=x.data_ptr(),
             directions=soft_addresses(directions),
@@ -163,7 +166,7 @@ class BoundStep:
             stats=stats.data_ptr(),
             num_threads=self._num_threads,
         )
-        notify("tangent", stats, self._tangent_max_iters)
+        notify("tangent", stats, self._adjoint_max_iters)
         report_failure(stats, "tangent solve", TANGENT_HINT, self._on_failure)
         return dx
 

@@ -185,17 +185,25 @@ def energy_terms(loads: Loads, frame: DampingFrame | None = None) -> dict[str, T
         stiffness, stretch = prepared.of_members(fibers.stiffness), fibers.stretch
     else:
         stretch = muscles.stretch_of_fibers(loads.activation)
-    damped = frame is not None and frame.weights is not None
     return {
         "w_mu": prepared.w_mu,
         "w_vol": prepared.w_vol,
         "fiber_stiffness": stiffness,
         "activation": flat(stretch, 1),
-        "damp_mu": frame.weights.mu if damped else EMPTY,
-        "damp_lambda": frame.weights.lame_lambda if damped else EMPTY,
-        "x_frame": flat(frame.x_frame) if damped else EMPTY,
-        "x_velocity": flat(frame.x_velocity) if damped else EMPTY,
         "pressure": flat(loads.pressure, 1),
+        **_damping_terms(frame),
+    }
+
+
+def _damping_terms(frame: DampingFrame | None) -> dict[str, Tensor]:
+    """Tensors of damping by name; empty where there is none."""
+    if frame is None or frame.weights is None:
+        return dict.fromkeys(("damp_mu", "damp_lambda", "x_frame", "x_velocity"), EMPTY)
+    return {
+        "damp_mu": frame.weights.mu,
+        "damp_lambda": frame.weights.lame_lambda,
+        "x_frame": flat(frame.x_frame),
+        "x_velocity": flat(frame.x_velocity),
     }
 
 

@@ -155,8 +155,9 @@ def _fiber_rates(
     """Rates of the fibers (``MuscleSet.fibers``) that activations have a part in."""
     muscles = changing.prepared.body.muscles
     if not muscles.has_contraction:
-        moves = muscles.num_muscles and d_activation is not None
-        return {"activation": muscles.stretch_of_fibers(d_activation)} if moves else {}
+        if d_activation is None or not muscles.num_muscles:
+            return {}
+        return {"activation": muscles.stretch_of_fibers(d_activation)}
     d_stiffness, which = changing.physics.fiber_stiffness, muscles.contraction
     if d_activation is None:
         d_activation = torch.zeros_like(d_stiffness)

@@ -112,14 +112,14 @@ class LoadsInTime:
 
     def __init__(self, prepared: Prepared, shape: tuple[int, ...], signals: Mapping[str, Signal]):
         self._prepared, self._shape = prepared, shape
-        self._moving = {
-            n: s for n, s in signals.items() if callable(s) and not isinstance(s, Tensor)
-        }
-        self._parts = {
-            name: check_load(prepared, shape, name, signals.get(name))
-            for name in LOADS
-            if name not in self._moving
-        }
+        self._moving: dict[str, Callable[[int, State], Tensor]] = {}
+        self._parts: dict[str, Tensor] = {}
+        for name in LOADS:
+            signal = signals.get(name)
+            if callable(signal) and not isinstance(signal, Tensor):
+                self._moving[name] = signal
+            else:
+                self._parts[name] = check_load(prepared, shape, name, signal)
 
     def __call__(self, k: int, state: State) -> Loads:
         """The loads in step k from ``state``."""
