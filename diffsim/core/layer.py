@@ -192,7 +192,7 @@ def _callable(
     def layer(*args: Any, **named: Any) -> Any:
         if torch.compiler.is_compiling():
             return op(*args, **named)
-        if _may_be_differentiated():
+        if may_be_differentiated():
             args = (*args, *(named.pop(name) for name in by_place[len(args) :]))
             call = Call.of(args, {name: value for name, value in named.items() if name in by_name})
             row = call.flat(args)
@@ -213,7 +213,8 @@ def _is_differentiated(row: Sequence[Any]) -> bool:
     )
 
 
-def _may_be_differentiated() -> bool:
+def may_be_differentiated() -> bool:
+    """Whether a derivative of what is computed now could be asked for."""
     return torch.is_grad_enabled() or _is_transformed()
 
 
@@ -225,7 +226,7 @@ def is_kernel_alone(tensors: Sequence[Tensor]) -> bool:
     """
     if torch.compiler.is_compiling() or not _is_unwatched() or not _are_plain(tensors):
         return False
-    return not (_may_be_differentiated() and _is_differentiated(tensors))
+    return not (may_be_differentiated() and _is_differentiated(tensors))
 
 
 def _is_unwatched() -> bool:

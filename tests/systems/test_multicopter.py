@@ -23,7 +23,7 @@ from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.sensors import GROUND_SCALE
-from diffsim.systems.multicopter.shooting import Windows
+from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, Windows
 from tests.diagnose.gate import score_error, typical
 
 DT, SAMPLES = 0.02, 110
@@ -147,6 +147,28 @@ def test_many_points_are_as_one_by_one(model, flown):
             ((a - b) / SD).norm() for a, b in ((alone[k], alone[0]), (many[k], alone[k]))
         )
         assert float(wrong) < 0.05 * float(moved)
+
+
+def test_a_point_that_was_simulated_is_known_again_and_no_other(flown, monkeypatch):
+    run, _ = flown
+    model, flights = flight_model(quadcopter(), commands=NAMES, base=PLAIN), []
+    fly = Flyer.__call__
+    monkeypatch.setattr(Flyer, "__call__", lambda *a: (flights.append(0), fly(*a))[1])
+
+    def at(change, drag=0.01):
+        flights.clear()
+        q = torch.full((2,), change, dtype=torch.float64)
+        with torch.no_grad():
+            return model.predict(run, q, {causes.BODY_DRAG: size(drag)}), len(flights)
+
+    first = at(0.1)[0]
+    again, num_flown = at(0.1 + 1e-16)  # rounded otherwise
+    assert num_flown == 0
+    assert torch.equal(again, first)
+    for other in (at(0.1 + 1e-9), at(0.1, drag=0.01 + 1e-9)):
+        assert other[1] > 0
+    q = torch.full((2,), 0.1, dtype=torch.float64, requires_grad=True)
+    assert model.predict(run, q).requires_grad  # what is differentiated is simulated
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
@@ -487,6 +509,28 @@ def test_a_past_thrust_at_zero_rises_again_when_the_record_asks_for_it():
     held_first = replace(above, latest=list(below.latest))
     assert float(held_first.latest[0][0, 12]) == 0.0
     np.testing.assert_allclose(held_first.settled(lagging).profile(lagging), free, atol=1e-6)
+
+
+def test_steps_that_shrink_slowly_are_made_longer_by_what_they_have_shown():
+    """A prediction that bends beside a misfit: Gauss-Newton alone goes half of the way with every
+    step, too little for the number of them."""
+
+    def bent(starts):
+        first = starts[..., :1]
+        return torch.cat([first, 4.0 * first**2], -1)[..., None]
+
+    windows = Windows(tensor([[0.3] * 12]), tensor([[[0.02], [0.12]]]), tensor([0.01]), [])
+    alone, change = [], torch.zeros(1, 12, dtype=torch.float64)
+    for _ in range(MAX_STEPS):
+        step = windows._step(bent, change)[1]
+        alone.append(float(step.abs().max()))
+        change = change + step
+    assert alone[-1] > 3e-5 * SPREAD[0]
+    found = float(windows.settled(bent).change[0, 0, 0])
+    place = np.linspace(-0.3, 0.0, 300_001)
+    x = 0.3 + place
+    cost = ((x - 0.02) ** 2 + (4 * x**2 - 0.12) ** 2) / 0.01**2 + (place / SPREAD[0]) ** 2
+    assert found == pytest.approx(place[cost.argmin()], abs=2e-5)
 
 
 @pytest.mark.grad

@@ -117,6 +117,7 @@ class Cutter:
                 windows = self._windows(run, past, length, idle)
             else:
                 windows.latest.clear()
+                windows.learned.clear()
                 break
         return windows
 

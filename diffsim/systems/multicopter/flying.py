@@ -33,10 +33,11 @@ class Flyer:
     Args:
         scene: Run to be flown.
         points: Number of points that the scene's leading axes stand for.
+        is_one: Whether they are one point of the parameters, flown from many starts.
     """
 
-    def __init__(self, scene: CopterFlight, points: int):
-        self.scene, self.points = scene, points
+    def __init__(self, scene: CopterFlight, points: int, *, is_one: bool = False):
+        self.scene, self.points, self.is_one = scene, points, is_one
         self._last: tuple[Tensor, Tensor] | None = None
         self._prepared = prepare_flight(
             scene.vehicle.repeated(len(scene.windows.measured)),
@@ -59,8 +60,15 @@ class Flyer:
         windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
         # no rotor pulls backwards; what a gain or a cause makes of its thrust may lie beyond limits
-        thrusts = self.scene.delivered(start[:, 0, RIGID:]).clamp(min=0.0)
+        thrusts = self._delivered(start[:, 0, RIGID:]).clamp(min=0.0)
         return self.fly_thrusts(start[..., :RIGID], windowed(thrusts, windows, length))
+
+    def _delivered(self, past: Tensor) -> Tensor:
+        """Thrusts as of ``CopterFlight.delivered``; those of equal starts once."""
+        if not self.is_one or self.points == 1:
+            return self.scene.delivered(past)
+        rows, of_row = torch.unique(past, dim=0, return_inverse=True)
+        return self.scene.delivered(rows)[of_row]
 
     def fly_thrusts(self, start: Tensor, thrusts: Tensor) -> Tensor:
         """Channels as above.

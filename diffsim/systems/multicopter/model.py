@@ -14,9 +14,10 @@ from torch import Tensor
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.core.check import require_choice
+from diffsim.core.layer import may_be_differentiated
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Build, Numerics, SimModel
+from diffsim.identify.model import Build, Numerics, Scene, SimModel
 from diffsim.systems.grid import held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, Cutter, spacing
 from diffsim.systems.multicopter.figure import figure_of
@@ -71,6 +72,21 @@ class CopterModel(SimModel):
     def __init__(self, flights: Build, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
         self.flights: Any = flights
+
+    def scene(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Scene:
+        """The run at one point; it is known again where nobody differentiates."""
+        made = super().scene(run, q, sizes, numerics)
+        assert isinstance(made, CopterScene)
+        if may_be_differentiated():
+            return made
+        there = [(e.name, _digits(s)) for e, s in (sizes or {}).items() if s.any()]
+        return made.changed(point=(numerics or Numerics(), _digits(q), *there))
 
     def shortened(self) -> SimModel | None:
         """The model with windows half as long as its longest one.
@@ -137,6 +153,11 @@ class CopterModel(SimModel):
         scene = self.scene(run, q, {e: s[: len(q)] for e, s in there.items()}, numerics)
         assert isinstance(scene, CopterScene)
         return scene
+
+
+def _digits(values: Tensor) -> bytes:
+    """Values to 13 digits: sizes come from two formulas that differ in the last one."""
+    return ((values.contiguous().numpy().view(np.int64) + (1 << 7)) >> 8).tobytes()
 
 
 def flight_model(

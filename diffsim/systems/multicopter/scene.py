@@ -2,26 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 from torch import Tensor
 
+from diffsim.core.layer import may_be_differentiated
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, amount, vector
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.shooting import MAX_STEPS, Shooting
 
+_KEPT = 2  # points: a step's end, and its start where it is not taken
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CopterScene(CopterFlight):
-    """A flight whose prediction is simulated, initial states of its windows fitted away."""
+    """A flight whose prediction is simulated, initial states of its windows fitted away.
+
+    Attributes:
+        point: Point of the parameters, by which its initial states are known again; None: unknown.
+    """
+
+    point: Hashable | None = None
 
     def simulate(self) -> Tensor:
         """Predicted channels of one point, (num_samples, num_channels)."""
-        return self.simulate_many(1, self.settled())[0]
+        shooting = self.settled()
+        if may_be_differentiated():
+            return self.simulate_many(1, shooting)[0]
+        return shooting.at_own_point()[: self.commands.shape[1]]
 
     def settled(self, max_steps: int = MAX_STEPS) -> Shooting:
-        """Best initial states of one point and their tangents there, found within some steps."""
-        return self.windows.settled(lambda starts: Flyer(self, len(starts))(starts), max_steps)
+        """Best initial states of one point and their tangents there, found within some steps; those
+        of the last points are kept."""
+        known = self.windows.known
+        if self.point is not None and self.point in known:
+            return known[self.point]
+        found = self._searched(max_steps)
+        if self.point is not None:
+            known[self.point] = found
+            while len(known) > _KEPT:
+                del known[next(iter(known))]
+        return found
+
+    def _searched(self, max_steps: int) -> Shooting:
+        flyers: dict[int, Flyer] = {}
+
+        def predict(starts: Tensor) -> Tensor:
+            # one for each number of starts: its last forces are the first guess of the next flight
+            points = len(starts)
+            if points not in flyers:
+                flyers[points] = Flyer(self, points, is_one=True)
+            return flyers[points](starts)
+
+        return self.windows.settled(predict, max_steps)
 
     def simulate_many(self, points: int, shooting: Shooting) -> Tensor:
         """Predicted channels with the best initial states.

@@ -5,7 +5,7 @@ The state of 12 here: position, roll-pitch-yaw, velocity (world), body rates, wo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from torch import Tensor
 from diffsim.copter import FlightState
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.rotation import body_rates_from_rpy_rates, quaternion_from_rpy
+from diffsim.systems.multicopter.secants import Secants
 
 RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
 # What is known of an initial state beyond its first guess: hardly anything.
@@ -84,6 +85,9 @@ class Windows:
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
+        learned: Which thrusts it held, and what it learned of the bend (or none): that serves the
+            next search.
+        known: What searches found at the last points of the parameters.
         acceleration: Recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2].
         states: Recorded states of 12 at every sample, (num_samples, 12).
         rows: Samples that the windows start from, (num_windows,).
@@ -110,6 +114,8 @@ class Windows:
     held: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
     is_at_zero: bool = True
     idle: Tensor | None = None
+    learned: list[tuple[Tensor, Secants]] = field(default_factory=list)
+    known: dict[Hashable, Shooting] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not len(self.held):
@@ -131,7 +137,8 @@ class Windows:
         return precision
 
     def settled(self, predict: Predict, max_steps: int = MAX_STEPS) -> Shooting:
-        """The best initial states for one model, by Gauss-Newton with new tangents at every step.
+        """The best initial states for one model, by Gauss-Newton with new tangents at every step,
+        and what the steps show of the bend beyond them.
 
         No rotor pulls backwards before the record: a thrust that wants below zero is zero, and the
         rest is best beside it. Such a bound is active in the whole neighborhood of a model, so that
@@ -140,7 +147,8 @@ class Windows:
         Args:
             predict: Starts (1 + 2 (12 + n_rotors), num_windows, 12 + n_rotors) -> channels of the
                 same leading axes, (..., length, num_channels).
-            max_steps: Number of full steps; fewer ask for a model that is nearer to the record.
+            max_steps: Number of full steps; fewer ask for a model that is nearer to the record, and
+                are Gauss-Newton's own.
 
         Raises:
             ConvergenceError: the model is too far from the record for windows of this length.
@@ -151,6 +159,7 @@ class Windows:
                 shooting, size, states = windows._bounded(predict, states, max_steps)
                 if size < _SETTLED and not shooting.windows._wants_thrust(predict, states):
                     self.latest[:] = [states]
+                    self.learned[:] = [(shooting.windows.held, shooting.secants)]
                     return shooting
             if max_steps >= MAX_STEPS:
                 states = self.latest[0] if self.latest else self.guess
@@ -168,26 +177,42 @@ class Windows:
     def _bounded(
         self, predict: Predict, states: Tensor, max_steps: int
     ) -> tuple[Shooting, float, Tensor]:
-        """Full steps; where they end below a thrust of zero, again with that thrust at zero.
+        """Steps with new tangents each, as long as ``Secants`` says; where they end below a thrust
+        of zero, again with that thrust at zero.
 
         Returns:
             Tangents at the last states, the step that was wanted there over the spread, the states.
         """
         windows = self
         for _ in range(1 + states.shape[1] - RIGID):
-            change = states - windows.guess
+            change, secants, last = states - windows.guess, windows._learned(), None
             for _ in range(max_steps):
                 shooting, step = windows._step(predict, change)
-                size = float((step / windows.spread).abs().max())
+                if last is not None:
+                    secants = secants.learned(change - last[0], last[1], step)
+                size = windows._size(step)
                 if size < _SETTLED:
                     break
-                change = change + step / max(1.0, size)
+                last = change, step
+                if max_steps >= MAX_STEPS:
+                    step = secants.ahead(step)
+                change = change + step / max(1.0, windows._size(step))
+            shooting = replace(shooting, secants=secants)
             states = windows.guess + change
             below = states[0, RIGID:] < 0.0
             if size >= _SETTLED or not below.any():
                 break
             windows, states = windows._at_zero(states, below)
         return shooting, size, states
+
+    def _size(self, step: Tensor) -> float:
+        """Largest entry of a step over its spread."""
+        return float((step / self.spread).abs().max())
+
+    def _learned(self) -> Secants:
+        """What the last search with these thrusts held learned of the bend."""
+        known = [secants for held, secants in self.learned if torch.equal(held, self.held)]
+        return known[0] if known else Secants.none(len(self.guess), self.spread)
 
     def _at_zero(self, states: Tensor, zero: Tensor) -> tuple[Windows, Tensor]:
         """The same windows with some thrusts before the record held at zero, and states there."""
@@ -270,7 +295,15 @@ class Windows:
         normal = tangent.mT @ (weight * tangent) + self.precision
         gain = torch.linalg.solve(normal, (weight * tangent).mT)
         measured = self.measured.nan_to_num(0.0).reshape(windows, -1, 1)
-        shooting = Shooting(self, measured, change[..., None], tangent, gain)
+        shooting = Shooting(
+            self,
+            measured,
+            change[..., None],
+            tangent,
+            gain,
+            there[0][..., None],
+            Secants.none(windows, spread),
+        )
         return shooting, (shooting.better(there[0][..., None], change[..., None]))[..., 0] - change
 
 
@@ -288,6 +321,8 @@ class Shooting:
         change: d of that model, (num_windows, 12 + n_rotors, 1).
         tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
         gain: Misfit to states, (num_windows, 12 + n_rotors, length * num_channels).
+        here: Prediction of that model at d, (num_windows, length * num_channels, 1).
+        secants: What steps to d have shown of the bend beyond the tangents.
     """
 
     windows: Windows
@@ -295,6 +330,13 @@ class Shooting:
     change: Tensor
     tangent: Tensor
     gain: Tensor
+    here: Tensor
+    secants: Secants
+
+    def at_own_point(self) -> Tensor:
+        """Prediction of the model of the tangents, (num_windows * length, num_channels)."""
+        best = self.better(self.here, self.change)
+        return (self.here + self.tangent @ (best - self.change)).reshape(-1, len(self.windows.sd))
 
     def better(self, here: Tensor, change: Tensor) -> Tensor:
         """The next d, (num_windows, 12 + n_rotors, many).
