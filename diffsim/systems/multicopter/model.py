@@ -86,7 +86,7 @@ class CopterModel(SimModel):
         if may_be_differentiated():
             return made
         there = [(e.name, _digits(s)) for e, s in (sizes or {}).items() if s.any()]
-        return made.changed(point=(numerics or Numerics(), _digits(q), *there))
+        return made.changed(point=(self, numerics or Numerics(), _digits(q), *there))
 
     def shortened(self) -> SimModel | None:
         """The model with windows half as long as its longest one.
