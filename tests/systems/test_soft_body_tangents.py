@@ -15,9 +15,11 @@ from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
 from diffsim.systems import actuator, library
 from diffsim.systems.soft_body import SoftModel, beam_model, tendon_model, unknown_force
 from diffsim.systems.soft_body import forces as soft_forces
+from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.material import _Relaxation
 from diffsim.systems.soft_body.scene import Force
-from tests.systems.test_soft_body import BAR
+from diffsim.systems.soft_body.support import SUPPORT_MOTION
+from tests.systems.test_soft_body import BAR, held_beam, held_run
 
 CELLS = (4, 1, 1)
 SMOOTH = [e for e in library("soft_body") if e.smooth]
@@ -144,6 +146,24 @@ def test_unknown_force():
     x = np.zeros(len(problem.names))
     x[3] = 0.3
     assert_alike(problem, x)
+
+
+def test_forces_of_time_after_a_catch():
+    """After a slack string has caught its weight, a support's motion goes on where it was."""
+    loaded = held_run(0.05)
+    time = loaded.time_s
+    run = replace(loaded, command={name: sway(time) for name, sway in SWAY.items()}, order=2)
+    caught = replace(SLACK_STRING, smooth=True)  # at sizes above zero it is
+    problem = problem_of(held_beam(), run, SUPPORT_MOTION, caught)
+    x = np.zeros(len(problem.names))
+    x[problem.columns_of(SUPPORT_MOTION)[0]] = 0.5
+    x[problem.columns_of(caught)[0]] = 0.5
+    found, simulated = problem, replace(problem, jacobian=Jacobian(method="differences", step=2e-3))
+    columns, expected = (p.linearize(x)[1] for p in (found, simulated))
+    for name in ("support_motion.shift", "support_motion.turn"):
+        k = problem.names.index(name)
+        error = np.linalg.norm(columns[:, k] - expected[:, k])
+        assert error <= 1e-4 * np.linalg.norm(expected[:, k]), name
 
 
 def test_non_smooth_effects_are_simulated(monkeypatch):

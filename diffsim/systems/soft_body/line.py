@@ -113,7 +113,8 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
     names = {*a.parameters, *b.parameters} if reads is None else reads
     values += [(a.parameter(n), b.parameter(n)) for n in names]
     same = all(x is y or (x is not None and y is not None and torch.equal(x, y)) for x, y in values)
-    return same and a.fluid_density == b.fluid_density and a.water is b.water
+    same = same and a.fluid_density == b.fluid_density and a.start_time == b.start_time
+    return same and a.water is b.water
 
 
 def _row(values: Sequence[float]) -> Tensor:

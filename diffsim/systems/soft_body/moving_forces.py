@@ -133,12 +133,11 @@ class MovingForces:
             flow = torch.stack([self._points.scenes[int(p)].scene.current for p in idx])
             total.index_add_(0, idx, water(x[idx], v[idx], water_velocity=flow))
         for scene, hook, idx, factor in self._together:
-            force = hook(scene, Moment(x[idx], v[idx], k * dt, dt))
+            force = hook(scene, Moment(x[idx], v[idx], scene.time_of(k), dt))
             total.index_add_(0, idx, factor * force)
-        moments = [Moment(*at, k * dt, dt) for at in zip(x.unbind(), v.unbind(), strict=True)]
-        rows = total.unbind()
+        places, speeds, rows = x.unbind(), v.unbind(), total.unbind()
         for p, scene, hook in self._alone:
-            rows[p].add_(hook(scene, moments[p]))
+            rows[p].add_(hook(scene, Moment(places[p], speeds[p], scene.time_of(k), dt)))
         return self._ahead(self._before_rates, self._points.slopes(total))
 
     def _ahead(self, before: list[Tensor], now: Tensor) -> Tensor:

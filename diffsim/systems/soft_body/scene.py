@@ -383,10 +383,14 @@ class SoftScene:
 
         return total
 
+    def time_of(self, k: int) -> float:
+        """Time that the hooks' clock shows at the start of step k [s]."""
+        return self.start_time + k * self.body.dt
+
     def force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
         """Sum of the hooks' forces at the start of step k, (num_nodes, 3) [N]."""
         dt = self.body.dt
-        moment = Moment(state.x, state.v, self.start_time + k * dt, dt)
+        moment = Moment(state.x, state.v, self.time_of(k), dt)
         found = [force(self, moment) for force in forces]
         if self.water is not None:
             found.insert(0, self.water(state.x, state.v, water_velocity=self.current))
