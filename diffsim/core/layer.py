@@ -246,7 +246,7 @@ def _are_plain(values: Iterable[Any]) -> bool:
         if isinstance(value, Tensor):
             if type(value) not in _PLAIN or not value.is_cpu or value.is_neg():
                 return False
-        elif isinstance(value, list) and not _are_plain(value):
+        elif isinstance(value, list | tuple) and not _are_plain(value):
             return False
     return True
 

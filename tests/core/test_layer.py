@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 import torch
 from torch import Tensor
+from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from torch.func import grad, jacfwd, jacrev, jvp, vjp, vmap
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils._python_dispatch import TorchDispatchMode
 
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import is_kernel_alone, make_first_order, make_layer
 
 
 @torch.library.custom_op("diffsim_test::power_sum", mutates_args=())
@@ -91,6 +96,37 @@ def test_a_mapped_axis_may_be_any_and_in_lists_too():
     others = torch.stack([B, 3.0 * B])
     mapped = vmap(cube, in_dims=(None, 0))(A, others)
     torch.testing.assert_close(mapped, torch.stack([cube(A, B), cube(A, 3.0 * B)]))
+
+
+def test_past_the_dispatcher_only_where_nothing_has_to_see_the_call(monkeypatch):
+    """Without gradients the kernel is called alone; who follows calls still sees the op."""
+    seen = []
+
+    class Watch(TorchDispatchMode):
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            seen.append(str(func))
+            return func(*args, **(kwargs or {}))
+
+    with torch.no_grad():
+        with monkeypatch.context() as patch:
+            patch.delitem(sys.modules, "torch._dynamo", raising=False)  # of an earlier test
+            assert is_kernel_alone([A, B]) and not is_kernel_alone([A.to("meta")])
+            plain = cube(A, B)
+        assert torch.equal(plain, cube(A.clone().requires_grad_(), B))
+        with Watch():
+            assert torch.equal(cube(A, B), plain)
+        assert any("power_sum" in name for name in seen)
+        with FakeTensorMode() as mode:
+            assert type(cube(mode.from_tensor(A), mode.from_tensor(B))) is FakeTensor
+        rows = torch.stack([A, 2.0 * A])
+        torch.testing.assert_close(
+            vmap(cube, in_dims=(0, None))(rows, B), torch.stack([plain, cube(2.0 * A, B)])
+        )
+        traced = make_fx(cube)(A, B)
+        assert any("power_sum" in str(node.target) for node in traced.graph.nodes)
+        mirrored = torch.complex(A, A).conj().imag  # a view whose sign is not in its memory
+        assert mirrored.is_neg()
+        torch.testing.assert_close(cube(mirrored, B), -2.0 * A**3 + 2.0 * B)
 
 
 def test_arguments_may_be_named():
