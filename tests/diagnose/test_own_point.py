@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Run
-from diffsim.diagnose.own_values import own_point
+from diffsim.diagnose import own_values
+from diffsim.diagnose.own_values import held_out_point, own_point
+from diffsim.identify import Problem
+from tests.diagnose import linear
 
 RUN = Run("new", np.arange(30.0), np.zeros((30, 1)), {}, "new")
 TRUE = np.array([0.0, 0.3, 2.2])
@@ -59,3 +62,32 @@ def test_slopes_of_the_start_serve_where_they_lead_to_the_noise():
     problem.asked = 0
     own_point(problem, np.zeros(3), RUN)
     assert problem.asked == 1
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fit's problem and coordinates."""
+
+    problem: Problem
+    x: np.ndarray
+
+
+def test_a_run_that_was_not_fitted_is_fitted_once(monkeypatch):
+    """By gain, errors, page and recording alike; another run, or another point, is another fit."""
+    asked = []
+
+    def one(problem, x, run, unmet=()):
+        asked.append(run.name)
+        return x + len(asked)
+
+    monkeypatch.setattr(own_values, "own_point", one)
+    problem = linear.problem()
+    fit, other = Fitted(problem, np.zeros(2)), Fitted(problem, np.ones(2))
+    runs = [linear.run(name, 3) for name in ("new", "newer")]
+    points = [held_out_point(f, r) for f in (fit, other) for r in (*runs, *runs)]
+    assert asked == ["new", "newer"] * 2
+    assert [float(p[0]) for p in points] == [1.0, 2.0, 1.0, 2.0, 4.0, 5.0, 4.0, 5.0]
+    points[0][:] = 99.0  # what one reader does with it is not the next one's
+    assert float(held_out_point(fit, runs[0])[0]) == 1.0
+    held_out_point(fit, linear.run("new", 3))  # the same name, another record
+    assert len(asked) == 5
