@@ -65,7 +65,7 @@ def held_step(body, data, state, active, physics):
         force=(physics.weighing_mass[:, None] * physics.gravity)[None],
         target=body.x_rest[None],
         guess=state.x.detach()[None],
-        inertia=stage.c * physics.mass,
+        inertia=stage.rates.c * physics.mass,
         w_mu=physics.w_mu,
         w_vol=physics.w_vol,
         fiber_stiffness=empty,

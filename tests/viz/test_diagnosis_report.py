@@ -391,7 +391,7 @@ def test_what_is_missing_is_said():
         )
     )  # fmt: skip
     words = " ".join(t for section in page_.sections for t in section.text)
-    for said in ("no gain is known", "No force map", "No candidate", "No advice"):
+    for said in ("no gain is known", "No force map", "No candidate", "Nothing is open"):
         assert said in words
 
 
