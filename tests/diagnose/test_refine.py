@@ -1,13 +1,12 @@
 """Coarse settings are refined within a budget, and everything goes on with the refined ones."""
 
 from dataclasses import dataclass, replace
-from time import process_time
 
 import numpy as np
 import pytest
 
 from diffsim.data.study import Study
-from diffsim.diagnose import diagnose
+from diffsim.diagnose import diagnose, refine
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gates import effort_gate, numerics_changes
 from diffsim.diagnose.records import LIKELY
@@ -46,57 +45,48 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
     assert np.linalg.norm(found.changes["time_step"]) < 0.6 * before
 
 
-class Stepped:
-    """A scene that costs as its number of steps, whatever else this machine does."""
+class Clock:
+    """CPU seconds that pass as scenes say, whatever else this machine does."""
 
-    def __init__(self, scene, time_step):
-        self.scene, self.time_step = scene, time_step
+    def __init__(self, monkeypatch):
+        self.seconds = 0.0
+        monkeypatch.setattr(refine, "process_time", lambda: self.seconds)
+
+
+class Costly:
+    """A scene whose simulation takes the given seconds of a clock and is off by an error."""
+
+    def __init__(self, scene, clock, seconds, error=0.0):
+        self.scene, self.clock, self.seconds, self.error = scene, clock, seconds, error
 
     def __getattr__(self, name):
         return getattr(self.scene, name)
 
     def simulate(self):
-        end = process_time() + 0.02 / self.time_step
-        while process_time() < end:
-            pass
-        return self.scene.simulate()
+        self.clock.seconds += self.seconds
+        return self.scene.simulate() + self.error
 
 
-def test_a_budget_that_is_spent_is_said_with_figures():
-    coarse = case(replace(QUICK, refine_budget=1.2))
+def test_a_budget_that_is_spent_is_said_with_figures(monkeypatch):
+    coarse, clock = case(replace(QUICK, refine_budget=1.2)), Clock(monkeypatch)
     plain = coarse.model
 
-    def build(values, run, numerics):
-        return Stepped(plain.build(values, run, numerics), numerics.time_step)
+    def build(values, run, numerics):  # it costs as its number of steps
+        return Costly(plain.build(values, run, numerics), clock, 0.02 / numerics.time_step)
 
     found = checked_numerics(null_fit(replace(coarse, model=SimModel(build, plain.base))))
     gate = next(g for g in found.gates if g.name == "time_step")
     assert not gate.passed and "budget of 1.2 times" in gate.note
 
 
-class Meshed:
-    """A scene with an error that only a mesh finer by far takes out."""
-
-    def __init__(self, scene, mesh):
-        self.scene, self.mesh = scene, mesh
-
-    def __getattr__(self, name):
-        return getattr(self.scene, name)
-
-    def simulate(self):
-        if self.mesh < 1.0:  # a mesh that costs a hundred times as much
-            end = process_time() + 0.1
-            while process_time() < end:
-                pass
-        return self.scene.simulate() + 50.0 * self.mesh
-
-
-def test_a_setting_beyond_the_budget_does_not_keep_others_coarse():
-    coarse = case()
+def test_a_setting_beyond_the_budget_does_not_keep_others_coarse(monkeypatch):
+    """An error that only a mesh finer by far takes out, which costs a hundred times as much."""
+    coarse, clock = case(), Clock(monkeypatch)
     plain = coarse.model
 
     def build(values, run, numerics):
-        return Meshed(plain.build(values, run, numerics), numerics.mesh)
+        seconds = 0.01 if numerics.mesh == 1.0 else 1.0
+        return Costly(plain.build(values, run, numerics), clock, seconds, 50.0 * numerics.mesh)
 
     null = null_fit(replace(coarse, model=SimModel(build, plain.base)))
     numerics = checked_numerics(null).null.case.numerics
