@@ -342,7 +342,7 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         unit=row.unit,
         rivals=rivals,
         note=f"data sheet: {read.prior_value:.4g} +- {read.prior_sd:.2g} (one standard deviation)",
-        shown_unit=None if read.unit == row.unit else read.unit,
+        shown_unit=read.unit,
     )
 
 

@@ -6,7 +6,7 @@ Every interval is one of 90 %.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
@@ -17,12 +17,22 @@ CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
 STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
-SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # of base parameters
+SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these
 WRONG_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
 ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
+
+
+def small_unit(unit: str, values: Iterable[float]) -> str:
+    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g.
+
+    Args:
+        unit: SI unit of the values.
+        values: Values that are read together.
+    """
+    return SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
 
 
 @dataclass(frozen=True)
@@ -85,19 +95,26 @@ class CauseRow:
     shown_unit: str | None = None
     shown_times: float | None = None
 
+    @property
+    def read_unit(self) -> str:
+        """Unit in which its size is read: ``shown_unit``, else small lengths in mm and so on."""
+        if self.shown_unit is not None:
+            return self.shown_unit
+        ends = [end for size in self.size.values() for end in (size.low, size.high)]
+        return small_unit(self.unit, ends or self.smallest_visible.values())
+
     def as_read(self) -> CauseRow:
         """The same with sizes in the unit in which a user reads them."""
-        if self.shown_unit is None:
+        unit = self.read_unit
+        if unit == self.unit:
             return self
-        times = self.shown_times or factor(self.unit, self.shown_unit)
+        times = self.shown_times or factor(self.unit, unit)
         size = {
             c: replace(s, value=times * s.value, low=times * s.low, high=times * s.high)
             for c, s in self.size.items()
         }
         visible = {c: times * v for c, v in self.smallest_visible.items()}
-        return replace(
-            self, size=size, smallest_visible=visible, unit=self.shown_unit, shown_unit=None
-        )
+        return replace(self, size=size, smallest_visible=visible, unit=unit, shown_unit=unit)
 
 
 @dataclass(frozen=True)
@@ -142,8 +159,7 @@ class BaseRow:
     @property
     def shown_unit(self) -> str:
         """Unit in which it is read: small lengths in mm, short times in ms, small masses in g."""
-        small = max(abs(self.value), abs(self.prior_value), self.prior_sd) < SMALL
-        return SMALL_UNITS.get(self.unit, self.unit) if small else self.unit
+        return small_unit(self.unit, (self.value, self.prior_value, self.prior_sd))
 
     def as_read(self) -> BaseRow:
         """The same in the unit in which it is read."""

@@ -70,6 +70,7 @@ SENSOR_SCALE = Effect(
     family="sensor",
     kind="sensor",
     unit="-",
+    shown_unit="%",
     typical=0.03,
     also_looks_like=("gain of the drive", "calibration", "a length of the mechanism"),
     apply=refuse,
@@ -78,6 +79,7 @@ SENSOR_OFFSET = replace(
     SENSOR_SCALE,
     name="sensor_offset",
     form="Readings are larger by size.",
+    shown_unit=None,
     family="zero",
     also_looks_like=("zero of the sensor", "constant force", "start value"),
 )
@@ -92,6 +94,7 @@ SENSOR_BACKLASH = replace(
     SENSOR_SCALE,
     name="sensor_backlash",
     form="Play between what moves and what is read, half its width on either side.",
+    shown_unit=None,
     family="shape",
     signed=False,
     smooth=False,
@@ -103,6 +106,7 @@ SENSOR_DELAY = replace(
     form="Readings come size later.",
     family="timing",
     unit="s",
+    shown_unit=None,
     typical=0.02,
     also_looks_like=("offset of the recorder's clock",),
 )
@@ -124,7 +128,9 @@ def named_of(model: Effect, dial: str, channels: Sequence[Channel], apply: Apply
         channels: These channels.
         apply: How it acts on a scene.
     """
-    units = {c.shown_unit for c in channels} if model.unit == channels[0].unit else {None}
+    units = (
+        {c.shown_unit for c in channels} if model.unit == channels[0].unit else {model.shown_unit}
+    )
     shown = units.pop() if len(units) == 1 else None
     name = f"{model.name}_of_{plain(dial)}"
     return replace(model, name=name, apply=apply, shown_unit=shown)

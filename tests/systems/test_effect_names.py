@@ -7,6 +7,7 @@ from collections import defaultdict
 
 import pytest
 
+from diffsim.core.units import factor
 from diffsim.data.labs import NetworkLab
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
@@ -91,3 +92,9 @@ def test_effects_cannot_be_changed(libraries):
         libraries["balls"][0].typical = 2.0  # type: ignore[misc]
     with pytest.raises(ValueError, match="kind must be one of"):
         Effect(name="a", family="a", kind="forces", unit="-", typical=1.0, apply=lambda *_: None)
+
+
+def test_a_unit_in_which_a_size_is_read_is_one_of_its_quantity(libraries):
+    for effect in (e for effects in libraries.values() for e in effects):
+        if effect.shown_unit is not None and effect.shown_times is None:
+            assert factor(effect.unit, effect.shown_unit) > 0.0  # raises where none leads there

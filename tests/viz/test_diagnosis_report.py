@@ -208,7 +208,7 @@ def test_page_has_its_parts_in_order(tmp_path):
     places = [text.find(part) for part in parts]
     assert min(places) > 0 and places == sorted(places)
     read = text.replace("\xa0", " ")  # numbers and units stay on one line
-    assert "0.021 (0.0193 to 0.0227) s" in read and "hold and release" in text and "FAILED" in text
+    assert "21 (19.3 to 22.7) ms" in read and "hold and release" in text and "FAILED" in text
     assert "lag &lt;b&gt;" in text and "<td>lag <b>" not in text  # escaped
 
 

@@ -237,6 +237,7 @@ WAKE = Effect(
     family="thrust",
     kind="force",
     unit="-",
+    shown_unit="%",
     typical=0.05,
     signed=False,
     also_looks_like=("pitching moment of the rotors in forward flight", "center of mass"),

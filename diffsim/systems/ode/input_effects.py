@@ -165,6 +165,7 @@ def _slow_share(name: str, tail: str) -> Effect:
         family="slow",
         kind="actuator",
         unit="-",
+        shown_unit="%",
         typical=0.1,
         also_looks_like=("creep", "a regulator that creeps to its set point", "leak, if negative"),
         apply=by_formulas(change, symbol(own)),

@@ -40,7 +40,7 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
             shown = partial(_read, channels=dial.channels, change=change)
             if model.name == "sensor_backlash":
                 shown = partial(_played, channels=dial.channels)
-            units = {c.shown_unit for c in own} if model.unit == own[0].unit else {None}
+            units = {c.shown_unit for c in own} if model.unit == own[0].unit else {model.shown_unit}
             read = units.pop() if len(units) == 1 else None
             out.append(replace(model, name=model.name + tail, apply=shown, shown_unit=read))
     return tuple(out)
@@ -100,6 +100,7 @@ _CURVATURE = Effect(
     family="shape",
     kind="sensor",
     unit="-",
+    shown_unit="%",
     typical=0.05,
     also_looks_like=("a stiffness or outflow that changes with the level",),
     apply=_refuse,

@@ -207,6 +207,7 @@ BODY_SCALE = Effect(
     family="geometry",
     kind="material",
     unit="-",
+    shown_unit="%",
     typical=0.03,
     also_looks_like=("Young's modulus", "scale of the cameras"),
     apply=_body_scale,

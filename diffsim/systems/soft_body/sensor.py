@@ -80,6 +80,7 @@ CLOCK_RATE = Effect(
     family="timing",
     kind="sensor",
     unit="-",
+    shown_unit="%",
     typical=0.01,
     also_looks_like=("dropped frames", "wrong frame rate", "Young's modulus, in free swing"),
     apply=_clock_rate,
