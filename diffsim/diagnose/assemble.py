@@ -131,7 +131,8 @@ def report_of(
     certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
     base = _base(best, judgment)
     rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
-    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals)
+    is_first = case.settings.is_first_answer
+    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals, is_first)
     causes = cause_rows(told, base)
     findings = tuple(row.name for row in base if row.finding)
     refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)

@@ -150,6 +150,8 @@ class Told:
         unmet: What the study lacks for candidates that were left out, by name.
         certain: Effects that are certain, by index.
         rivals: Sets that the choice is open to.
+        is_first: Whether it is a first answer: sets of few causes were fitted, and a further cause
+            may take the place of what is named. Nothing is certain then.
     """
 
     judgment: Judgment
@@ -160,6 +162,12 @@ class Told:
     unmet: Mapping[str, str]
     certain: frozenset[int] = frozenset()
     rivals: tuple[Hypothesis, ...] = ()
+    is_first: bool = False
+
+    @property
+    def surest(self) -> str:
+        """Status of what no set within reach can do without."""
+        return LIKELY if self.is_first else CERTAIN
 
 
 def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
@@ -233,7 +241,7 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
         if i in decision.best or i in told.members:
             return UNTOLD, _unknown_names(told, decision)
     elif i in told.certain:
-        return CERTAIN, ()
+        return told.surest, ()
     elif i in decision.best or any(i in h.effects for h in told.rivals):
         rivals, is_best = _rivals_of(told, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
@@ -327,7 +335,7 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         status, rivals = UNTOLD, _unknown_names(told, decision)
     else:
         half = HALF_90 * row.sd / row.prior_sd if row.prior_sd else 0.0
-        status = CERTAIN if abs(row.pull) - half > row.limit else LIKELY
+        status = told.surest if abs(row.pull) - half > row.limit else LIKELY
         others = _sets_without_pull(told, about, row)
         if others:
             status, rivals = UNTOLD, others

@@ -226,11 +226,12 @@ def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
     Args:
         settings: Effort of the diagnosis.
     """
-    if settings.fit_rtol <= FIT_RTOL:
+    if not settings.is_first_answer:
         return ()
     note = (
         f"sets of at most {settings.search.max_effects} causes were tried, fits end within "
-        f"{settings.fit_rtol:.0%} of their misfit, and the noise was estimated once"
+        f"{settings.fit_rtol:.0%} of their misfit, and the noise was estimated once; "
+        "what it names is likely, never certain"
     )
     return (GateResult(FIRST_ANSWER, False, settings.fit_rtol, FIT_RTOL, note, applies=False),)
 

@@ -83,7 +83,8 @@ def _first(answer: Answer) -> str:
     if answer.verdict == "data_sheet":
         return "The misfit is noise once a data sheet is mended: no cause is missing."
     if answer.verdict == "named":
-        return f"The model lacks {_sizes(sure)}."
+        surely = "lacks" if any(row.status == CERTAIN for row in sure) else "probably lacks"
+        return f"The model {surely} {_sizes(sure)}."
     if answer.verdict == "ambiguous":
         asked = f"The data ask for {_sizes(_members(answer))}"
         if not answer.rivals:

@@ -81,3 +81,8 @@ class DiagnosisSettings:
     fit_rtol: float = FIT_RTOL
     bend_after: int | None = None
     noise_rounds: int = 3
+
+    @property
+    def is_first_answer(self) -> bool:
+        """Whether fits end early, as first answers do: what these name is likely at most."""
+        return self.fit_rtol > FIT_RTOL

@@ -9,7 +9,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, refine
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gates import effort_gate, numerics_changes
-from diffsim.diagnose.records import LIKELY
+from diffsim.diagnose.records import CERTAIN, LIKELY
 from diffsim.diagnose.refine import checked_numerics
 from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
 from diffsim.identify.effort import FIT_RTOL
@@ -126,6 +126,17 @@ def test_a_first_answer_begins_coarse_and_says_what_it_left_out():
     assert any("first answer" in s and "1% of their misfit" in s for s in report.sentences)
     full = replace(settings, first_step=1.0, fit_rtol=FIT_RTOL)
     assert effort_gate(full) == ()
+
+
+def test_what_a_first_answer_names_is_likely_and_a_full_one_makes_certain():
+    study = noisy({"bias": 0.3})
+    for fit_rtol, status, word in ((0.01, LIKELY, " probably "), (FIT_RTOL, CERTAIN, "")):
+        settings = replace(QUICK, fit_rtol=fit_rtol)
+        report = diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)
+        assert (report.verdict, report.named) == ("named", ("bias",))
+        assert [c.status for c in report.causes if c.name == "bias"] == [status]
+        assert (" probably missing" in report.headline) == (status == LIKELY)
+        assert f"The model{word or ' '}lacks" in report.sentences[0]
 
 
 @dataclass
