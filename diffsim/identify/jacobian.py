@@ -137,13 +137,13 @@ def _differences(
                 points.append(moved)
     with torch.no_grad():
         rows = many(points).detach().numpy().reshape(len(points), -1)
-    out, k = np.zeros((rows[0].size, len(stencils))), 1
+    out, k = np.zeros((len(stencils), rows[0].size)), 1
     for j, stencil in enumerate(stencils.values()):
         for offset, weight in zip(stencil.offsets, stencil.weights, strict=True):
             with np.errstate(invalid="ignore", over="ignore"):  # whoever asks refuses infinities
-                out[:, j] += weight * (rows[0] if offset == 0.0 else rows[k])
+                out[j] += weight * (rows[0] if offset == 0.0 else rows[k])
             k += offset != 0.0
-    return rows[0], out
+    return rows[0], out.T
 
 
 def _forward_mode(many: PredictMany, at: Tensor, idx: Sequence[int]) -> tuple[Array, Array]:

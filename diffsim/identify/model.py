@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -72,35 +73,88 @@ class Parameter:
         return (value - self.value) / self.sd
 
 
+def _bounded(p: Parameter) -> bool:
+    """Whether a parameter has a lower bound; of a logarithm zero is none."""
+    return math.isfinite(p.lower) and not (p.log and p.lower <= 0.0)
+
+
 class BaseValues:
     """Values of many base parameters at once: those without a logarithm in a few vector operations.
 
     Args:
         base: The base parameters, in the order of the coordinates.
+
+    Attributes:
+        low, high: Bounds of the standardized coordinates, (num_base,).
     """
 
     def __init__(self, base: Sequence[Parameter]):
         self.base = tuple(base)
-        self._linear = [i for i, p in enumerate(base) if not p.log]
-        self._logs = [i for i, p in enumerate(base) if p.log]
-        widths = [base[i].sd for i in self._logs]
+        # tensors: a list is made into one by every indexing, which is dear with a thousand names
+        self._linear = torch.tensor([i for i, p in enumerate(base) if not p.log], dtype=torch.long)
+        self._logs = torch.tensor([i for i, p in enumerate(base) if p.log], dtype=torch.long)
+        ranks = iter(range(len(self._linear)))
+        #: index of each parameter, and its index among those without a logarithm or -1, by name
+        self._places = {p.name: (i, -1 if p.log else next(ranks)) for i, p in enumerate(base)}
+        widths = [p.sd for p in base if p.log]
         self._log_sd = torch.tensor(widths, dtype=torch.float64)
         rows = [(p.value, p.sd, p.lower, p.upper) for p in base if not p.log]
         table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
         self._value, self._sd, self._lower, self._upper = table.unbind(-1)
+        self.low = np.array([p.coordinate_of(p.lower) if _bounded(p) else -np.inf for p in base])
+        self.high = np.array(
+            [p.coordinate_of(p.upper) if math.isfinite(p.upper) else np.inf for p in base]
+        )
+
+    @property
+    def names(self) -> Collection[str]:
+        """Names of the parameters, in their order."""
+        return self._places.keys()
 
     def raw(self, q: Tensor) -> Tensor:
         """(..., num_base) finite where all values are: linear ones, then factors of the others."""
-        linear = (self._value + self._sd * q[..., self._linear]).clamp(self._lower, self._upper)
-        return torch.cat([linear, torch.exp(self._log_sd * q[..., self._logs])], dim=-1)
+        logs = torch.exp(self._log_sd * q.index_select(-1, self._logs))
+        return torch.cat([self._linear_at(q), logs], dim=-1)
 
-    def at(self, q: Tensor) -> dict[str, Tensor]:
+    def at(self, q: Tensor) -> Mapping[str, Tensor]:
         """Values [unit] by name, (...) each, at standardized coordinates (..., num_base)."""
-        raw = (self._value + self._sd * q[..., self._linear]).clamp(self._lower, self._upper)
-        found = dict(zip(self._linear, raw.unbind(-1), strict=True))
-        return {
-            p.name: p.value_at(q[..., i]) if p.log else found[i] for i, p in enumerate(self.base)
-        }
+        return _PointValues(self, q, self._linear_at(q))
+
+    def one(self, name: str, q: Tensor, linear: Tensor) -> Tensor:
+        """Value [unit] of one parameter, (...).
+
+        Args:
+            name: Its name.
+            q: Standardized coordinates, (..., num_base).
+            linear: Values of those without a logarithm there, (..., num_linear).
+        """
+        i, rank = self._places[name]
+        return self.base[i].value_at(q.select(-1, i)) if rank < 0 else linear.select(-1, rank)
+
+    def _linear_at(self, q: Tensor) -> Tensor:
+        """(..., num_linear) values of those without a logarithm."""
+        own = q.index_select(-1, self._linear)
+        return (self._value + self._sd * own).clamp(self._lower, self._upper)
+
+
+class _PointValues(Mapping[str, Tensor]):
+    """Values of base parameters at a point, made when they are asked for: a study of many runs has
+    hundreds, of which a run needs its own."""
+
+    def __init__(self, values: BaseValues, q: Tensor, linear: Tensor):
+        self._values, self._q, self._linear = values, q, linear
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self._values.one(name, self._q, self._linear)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values.names)
+
+    def __len__(self) -> int:
+        return len(self._values.names)
 
 
 class Scene(Protocol):

@@ -97,16 +97,12 @@ class Problem:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the coordinates, (n,) each."""
-        low = [
-            p.coordinate_of(p.lower) if _inside(p.lower, p.log) else -np.inf
-            for p in self.model.base
-        ]
-        high = [
-            p.coordinate_of(p.upper) if np.isfinite(p.upper) else np.inf for p in self.model.base
-        ]
-        low += [-np.inf if e.signed else 0.0 for e, _ in self.owners]
-        high += [np.inf] * len(self.owners)
-        return np.array(low), np.array(high)
+        base, owners = self.model.values, self.owners
+        low = [-np.inf if e.signed else 0.0 for e, _ in owners]
+        return (
+            np.concatenate([base.low, low]),
+            np.concatenate([base.high, np.full(len(owners), np.inf)]),
+        )
 
     def scaled(self, x: Array) -> Array:
         """Scaled coordinates: sizes in units of ``PRIOR_WIDTH`` typical ones, (n,)."""
@@ -376,10 +372,6 @@ class Problem:
                 contexts = [copy_context() for _ in self.runs]  # records of solves go along
                 return list(pool.map(lambda c, run: c.run(job, run), contexts, self.runs))
         return [job(run) for run in self.runs]
-
-
-def _inside(lower: float, log: bool) -> bool:
-    return bool(np.isfinite(lower)) and not (log and lower <= 0.0)
 
 
 def _pulled_back(predicted: Tensor, leaf: Tensor, cotangent: Array) -> Array:

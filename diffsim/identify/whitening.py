@@ -34,9 +34,15 @@ class WhiteNoise:
                 "diffsim.diagnose.noise.noise_floor"
             )
         self.sd = np.array([c.sd for c in channels], dtype=np.float64)
+        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}  # by identity: runs do not change
 
     def matrix(self, run: Run) -> sparse.csr_array:
-        """Rows of the measured samples of ``diag(1 / sd)``."""
+        """Rows of the measured samples of ``diag(1 / sd)``; made once per run."""
+        if id(run) not in self._made:
+            self._made[id(run)] = run, self._matrix(run)
+        return self._made[id(run)][1]
+
+    def _matrix(self, run: Run) -> sparse.csr_array:
         valid = np.isfinite(run.measured).ravel()
         weight = np.tile(1.0 / self.sd, len(run.time_s))
         return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])

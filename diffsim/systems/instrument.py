@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -26,7 +27,10 @@ START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run")
 def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
     """Values of base parameters; a run that the model was not made for starts in the middle."""
     name = f"{PLAY_START}@{run.name}"
-    return values if name in values else {**values, name: torch.zeros((), dtype=torch.float64)}
+    if name in values:
+        return values
+    middle = {name: torch.zeros((), dtype=torch.float64)}
+    return ChainMap(middle, values)  # type: ignore[arg-type]  # it is only read
 
 
 def plain(name: str) -> str:

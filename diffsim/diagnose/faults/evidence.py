@@ -11,12 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import log_ndtr, logsumexp, ndtr, owens_t
 
-from diffsim.diagnose.faults.learn import Learned
 from diffsim.diagnose.faults.local import Local
-from diffsim.diagnose.faults.marginal import Information, without
+from diffsim.diagnose.faults.marginal import Information, Priors, without
 from diffsim.identify.effect import Effect
 from diffsim.identify.sizes import TAIL, coordinate_of, precision_at
 
@@ -46,27 +44,15 @@ class Evidence:
     weights: Array
 
 
-def informations(
-    learned: Learned, local: Local, *, daily_factor: float = 1.0, new_state: bool = False
-) -> list[Information]:
+def informations(local: Local, priors: Priors) -> list[Information]:
     """What a group says of the sizes of its causes, for each draw of the scatter.
 
     Args:
-        learned: What other groups say of shared parameters and scatter.
         local: The group, linearized.
-        daily_factor: Factor on spreads of groups, and of a new state.
-        new_state: Whether the group is in a state that was never seen.
+        priors: What is known of its nuisances, ``Learned.priors`` of the group.
     """
     gone = slice(0, local.num_nuisances)
-    out = []
-    for k, draw in enumerate(learned.draws):
-        mean, covariance = learned.of_shared(local, k, new_state=new_state, factor=daily_factor)
-        shared = np.asarray(np.linalg.inv(covariance))
-        scatter = learned.precision(local, draw, daily_factor=daily_factor)
-        prior = block_diag(shared, np.diag(scatter)) if len(mean) else np.diag(scatter)
-        slope = np.concatenate([shared @ mean, np.zeros(len(scatter))])
-        out.append(without(local.curvature, local.slope, -0.5 * local.square, gone, prior, slope))
-    return out
+    return without(local.curvature, local.slope, -0.5 * local.square, gone, priors)
 
 
 def evidence(
@@ -86,16 +72,14 @@ def evidence(
     mode, width = _mode(found, signed)
     prior = np.diag(width)
     constant = _prior_at(mode, width, signed)
-    levels, means, covariances = [], [], []
-    for f in found:
-        covariance: Array = np.asarray(np.linalg.inv(f.curvature + prior))
-        mean = covariance @ f.slope
-        half = 0.5 * np.linalg.slogdet(covariance)[1] + 0.5 * f.slope @ mean
-        share = _log_share(mean, covariance, signed)
-        levels.append(f.level + constant + half + 0.5 * len(mean) * np.log(2.0 * np.pi) + share)
-        means.append(mean)
-        covariances.append(covariance)
-    weight = np.exp(np.array(levels) - logsumexp(levels))
+    slopes = np.array([f.slope for f in found])
+    covariances: Array = np.asarray(np.linalg.inv(np.array([f.curvature for f in found]) + prior))
+    means = (covariances @ slopes[..., None])[..., 0]
+    half = 0.5 * np.linalg.slogdet(covariances)[1] + 0.5 * np.sum(slopes * means, axis=-1)
+    constant += 0.5 * len(effects) * np.log(2.0 * np.pi)
+    levels = np.array([f.level for f in found]) + constant + half
+    levels += _log_shares(means, covariances, signed)
+    weight = np.exp(levels - logsumexp(levels))
     samples, weights = _samples(means, covariances, weight, signed, rng)
     curvature = np.mean([f.curvature for f in found], axis=0)
     return Evidence(
@@ -145,24 +129,26 @@ def _prior_at(mode: Array, width: Array, signed: NDArray[np.bool_]) -> float:
     return float(np.sum(density + np.where(signed, 0.0, np.log(2.0)) + 0.5 * width * mode**2))
 
 
-def _log_share(mean: Array, covariance: Array, signed: NDArray[np.bool_]) -> float:
-    """Logarithm of the share of a normal distribution on the allowed side."""
+def _log_shares(means: Array, covariances: Array, signed: NDArray[np.bool_]) -> Array:
+    """Logarithms of the shares of normal distributions on the allowed side, (num_draws,)."""
     one = np.flatnonzero(~signed)
     if not len(one):
-        return 0.0
+        return np.zeros(len(means))
+    inner = covariances[:, one[:, None], one]
+    sd = np.sqrt(inner.diagonal(axis1=1, axis2=2))
     if len(one) == 1:
-        i = one[0]
-        return float(log_ndtr(mean[i] / np.sqrt(covariance[i, i])))
+        return np.asarray(log_ndtr(means[:, one] / sd)[:, 0])
     if len(one) == 2:
-        inner = covariance[np.ix_(one, one)]
-        sd = np.sqrt(np.diag(inner))
-        return float(
-            np.log(max(positive_quadrant(mean[one] / sd, inner[0, 1] / sd.prod()), LEAST_SHARE))
-        )
-    from scipy.stats import multivariate_normal  # half a second that other commands do not need
+        shares = [
+            positive_quadrant(m, c)
+            for m, c in zip(means[:, one] / sd, inner[:, 0, 1] / sd.prod(axis=1), strict=True)
+        ]
+    else:
+        from scipy.stats import multivariate_normal  # half a second that others do not need
 
-    normal = multivariate_normal(cov=covariance[np.ix_(one, one)], allow_singular=True, seed=0)
-    return float(np.log(max(float(normal.cdf(mean[one])), LEAST_SHARE)))
+        normals = (multivariate_normal(cov=c, allow_singular=True, seed=0) for c in inner)
+        shares = [float(n.cdf(m)) for n, m in zip(normals, means[:, one], strict=True)]
+    return np.log(np.maximum(shares, LEAST_SHARE))
 
 
 def positive_quadrant(mean: Array, correlation: float) -> float:
@@ -184,19 +170,19 @@ def positive_quadrant(mean: Array, correlation: float) -> float:
 
 
 def _samples(
-    means: Sequence[Array],
-    covariances: Sequence[Array],
+    means: Array,
+    covariances: Array,
     weight: Array,
     signed: NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Samples of the sizes on the allowed side, and their weights."""
-    rows, weights = [], []
-    for mean, covariance, w in zip(means, covariances, weight, strict=True):
-        factor = np.linalg.cholesky(covariance)
-        drawn = mean + rng.standard_normal((NUM_SAMPLES, len(mean))) @ factor.T
-        inside = drawn[(signed | (drawn > 0.0)).all(axis=1)]
-        inside = inside if len(inside) else np.where(signed, mean, np.maximum(mean, 0.0))[None]
-        rows.append(inside)
-        weights.append(np.full(len(inside), w / len(inside)))
-    return np.concatenate(rows), np.concatenate(weights)
+    factors = np.linalg.cholesky(covariances)
+    drawn = rng.standard_normal((len(means), NUM_SAMPLES, means.shape[1]))
+    drawn = means[:, None] + drawn @ factors.swapaxes(1, 2)
+    allowed: NDArray[np.bool_] = np.asarray(np.all(signed | (drawn > 0.0), axis=2))
+    none = ~np.any(allowed, axis=1)  # there the mean, moved to the allowed side, is the only sample
+    drawn[none, 0] = np.where(signed, means, np.maximum(means, 0.0))[none]
+    allowed[none, 0] = True
+    weights = np.broadcast_to((weight / allowed.sum(axis=1))[:, None], allowed.shape)
+    return drawn[allowed], weights[allowed]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
+from diffsim.core.threads import one_thread
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import Study
 from diffsim.diagnose.faults.candidates import (
@@ -20,7 +21,7 @@ from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.learn import Learned, learn
 from diffsim.diagnose.faults.local import Local, local_at, problem_of
-from diffsim.diagnose.faults.marginal import Information
+from diffsim.diagnose.faults.marginal import Information, Priors
 from diffsim.diagnose.faults.states import possible_states
 from diffsim.diagnose.faults.verdict import (
     FaultReport,
@@ -46,6 +47,7 @@ HALF_90 = 1.645  # half the width of a normal 90 % interval [sd]
 Progress = Callable[[int, int], None]
 
 
+@one_thread
 def judge_faults(
     study: Study,
     setup: DiagnosisSetup,
@@ -106,12 +108,15 @@ def _verdict(
     names = [e.name for e in learned.problem.effects]
     found: list[list[Evidence]] = [[] for _ in tried]
     sizes: list[list[Information]] = []  # by state
+    priors: list[Priors] = []
     for state, local in zip(states, locals_, strict=True):
-        by_factor = {
-            factor: informations(learned, local, daily_factor=factor, new_state=state.is_new)
+        known = {
+            factor: learned.priors(local, new_state=state.is_new, daily_factor=factor)
             for factor in (1.0, UNLISTED_FACTOR)
         }
+        by_factor = {factor: informations(local, given) for factor, given in known.items()}
         sizes.append(by_factor[1.0])
+        priors.append(known[1.0])
         for candidate, row in zip(tried, found, strict=True):
             at = [names.index(c) for c in candidate.causes]
             given = by_factor[UNLISTED_FACTOR if candidate.is_unlisted else 1.0]
@@ -123,7 +128,7 @@ def _verdict(
     for candidate, row in zip(tried, found, strict=True):
         for k, (state, problem) in enumerate(zip(states, problems, strict=True)):
             if candidate.causes and row[k].log_evidence + state.log_odds > best - REFINED_NATS:
-                row[k] = _refined(problem, learned, point, candidate, row[k], rng, state.is_new)
+                row[k] = _refined(problem, learned, point, candidate, row[k], rng, priors[k])
     odds = [s.log_odds for s in states]
     weighed = [Weighed(c, mixed(row, odds)) for c, row in zip(tried, found, strict=True)]
     sound = [e.log_evidence + o for e, o in zip(found[0], odds, strict=True)]
@@ -139,7 +144,7 @@ def _refined(
     candidate: Candidate,
     found: Evidence,
     rng: np.random.Generator,
-    is_new: bool,
+    priors: Priors,
 ) -> Evidence:
     """Evidence of a set linearized at its own most probable sizes."""
     own = [e for c in candidate.causes for e in problem.effects if e.name == c]
@@ -149,7 +154,7 @@ def _refined(
         step = np.clip(found.scaled - at[columns], -LONGEST_STEP, LONGEST_STEP)
         at[columns] += step
         local = _local_near(problem, learned, at, columns, step, own)
-        found = evidence(informations(learned, local, new_state=is_new), own, rng)
+        found = evidence(informations(local, priors), own, rng)
     return found
 
 

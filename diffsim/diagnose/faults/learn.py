@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.layout import Layout
 from diffsim.diagnose.faults.local import Local, local_at, problem_of
-from diffsim.diagnose.faults.marginal import Information, without
+from diffsim.diagnose.faults.marginal import Information, Priors, without
 from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]
@@ -91,6 +91,25 @@ class Learned:
             covariance[fresh] = covariance[:, fresh] = 0.0
             covariance[fresh, fresh] = prior[fresh]
         return mean, covariance
+
+    def priors(self, local: Local, *, new_state: bool = False, daily_factor: float = 1.0) -> Priors:
+        """What is known of a group's nuisances, for each draw of the scatter.
+
+        Args:
+            local: The group, linearized anywhere.
+            new_state: Whether the group is in a state that was never seen.
+            daily_factor: Factor on spreads of groups, and of a new state.
+        """
+        size, num = local.num_nuisances, len(local.common)
+        precision = np.zeros((len(self.draws), size, size))
+        means = np.zeros((len(self.draws), size))
+        for k, draw in enumerate(self.draws):
+            mean, covariance = self.of_shared(local, k, new_state=new_state, factor=daily_factor)
+            scatter = self.precision(local, draw, daily_factor=daily_factor)
+            means[k, :num] = mean
+            precision[k, :num, :num] = np.linalg.inv(covariance)
+            precision[k, num:, num:] = np.diag(scatter)
+        return Priors.of(precision, means)
 
     def without(self, label: str) -> Learned:
         """What the other groups say."""
@@ -276,7 +295,8 @@ def _of_common(layout: Layout, local: Local, log_spread: Array) -> Information:
     prior = _scatter_prior(layout, local, log_spread)
     gone = slice(len(local.common), len(local.slope))
     level = -0.5 * local.square
-    return without(local.curvature, local.slope, level, gone, np.diag(prior), np.zeros(len(prior)))
+    known = Priors.of(np.diag(prior)[None], np.zeros((1, len(prior))))
+    return without(local.curvature, local.slope, level, gone, known)[0]
 
 
 def _scatter_prior(layout: Layout, local: Local, log_spread: Array) -> Array:

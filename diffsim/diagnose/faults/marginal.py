@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 Array = NDArray[np.float64]
 
@@ -47,42 +46,56 @@ class Information:
         return np.asarray(np.linalg.inv(self.curvature))
 
 
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """Normal priors of some coordinates, one for each of several draws of what they hang on.
+
+    Attributes:
+        precision: (num_draws, m, m) inverse covariances.
+        slope: (num_draws, m) precision times mean.
+        level: (num_draws,) logarithm of the density at 0, without its power of 2 pi.
+    """
+
+    precision: Array
+    slope: Array
+    level: Array
+
+    @classmethod
+    def of(cls, precision: Array, mean: Array) -> Priors:
+        """Priors by their precision, (num_draws, m, m), and their mean, (num_draws, m)."""
+        slope = (precision @ mean[..., None])[..., 0]
+        level = 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * np.sum(mean * slope, axis=-1)
+        return cls(precision, slope, np.asarray(level))
+
+
 def without(
-    curvature: Array, slope: Array, level: float, gone: slice, prior: Array, prior_slope: Array
-) -> Information:
-    """Integrate coordinates out that have a Gaussian prior.
+    curvature: Array, slope: Array, level: float, gone: slice, priors: Priors
+) -> list[Information]:
+    """Integrate coordinates out that have a Gaussian prior, for each draw of it.
 
     Args:
         curvature: (n, n) of log p = level + slope z - z curvature z / 2.
         slope: (n,).
         level: Log density at 0.
         gone: The m coordinates that are integrated out: the first or the last ones.
-        prior: Their prior precision, (m, m).
-        prior_slope: Prior precision times prior mean, (m,).
+        priors: Their priors.
 
     Returns:
-        Information on the coordinates that stay, in their order.
+        Information on the coordinates that stay, in their order, for each draw.
+
+    Raises:
+        LinAlgError: what is integrated out has no definite information.
     """
     stay = slice(gone.stop, None) if not gone.start else slice(0, gone.start)
-    inner = curvature[gone, gone] + prior
     cross = curvature[gone, stay]
-    pull = slope[gone] + prior_slope
-    factor, shared, failed = lapack.dposv(inner, np.column_stack([cross, pull]))
-    if failed:
-        raise np.linalg.LinAlgError("the information on what is integrated out is not definite")
-    inner_log_det = 2.0 * float(np.log(np.diag(factor)).sum())
-    out = level + 0.5 * float(pull @ shared[:, -1]) + 0.5 * (_log_det(prior) - inner_log_det)
-    if prior_slope.any():
-        out -= 0.5 * float(prior_slope @ np.linalg.solve(prior, prior_slope))
-    return Information(
-        curvature[stay, stay] - cross.T @ shared[:, :-1],
-        slope[stay] - cross.T @ shared[:, -1],
-        out,
+    pull = slope[gone] + priors.slope  # (num_draws, m)
+    inner = curvature[gone, gone] + priors.precision
+    half_log_det = np.log(np.linalg.cholesky(inner).diagonal(axis1=1, axis2=2)).sum(-1)
+    wanted = np.concatenate(
+        [np.broadcast_to(cross, (len(inner), *cross.shape)), pull[..., None]], 2
     )
-
-
-def _log_det(matrix: Array) -> float:
-    diagonal = np.diag(matrix)
-    if np.count_nonzero(matrix) == len(diagonal):  # nothing beside the diagonal
-        return float(np.log(diagonal).sum())
-    return float(np.linalg.slogdet(matrix)[1])
+    shared = np.linalg.solve(inner, wanted)
+    levels = level + priors.level + 0.5 * np.sum(pull * shared[..., -1], axis=-1) - half_log_det
+    curvatures = curvature[stay, stay] - cross.T @ shared[..., :-1]
+    slopes = slope[stay] - shared[..., -1] @ cross
+    return [Information(c, s, float(x)) for c, s, x in zip(curvatures, slopes, levels, strict=True)]

@@ -69,7 +69,9 @@ class OdeScene:
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""
         readings, _ = self.solved()
-        readings = readings[..., [list(self.network.readings).index(c) for c in self.channels]]
+        order = [list(self.network.readings).index(c) for c in self.channels]
+        if order != list(range(readings.shape[-1])):
+            readings = readings[..., order]
         if self.readers:
             columns = dict(zip(self.channels, readings.unbind(-1), strict=True))
             for channel, change in self.readers:
@@ -82,7 +84,7 @@ class OdeScene:
             readings = torch.where(own, readings.clamp(low, high), readings)
         if readings.shape[-2] == len(self.grid.samples):
             return readings
-        return readings[..., self.grid.samples, :]
+        return readings.index_select(-2, self.grid.samples)
 
     def solved(self, network: Network | None = None) -> tuple[Tensor, Tensor]:
         """Readings and states at all times of the grid.

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from diffsim.data import load_study
-from diffsim.diagnose.faults import judge_faults
+from diffsim.diagnose.faults import judge_faults, judging
 from diffsim.diagnose.faults.verdict import CERTAIN, SILENT, UNLISTED, weighted_quantiles
 from tests.diagnose.faults import days
 
@@ -173,3 +174,23 @@ def test_new_runs_are_entries_like_those_of_the_file(tmp_path):
     study = load_study(tmp_path, more)
     assert [run.name for run in study.runs] == ["a", "b"]
     assert study.test_runs[0].setup == {"day": "x"}
+
+
+def test_groups_are_judged_by_one_thread(monkeypatch):
+    """Arrays are small: with two threads of torch the same took four times the CPU seconds."""
+    seen = []
+
+    def interrupted(*args):
+        seen.append(torch.get_num_threads())
+        raise InterruptedError
+
+    monkeypatch.setattr(judging, "given_by", interrupted)
+    study = days.study(teachers(np.random.default_rng(5)))
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(InterruptedError):
+            judge_faults(study, days.setup(study))
+        assert seen == [1] and torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)

@@ -10,6 +10,7 @@ from diffsim.diagnose.faults.evidence import positive_quadrant
 from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.faults.learn import log_posterior
 from diffsim.diagnose.faults.local import local_at, problem_of
+from diffsim.diagnose.faults.marginal import Priors, without
 from diffsim.identify.problem import Problem
 from diffsim.identify.whitening import WhiteNoise
 from tests.diagnose.faults import days
@@ -48,3 +49,21 @@ def test_the_share_of_a_quadrant_is_that_of_numerical_integration(mean, correlat
     covariance = np.array([[1.0, correlation], [correlation, 1.0]])
     share = multivariate_normal(cov=covariance, seed=0).cdf(np.array(mean))
     assert positive_quadrant(np.array(mean), correlation) == pytest.approx(share, abs=2e-8)
+
+
+def test_what_is_integrated_out_leaves_the_marginal_of_each_draw():
+    """Against the normal density of samples y = A z + B x + noise, z ~ N(mean, covariance)."""
+    rng = np.random.default_rng(1)
+    a, b, y = rng.normal(size=(9, 3)), rng.normal(size=(9, 2)), rng.normal(size=9)
+    means = rng.normal(size=(2, 3))
+    roots = rng.normal(size=(2, 3, 3))
+    covariances = roots @ roots.swapaxes(1, 2) + np.eye(3)
+    both = np.column_stack([a, b])
+    priors = Priors.of(np.linalg.inv(covariances), means)
+    level = -0.5 * float(y @ y) - 4.5 * np.log(2.0 * np.pi)
+    found = without(both.T @ both, both.T @ y, level, slice(0, 3), priors)
+    for x in (np.zeros(2), np.array([0.7, -1.1])):
+        for f, mean, covariance in zip(found, means, covariances, strict=True):
+            truth = multivariate_normal(a @ mean + b @ x, a @ covariance @ a.T + np.eye(9))
+            said = f.level + f.slope @ x - 0.5 * x @ f.curvature @ x
+            assert said == pytest.approx(truth.logpdf(y), abs=1e-9)
