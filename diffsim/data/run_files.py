@@ -191,6 +191,8 @@ class RunReader:
             source, unit = other, other.unit or unit
             if unit and stated.unit and to_si(unit).unit != to_si(stated.unit).unit:
                 factor(unit, stated.unit)  # refuses a unit of another quantity
+        if isinstance(stated, CommandEntry) and stated.fill == "hold":
+            samples = samples.holding()
         raw = (
             samples.formula(source.formula)
             if source.formula is not None

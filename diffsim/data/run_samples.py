@@ -30,6 +30,8 @@ class Samples:
         recorded_s: Clock of the file at these rows, (num_samples,) [s].
         time_s: Clock of the run at these rows, (num_samples,) [s].
         facts: Facts of the run by name.
+        holds: Whether columns of further files keep their value until their next sample; else they
+            follow straight lines.
     """
 
     tables: Sequence[Table]
@@ -38,6 +40,7 @@ class Samples:
     recorded_s: Array
     time_s: Array = field(default_factory=lambda: np.empty(0))
     facts: Mapping[str, Any] = field(default_factory=dict)
+    holds: bool = False
 
     @property
     def table(self) -> Table:
@@ -52,6 +55,10 @@ class Samples:
         """The same rows with facts that formulas may use."""
         return replace(self, facts=facts)
 
+    def holding(self) -> Samples:
+        """The same, columns of further files held until their next sample."""
+        return replace(self, holds=True)
+
     def only(self, keep: Rows) -> Samples:
         """Some of the rows."""
         cut = self.time_s[keep] if len(self.time_s) else self.time_s
@@ -65,9 +72,8 @@ class Samples:
                 there = np.isfinite(values)
                 if not there.any():
                     return np.full(len(self.rows), np.nan)
-                return np.interp(
-                    self.recorded_s, clock[there], values[there], left=np.nan, right=np.nan
-                )
+                between = _held if self.holds else _straight
+                return between(self.recorded_s, clock[there], values[there])
         return self.table.numbers(name)[self.rows]
 
     def formula(
@@ -92,6 +98,17 @@ class Samples:
             return evaluate(text, clock, value_of, dict.fromkeys([*columns, *numbers, *channels]))
         except ValueError as error:
             raise ValueError(f"{self.table.path}: {error}") from None
+
+
+def _straight(at: Array, clock: Array, values: Array) -> Array:
+    """Values on straight lines between samples; NaN beyond them."""
+    return np.interp(at, clock, values, left=np.nan, right=np.nan)
+
+
+def _held(at: Array, clock: Array, values: Array) -> Array:
+    """The last value that was sampled; NaN before the first."""
+    last = np.searchsorted(clock, at, side="right") - 1
+    return np.where(last < 0, np.nan, values[np.maximum(last, 0)])
 
 
 def in_si(raw: Array, source: Source, unit: str | None) -> Array:

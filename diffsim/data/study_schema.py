@@ -171,7 +171,8 @@ class CommandEntry(Source):
     fill: FillValue | None = Field(
         None,
         description="Value where a cell is empty: hold (the last one; before the first, the "
-        "first), linear (in between), or a number in `unit`",
+        "first), linear (in between), or a number in `unit`. hold also keeps a value of a further "
+        "file until that file's next sample, where straight lines are drawn otherwise",
     )
     shown_unit: Unit | None = Field(
         None, description="Unit in which reports show it; default: `unit`"

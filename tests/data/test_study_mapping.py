@@ -267,6 +267,22 @@ def test_further_files_are_read_at_the_clock_of_the_first(folder):
     assert load_n[5] == pytest.approx(1.0) and np.isnan(load_n[-1])
 
 
+@pytest.mark.parametrize("formula", [None, "2 * sent / 2"])
+def test_a_command_of_a_further_file_is_held_where_its_study_says_so(folder, formula):
+    """It was sent every 100 ms, and read at the clock of a file of every 10 ms."""
+    write_csv(folder / "sent.csv", [[i * 100, i**2] for i in range(1, 3)], ["t (ms)", "sent"])
+    source = {"column": "sent"} if formula is None else {"formula": formula}
+
+    def sent(fill):
+        command = {"name": "force", "unit": "N", "fill": fill, **source}
+        entry = {"name": "a", "file": ["a.csv", "sent.csv"]}
+        return load(folder, commands=[command], runs=[entry]).runs[0].command["force"]
+
+    times = load(folder, runs=[{"name": "a", "file": "a.csv"}]).runs[0].time_s
+    np.testing.assert_array_equal(sent("hold"), np.where(times < 0.2 - 1e-9, 1.0, 4.0))
+    np.testing.assert_allclose(sent("linear"), np.interp(times, [0.1, 0.2], [1.0, 4.0]))
+
+
 def test_each_file_of_a_run_has_the_clock_that_it_holds(folder):
     """A camera counts milliseconds, an inertial unit seconds, in columns of other names."""
     write_csv(folder / "imu.csv", [[0.1 * i, 2.0 * i] for i in range(3)], ["stamp", "load_N"])
