@@ -185,10 +185,9 @@ def _command(q: Quantity) -> dict[str, Any]:
     ends = {
         k: float(f"{v:.4g}") for k, v in (("lower", q.lower), ("upper", q.upper)) if v is not None
     }
-    # with a clock of its own it may begin later and end sooner; what was sent holds until the next
-    filled = {"fill": "hold"} if q.column.is_asked or q.column.is_further else {}
-    if filled and q.is_measured:
-        filled = {"fill": "linear"}
+    # with a clock of its own it may begin later and end sooner
+    fill = q.column.fill or ("hold" if q.column.is_asked else "")
+    filled = {"fill": fill} if fill else {}
     return _quantity(q) | filled | ({"is_measured": True} if q.is_measured else ends)
 
 

@@ -192,8 +192,8 @@ def _of_kinds(
         runs.append(Recording(next(iter(shared)), first, tuple(further), table))
     one = " with ".join(f.path.name for f in next(zip(*kinds, strict=True)))
     said.append(f"runs: files that share a name are one, such as {one}, at the clock of the first")
-    layout = joined_layout([kind[0].layout for kind in kinds], times, runs[0].table)
-    return layout, runs
+    layouts, tables = [k[0].layout for k in kinds], [[f.table() for f in k] for k in kinds]
+    return joined_layout(layouts, times, tables, runs[0].table.header), runs
 
 
 def _of_topics(

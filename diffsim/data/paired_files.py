@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.units import to_si
 from diffsim.data.clock_guess import guess_clock
 from diffsim.data.columns import Table
+from diffsim.data.resting import rest_and_jump
 from diffsim.data.table_guess import Column, Layout
 
 _LAST = re.compile(r"(?P<rest>.+)[_\-. ](?P<tag>[^_\-. ]+)")
@@ -95,15 +96,31 @@ def joined(tables: Sequence[Table], times: Sequence[Mapping[str, Any]]) -> Table
 
 
 def joined_layout(
-    layouts: Sequence[Layout], times: Sequence[Mapping[str, Any]], table: Table
+    layouts: Sequence[Layout],
+    times: Sequence[Mapping[str, Any]],
+    tables: Sequence[Sequence[Table]],
+    header: Sequence[str],
 ) -> Layout:
-    """Columns of a joined table, as the headers of its files state them."""
+    """Columns of a joined table, as the headers of its files state them.
+
+    Args:
+        layouts: Columns of each kind of file.
+        times: Keys of ``time`` for each kind.
+        tables: Files of each kind, run by run.
+        header: Columns that the joined table has.
+    """
     columns: list[Column] = list(layouts[0].columns)
-    for layout, time in zip(layouts[1:], times[1:], strict=True):
+    for layout, time, own in zip(layouts[1:], times[1:], tables[1:], strict=True):
         known = {c.name for c in columns} | {time["column"]}
-        further = (c for c in layout.columns if c.name in table.header and c.name not in known)
-        columns += [replace(c, is_further=True) for c in further]
+        further = (c for c in layout.columns if c.name in header and c.name not in known)
+        columns += [replace(c, fill=_fill(c.name, own)) for c in further]
     return replace(layouts[0], columns=tuple(columns))
+
+
+def _fill(name: str, tables: Sequence[Table]) -> str:
+    """How a column goes on between its own samples, as far as its files show."""
+    found = (table.numbers(name) for table in tables)
+    return "hold" if rest_and_jump(values[np.isfinite(values)] for values in found) else "linear"
 
 
 def share_columns(a: Layout, b: Layout) -> bool:

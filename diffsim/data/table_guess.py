@@ -54,7 +54,8 @@ class Column:
         is_said: Whether the unit stands apart, in brackets or a row of units; else it is the
             ending of the name.
         is_asked: Whether it is of a table that holds what was commanded.
-        is_further: Whether it is of a file that is read at the clock of another one.
+        fill: How it goes on between samples of its own, where it is of a file that is read at the
+            clock of another one: "hold" if it rests and jumps, else "linear"; empty: of no such.
     """
 
     name: str
@@ -62,7 +63,7 @@ class Column:
     unit: str | None
     is_said: bool
     is_asked: bool = False
-    is_further: bool = False
+    fill: str = ""
 
 
 @dataclass(frozen=True)

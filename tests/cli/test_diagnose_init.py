@@ -458,7 +458,21 @@ def test_files_of_two_instruments_are_one_run(tmp_path, capsys):
     at = 20.0 * np.arange(40) + 5.0
     expected = np.interp(T, at, np.deg2rad(np.cos(0.01 * at) + noisy(0)[:40]), np.nan)
     np.testing.assert_allclose(run.measured[:, 1], expected, atol=1e-8)
-    assert np.isfinite(run.command["throttle"]).all()  # before its first sample it is held
+    # held between its own samples, and before the first
+    assert sorted(set(run.command["throttle"])) == [0.4, 0.6]
+
+
+def test_a_command_that_ramps_is_straight_between_the_samples_of_its_instrument(tmp_path):
+    two_instruments(tmp_path)
+    slow = 20.0 * np.arange(40) + 5.0
+    for path in tmp_path.glob("*_fcu.csv"):
+        ramp = np.clip(0.002 * (slow - 100.0), 0.0, 0.4)
+        write(path, "stamp_ms,p_dps,throttle", [slow, np.cos(slow), ramp])
+    assert init(tmp_path) == 0
+    assert "fill: linear" in (tmp_path / "study.yaml").read_text()
+    expected = np.interp(T, slow, np.clip(0.002 * (slow - 100.0), 0.0, 0.4))
+    run = load_study(tmp_path).runs[0]
+    np.testing.assert_allclose(run.command["throttle"], expected, atol=1e-4)
 
 
 def test_an_instrument_may_stand_first_in_the_name_and_one_run_is_enough(tmp_path):
