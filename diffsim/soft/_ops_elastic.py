@@ -54,6 +54,41 @@ def _(x, inputs, **_options):
     return torch.empty_like(x), x.new_empty(x.shape[0])
 
 
+class BoundGradient:
+    """Gradients of one energy at many places, its parameters checked and handed over once.
+
+    Args:
+        arrays: Parameters of the energy, without damping; nobody may change them in place.
+        batch: Number of items.
+        handle, num_threads: As for :func:`elastic_gradient`.
+    """
+
+    def __init__(self, arrays: EnergyArrays, *, batch: int, handle: int, num_threads: int):
+        self._context, self._num_threads = context(handle), num_threads
+        arrays.require_sizes(batch, self._context.sizes, damped=False)
+        self._arrays = arrays  # addresses are those of these tensors as long as they live
+        self._inputs = soft_addresses(arrays.named())
+        self._shape = (batch, self._context.num_nodes, 3)
+
+    def __call__(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradient (batch, num_nodes, 3) [N] and energy (batch,) [J] at x, shape of the gradient
+        [m]; the same bits as :func:`elastic_gradient`."""
+        require_array("x", x, self._shape)
+        gradient = torch.empty_like(x)
+        energy = torch.empty(self._shape[0], dtype=torch.float64)
+        core.elastic_gradient(
+            pattern=self._context.pattern,
+            inputs=self._inputs,
+            batch=self._shape[0],
+            x=x.data_ptr(),
+            gradient=gradient.data_ptr(),
+            energy=energy.data_ptr(),
+            num_threads=self._num_threads,
+        )
+        require_upright(self._context, energy, x)
+        return gradient, energy
+
+
 @custom_op("diffsim::elastic_gradient_vjp")
 def elastic_gradient_vjp(
     z: Tensor, x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int

@@ -7,7 +7,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import all_finite, require
+from diffsim.core.layer import is_kernel_alone
 from diffsim.soft import _ops_elastic
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, energy_arrays, flat
 from diffsim.soft.physics import Physics
@@ -31,6 +32,38 @@ def elastic_gradient(
         num_threads=body.solver.num_threads,
     )
     return gradient.reshape(x.shape), energy.reshape(x.shape[:-2])
+
+
+class ElasticGradient:
+    """The gradient of one energy, asked for at many places of one shape.
+
+    Args:
+        loads: Activations, pressures, body and physics, of that shape.
+
+    Attributes:
+        loads: As given.
+    """
+
+    def __init__(self, loads: Loads):
+        self.loads = loads
+        self._arrays = energy_arrays(loads)
+        self._tensors = self._arrays.tensors()
+        self._bound: _ops_elastic.BoundGradient | None = None
+
+    def __call__(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """As :func:`elastic_gradient`; x (..., num_nodes, 3) [m] is checked here."""
+        body = self.loads.prepared.body
+        if not is_kernel_alone((x, *self._tensors)):
+            x = require("x", x, ("...", body.mesh.num_nodes, 3))
+            return elastic_gradient(x, self.loads)
+        places = flat(x)
+        if self._bound is None:
+            options = {"handle": body.handle, "num_threads": body.solver.num_threads}
+            self._bound = _ops_elastic.BoundGradient(self._arrays, batch=len(places), **options)
+        gradient, energy = self._bound(places)
+        if not all_finite(energy):  # an energy is finite nowhere that a place is not
+            require("x", x, x.shape)
+        return gradient.reshape(x.shape), energy.reshape(x.shape[:-2])
 
 
 def elastic_force(

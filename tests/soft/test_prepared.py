@@ -6,8 +6,11 @@ import pytest
 import torch
 
 from diffsim import contact, soft
-from diffsim.soft import _ops_contact, _ops_step
+from diffsim.soft import _ops_contact, _ops_elastic, _ops_step
+from diffsim.soft.forces import ElasticGradient, elastic_gradient
+from diffsim.soft.inputs import check_loads
 from diffsim.soft.integrators import IMPLICIT, INTEGRATORS
+from diffsim.soft.prepared import Prepared
 from tests.soft.cases import irregular_mesh, leaf, noise, soft_body, two_muscles
 from tests.soft.test_chambers import hollow
 
@@ -182,3 +185,41 @@ def test_shared_parameters_are_bound_once(monkeypatch):
     monkeypatch.setattr(_ops_step.BoundStep, "__init__", counted)
     alone(monkeypatch, body, start, given)
     assert len(made) == 1
+
+
+def test_a_bound_energy_has_the_bits_of_the_op(monkeypatch):
+    """At single places and many at once, and where a derivative is asked for."""
+    monkeypatch.delitem(sys.modules, "torch._dynamo", raising=False)
+    body, _ = activated()
+    prepared = Prepared(body, body.physics(youngs_modulus=torch.tensor(35.0).double()))
+    for shape in ((), (3,), (2, 2)):
+        x = body.x_rest + 0.05 * noise(*shape, *body.x_rest.shape, seed=3)
+        loads = check_loads(prepared, tuple(x.shape), {})
+        bound = ElasticGradient(loads)
+        wanted, energy = elastic_gradient(x, loads)
+        with monkeypatch.context() as patch:
+            patch.setattr(_ops_elastic, "elastic_gradient_layer", None)
+            for _ in range(2):  # nothing of the first call is left in the second
+                found = bound(2.0 * x)
+                found = bound(x)
+        assert torch.equal(found[0], wanted)
+        assert torch.equal(found[1], energy)
+    place = leaf(x)
+    gradient, energy = bound(place)
+    assert torch.equal(gradient, wanted)
+    (slope,) = torch.autograd.grad(energy.sum(), place)
+    torch.testing.assert_close(slope, wanted)
+
+
+def test_a_bound_energy_refuses_what_the_op_refuses():
+    body, _ = forced()
+    bound = ElasticGradient(check_loads(Prepared(body, None), tuple(body.x_rest.shape), {}))
+    bad = body.x_rest.clone()
+    for value in (float("nan"), float("inf")):
+        bad[1, 2] = value
+        with pytest.raises(ValueError, match="x must be finite, got 1 NaN or infinite"):
+            bound(bad)
+    with pytest.raises((TypeError, ValueError)):
+        bound(body.x_rest[:-1])
+    with pytest.raises(TypeError):
+        bound(body.x_rest.float())

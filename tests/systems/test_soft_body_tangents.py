@@ -13,12 +13,20 @@ import torch
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
 from diffsim.systems import actuator, library
-from diffsim.systems.soft_body import SoftModel, beam_model, tendon_model, unknown_force
+from diffsim.systems.soft_body import (
+    SoftModel,
+    beam_model,
+    model,
+    tangents,
+    tendon_model,
+    unknown_force,
+)
 from diffsim.systems.soft_body import forces as soft_forces
 from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.material import _Relaxation
 from diffsim.systems.soft_body.scene import Force
 from diffsim.systems.soft_body.support import SUPPORT_MOTION
+from diffsim.systems.soft_body.unknown import _Knots
 from tests.systems.test_soft_body import BAR, held_beam, held_run
 
 CELLS = (4, 1, 1)
@@ -146,6 +154,66 @@ def test_unknown_force():
     x = np.zeros(len(problem.names))
     x[3] = 0.3
     assert_alike(problem, x)
+
+
+def test_knots_are_evaluated_at_once(monkeypatch):
+    """What each gives alone: to the last bit from zero on, where an unknown cause is weighed."""
+    effect = unknown_force(3, 0.2)
+    problem = problem_of(beam(), FREE, soft_forces.LINEAR_DRAG, effect)
+    x = np.zeros(len(problem.names))
+    acting = x + 0.3 * np.arange(len(x))
+    zero_at_once, at_once = problem.linearize(x)[1], problem.linearize(acting)[1]
+    calls = []
+    ask = _Knots.__call__
+    monkeypatch.setattr(_Knots, "__call__", lambda *a: calls.append(1) or ask(*a))
+    problem.residual(acting)
+    once = len(calls)
+    problem.linearize(acting)
+    assert len(calls) <= 3 * once  # not once for each of eighteen lines
+    monkeypatch.setattr(_Knots, "beside", Force.beside)
+    np.testing.assert_array_equal(zero_at_once, problem.linearize(x)[1])
+    columns = problem.linearize(acting)[1]
+    np.testing.assert_allclose(at_once, columns, atol=1e-9 * np.abs(columns).max(), rtol=0)
+    scene = problem.model.scene(FREE, torch.zeros(problem.num_base, dtype=torch.float64))
+    size = torch.ones(len(effect.components), dtype=torch.float64)
+    one = effect.apply(scene, size, FREE).forces[-1]()
+    other = unknown_force(3, 0.3).apply(scene, size, FREE).forces[-1]()
+    monkeypatch.undo()
+    assert one.beside([one]) is not None
+    assert one.beside([other]) is None
+    assert one.beside([soft_forces.DRY_FRICTION.apply(scene, size, FREE).forces[-1]()]) is None
+
+
+def test_lines_of_effects_share_one_plain_scene(monkeypatch):
+    """Scenes are built once per point of the base parameters; no line gets another point's."""
+    problem = problem_of(beam(), FREE, *AIR)
+    x = np.full(len(problem.names), 0.1)
+    shared = problem.linearize(x)[1]
+    built = []
+    make = SoftModel.scene
+
+    def scene(self, run, q, *rest):
+        built.append(q.numpy().tobytes())
+        return make(self, run, q, *rest)
+
+    monkeypatch.setattr(SoftModel, "scene", scene)
+    problem.linearize(x)
+    assert len(built) == len(set(built)) == 1 + 2 * problem.num_base
+    monkeypatch.setattr(model, "_PlainScenes", Anew)
+    monkeypatch.setattr(tangents, "_PhysicsRates", _each_alone(tangents._PhysicsRates))
+    np.testing.assert_array_equal(shared, problem.linearize(x)[1])
+
+
+class Anew(model._PlainScenes):
+    """Every scene is built when it is asked for."""
+
+    def __call__(self, q):
+        self._made.clear()
+        return super().__call__(q)
+
+
+def _each_alone(rates):
+    return lambda: lambda line: rates()(line)
 
 
 def test_forces_of_time_after_a_catch():

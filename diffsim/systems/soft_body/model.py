@@ -60,14 +60,15 @@ class SoftModel(SimModel):
         acting = {e for e, size in at.sizes.items() if bool(size.any())}
         if any(isinstance(e, NumericalEffect) for e in acting):
             return None
-        base = self._owned(run, at, acting, numerics)
+        plain = _PlainScenes(self, run, numerics)
+        base = _owned(plain, at, acting)
         if base is None:
             return None
         physical = [n for n in lines if not isinstance(n.effect, NumericalEffect)]
         scene_lines = []
         for line in physical:
             present = acting if line.effect is None else acting | {line.effect}
-            points = [self._owned(run, p, present, numerics) for p in line.points]
+            points = [_owned(plain, p, present) for p in line.points]
             scenes = tuple(p for p in points if p is not None)
             if len(scenes) < len(points):
                 return None
@@ -104,16 +105,37 @@ class SoftModel(SimModel):
         with torch.no_grad():
             return rate * (self.predict(run, at.q, sizes, finer) - here)
 
-    def _owned(
-        self, run: Run, at: Point, present: set[Effect], numerics: Numerics | None
-    ) -> OwnedScene | None:
-        """The scene at a point with some of its effects; None where it is no soft scene."""
-        scene = self.scene(run, at.q, None, numerics)
-        if not isinstance(scene, SoftScene):
-            return None
-        owners: list[Effect | None] = [None] * len(scene.forces)
-        for effect, size in at.sizes.items():
-            if effect in present and not isinstance(effect, NumericalEffect):
-                scene = effect.apply(scene, size, run)
-                owners += [effect] * (len(scene.forces) - len(owners))
-        return OwnedScene(scene, tuple(owners))
+
+class _PlainScenes:
+    """Scenes of a run without effects, built once for lines that leave base parameters alone.
+
+    Args:
+        model: Simulator.
+        run: Run with commands and times.
+        numerics: Factors on time step, mesh and tolerance; None: the model's own.
+    """
+
+    def __init__(self, model: SoftModel, run: Run, numerics: Numerics | None):
+        self.run = run
+        self._model, self._numerics = model, numerics
+        self._made: dict[bytes, Any] = {}
+
+    def __call__(self, q: Tensor) -> Any:
+        """The scene at standardized base parameters (num_base,)."""
+        key = q.numpy().tobytes()
+        if key not in self._made:
+            self._made[key] = self._model.scene(self.run, q, None, self._numerics)
+        return self._made[key]
+
+
+def _owned(plain: _PlainScenes, at: Point, present: set[Effect]) -> OwnedScene | None:
+    """The scene at a point with some of its effects; None where it is no soft scene."""
+    scene = plain(at.q)
+    if not isinstance(scene, SoftScene):
+        return None
+    owners: list[Effect | None] = [None] * len(scene.forces)
+    for effect, size in at.sizes.items():
+        if effect in present and not isinstance(effect, NumericalEffect):
+            scene = effect.apply(scene, size, plain.run)
+            owners += [effect] * (len(scene.forces) - len(owners))
+    return OwnedScene(scene, tuple(owners))

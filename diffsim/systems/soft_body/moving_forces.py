@@ -25,7 +25,7 @@ class _Together(NamedTuple):
 
     Attributes:
         scene: Scene of the hook.
-        hook: The hook.
+        hook: The hook, of the same form at all of them.
         idx: (n,) the points.
         factor: (n, 1, 1) how many times as large the force is at each.
     """
@@ -40,6 +40,16 @@ class _Together(NamedTuple):
         """Of factors by point."""
         factor = torch.stack(list(points.values()))[:, None, None]
         return cls(scene, hook, torch.tensor(list(points)), factor)
+
+
+def _at_once(hooks: Sequence[tuple[int, SoftScene, Force]]) -> _Together | None:
+    """Hooks of one maker at points as one hook, which knows them all; None: they are no such."""
+    (_, scene, hook), *others = hooks
+    alike = all(same_surroundings(scene, s, hook.reads) for _, s, _ in others)
+    if not others or not hook.leading_axes or not alike:
+        return None
+    one = hook.beside([h for _, _, h in others])
+    return None if one is None else _Together.of(scene, one, {p: _ONE for p, _, _ in hooks})
 
 
 def _multiples(
@@ -87,6 +97,9 @@ class MovingForces:
                     left.setdefault(key, []).append((p, owned.scene, make()))
         self._alone: list[tuple[int, SoftScene, Force]] = []
         for hooks_left in left.values():
+            if (at_once := _at_once(hooks_left)) is not None:
+                self._together.append(at_once)
+                continue
             for scene, hook, points in _multiples(hooks_left):
                 if len(points) > 1:
                     self._together.append(_Together.of(scene, hook, points))
@@ -135,9 +148,8 @@ class MovingForces:
         for scene, hook, idx, factor in self._together:
             force = hook(scene, Moment(x[idx], v[idx], scene.time_of(k), dt))
             total.index_add_(0, idx, factor * force)
-        places, speeds, rows = x.unbind(), v.unbind(), total.unbind()
         for p, scene, hook in self._alone:
-            rows[p].add_(hook(scene, Moment(places[p], speeds[p], scene.time_of(k), dt)))
+            total[p].add_(hook(scene, Moment(x[p], v[p], scene.time_of(k), dt)))
         return self._ahead(self._before_rates, self._points.slopes(total))
 
     def _ahead(self, before: list[Tensor], now: Tensor) -> Tensor:

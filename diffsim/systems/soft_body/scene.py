@@ -14,8 +14,8 @@ from diffsim import soft
 from diffsim.contact import Obstacle
 from diffsim.core.check import require
 from diffsim.core.errors import ConvergenceError
-from diffsim.soft.forces import elastic_gradient
-from diffsim.soft.inputs import Loads, check_loads
+from diffsim.soft.forces import ElasticGradient
+from diffsim.soft.inputs import check_loads
 from diffsim.soft.physics import LumpedVolume
 from diffsim.soft.prepared import Prepared
 from diffsim.systems.dials import delays_of
@@ -70,6 +70,14 @@ class Force:
         one of them; None: it is of another form.
 
         Both are in scenes that differ in no more than ``reads``.
+        """
+        return None
+
+    def beside(self, others: Sequence[Force]) -> Force | None:
+        """This force and others in one: each at its own one of the states (1 + n, num_nodes, 3) of
+        a moment, so that derivatives evaluate them at once; None: each is evaluated alone.
+
+        All are in scenes that differ in no more than ``reads``.
         """
         return None
 
@@ -407,13 +415,13 @@ class SolidForce:
 
     def __init__(self, prepared: Prepared, scale: Tensor):
         self._prepared, self._scale = prepared, scale
-        self._loads: dict[tuple[int, ...], Loads] = {}
+        self._gradients: dict[tuple[int, ...], ElasticGradient] = {}
 
     def __call__(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Force, shape of x (..., num_nodes, 3) [m], and mean square strain (...) [-]."""
-        x = require("x", x, ("...", self._prepared.body.mesh.num_nodes, 3))
         shape = tuple(x.shape)
-        if shape not in self._loads:
-            self._loads[shape] = check_loads(self._prepared, shape, {})
-        gradient, energy = elastic_gradient(x, self._loads[shape])
+        if shape not in self._gradients:
+            x = require("x", x, ("...", self._prepared.body.mesh.num_nodes, 3))
+            self._gradients[shape] = ElasticGradient(check_loads(self._prepared, shape, {}))
+        gradient, energy = self._gradients[shape](x)
         return -gradient, energy / self._scale

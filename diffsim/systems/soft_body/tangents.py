@@ -111,7 +111,8 @@ class _Motion:
             x = soft.rollout(body, start, steps, keep=lambda s: scene.observe(s.x), **signals).x
             return x, x.new_zeros(len(x), 0, x.shape[-1])
         moved = self._activation_rates
-        changing = stack_physics([_physics_rate(n) for n in self._lines])
+        rate_of = _PhysicsRates()
+        changing = stack_physics([rate_of(n) for n in self._lines])
         directions = soft.Directions(
             x=self._start_rates(start, first, changing),
             v=self._rates_of("start_velocity"),
@@ -192,10 +193,21 @@ def _moves(base: OwnedScene, line: SceneLine) -> bool:
     )
 
 
-def _physics_rate(line: SceneLine) -> soft.Physics:
-    scenes = [p.scene for p in line.points]
-    physics = [s.body.physics(**s.parameters) for s in scenes]
-    return difference_physics(physics, line.stencil.weights)
+class _PhysicsRates:
+    """How parameters change along lines; lines with the same parameters share what is computed."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[object, ...], soft.Physics] = {}
+        self._kept: list[SceneLine] = []  # so that nothing else gets the places of their parameters
+
+    def __call__(self, line: SceneLine) -> soft.Physics:
+        scenes = [p.scene for p in line.points]
+        key = (line.stencil, *(id(s.parameters) for s in scenes))
+        if key not in self._made:
+            physics = [s.body.physics(**s.parameters) for s in scenes]
+            self._made[key] = difference_physics(physics, line.stencil.weights)
+            self._kept.append(line)
+        return self._made[key]
 
 
 class _Observer:

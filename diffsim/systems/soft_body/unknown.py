@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -56,6 +57,40 @@ class _Knots(Force):
         if not isinstance(other, _Knots) or other._spacing != self._spacing:
             return None
         return ratio(self._rows, other._rows)
+
+    def beside(self, others: Sequence[Force]) -> Force | None:
+        """Signals on the same knots, with the same shapes."""
+        alike = [o for o in others if isinstance(o, _Knots) and self._is_like(o)]
+        if len(alike) < len(others):
+            return None
+        every = torch.stack([h._rows for h in (self, *alike)], 1)
+        return _ManyKnots(every, self._shapes, self._spacing)
+
+    def _is_like(self, other: _Knots) -> bool:
+        same_knots = other._spacing == self._spacing and other._rows.shape == self._rows.shape
+        return same_knots and torch.equal(other._shapes, self._shapes)
+
+
+class _ManyKnots(Force):
+    """n forces of :class:`_Knots`, each at a state of its own.
+
+    Args:
+        rows: (num_knots, n, 3 * num_shapes) values at the knots.
+        shapes: (num_shapes, num_nodes) volume that each value acts on [m^3].
+        spacing: Time between two knots [s].
+    """
+
+    leading_axes, reads = True, ()
+
+    def __init__(self, rows: Tensor, shapes: Tensor, spacing: float):
+        count, every = rows.shape[1], rows.flatten(1)
+        self._shapes = shapes
+        self._knots = OfTime(
+            lambda times: straight(every, spacing, times).unflatten(1, (count, 3, -1))
+        )
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        return (self._knots(moment) @ self._shapes).transpose(-1, -2)
 
 
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
