@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
 _STRAIGHT = 0.02  # share of it that this must promise
 _MAX_STEPS = 20
+_ENOUGH = 0.1 * FIT_RTOL  # promise of a step that is not simulated: slopes may be a little wrong
 _Asked = tuple[int, bytes, tuple[str, ...]]
 
 
@@ -142,18 +143,21 @@ class _Alone:
     def fitted(self, start: Array, columns: Callable[[Array], Array]) -> Array:
         """The least misfit from a start, (num_own,)."""
         low, high = self._bounds
-        unit = np.eye(len(self._own))
         is_bounded = np.isfinite(low).any() or np.isfinite(high).any()
-        found: Array = optimize.least_squares(
-            lambda part: np.concatenate([self._problem.residual(self.full(part)), part]),
-            np.clip(start, low, high),
-            jac=lambda part: np.vstack([columns(part), unit]),
-            bounds=(low, high),
-            method="dogbox" if is_bounded else "trf",
-            ftol=FIT_RTOL,
-            max_nfev=_MAX_STEPS,
-        ).x
-        return found
+        descent = _Descent(lambda part: self._problem.residual(self.full(part)), columns)
+        try:
+            found = optimize.least_squares(
+                descent.rest,
+                np.clip(start, low, high),
+                jac=descent.slopes,
+                bounds=(low, high),
+                method="dogbox" if is_bounded else "trf",
+                ftol=FIT_RTOL,
+                max_nfev=_MAX_STEPS,
+            )
+        except _EnoughError:
+            return descent.best
+        return np.asarray(found.x)
 
     def is_left_short(self, part: Array) -> bool:
         """Whether the misfit is large, and slopes taken anew promise to lower it."""
@@ -165,6 +169,54 @@ class _Alone:
     def _simulated(self, key: bytes) -> Array:
         point = self.full(np.frombuffer(key, dtype=np.float64))
         return -np.asarray(self._problem.linearize(point, only=self._own)[1][:, self._own])
+
+
+class _EnoughError(Exception):
+    """The next step promises less than fits are exact to."""
+
+
+class _Descent:
+    """What a least-squares solver asks for, until a step promises too little to be simulated.
+
+    A solver asks what a step gained. Where slopes are a little wrong it tries ever shorter steps
+    near the end, none of which gains anything; what they promise says as much beforehand.
+
+    Args:
+        residual: Whitened residual of the run at its values.
+        columns: Its slopes.
+
+    Attributes:
+        best: Values of the least misfit so far, (num_own,).
+    """
+
+    def __init__(self, residual: Callable[[Array], Array], columns: Callable[[Array], Array]):
+        self._residual, self._columns = residual, columns
+        self._least = np.inf
+        self.best = self._left = self._slopes = np.zeros(0)
+        self._has_failed = False  # the last step; slopes are those of the best values then
+
+    def rest(self, part: Array) -> Array:
+        """Residual with the prior below, (num_valid + num_own,).
+
+        Raises:
+            _EnoughError: a step from the best values failed, and this shorter one promises too
+                little.
+        """
+        if self._has_failed:
+            after = self._left + self._slopes @ (part - self.best)
+            if self._least - float(after @ after) < _ENOUGH * self._least:
+                raise _EnoughError
+        rest = np.concatenate([self._residual(part), part])
+        cost = float(rest @ rest)
+        self._has_failed = not cost < self._least
+        if not self._has_failed:
+            self._least, self.best, self._left = cost, part.copy(), rest
+        return rest
+
+    def slopes(self, part: Array) -> Array:
+        """Their slopes, (num_valid + num_own, num_own)."""
+        self._slopes = np.vstack([self._columns(part), np.eye(len(part))])
+        return self._slopes
 
 
 def _promise(left: Array, columns: Array, part: Array) -> float:

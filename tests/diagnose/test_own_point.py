@@ -64,6 +64,42 @@ def test_slopes_of_the_start_serve_where_they_lead_to_the_noise():
     assert problem.asked == 1
 
 
+@dataclass
+class Unexplained(Sliding):
+    """A straight line in the values, and what no value explains."""
+
+    runs: int = 0
+
+    def motion(self, x: np.ndarray) -> np.ndarray:
+        time = np.linspace(0.0, 1.0, 30)
+        return 60.0 * x[1] + 20.0 * x[2] * time
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        self.runs += 1
+        return super().residual(x) + WAVES
+
+
+WAVES = 20.0 * np.cos(6.0 * np.linspace(0.0, 1.0, 30))
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.3, -0.5])
+def test_steps_that_promise_nothing_are_not_simulated(monkeypatch, wrong):
+    """Wrong slopes may lead to ever shorter steps, none of which lowers the misfit. Where they gain
+    more than they promise, they are followed to the end."""
+    ends, counts = [], []
+    slopes = Unexplained().linearize(np.zeros(3), [1, 2])[1]
+    slopes[:, 1:] += wrong * WAVES[:, None]
+    for enough in (own_values._ENOUGH, 0.0):
+        monkeypatch.setattr(own_values, "_ENOUGH", enough)
+        problem = Unexplained()
+        ends.append(own_point(problem, np.zeros(3), RUN, slopes))
+        counts.append(problem.runs)
+    costs = [float(np.sum(Unexplained().residual(end) ** 2) + end @ end) for end in ends]
+    assert costs[0] <= costs[1] * (1.0 + own_values.FIT_RTOL)
+    if wrong > 0.0:
+        assert counts[0] <= 0.7 * counts[1]
+
+
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A fit's problem and coordinates."""
