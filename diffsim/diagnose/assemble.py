@@ -112,7 +112,7 @@ def report_of(
     case = null.case
     search, effects = judgment.search, case.effects
     if search is not None and judgment.decision.best:
-        search = with_numerics(search, judgment.decision.best)
+        search = with_numerics(search, judgment.decision.best, is_late=True)
         checks = checks.at_set(search.numerics.get(judgment.decision.best))
         judgment = _with_forms(judgment, search, checks.unrefined)
         search = judgment.search
@@ -120,7 +120,7 @@ def report_of(
     members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
     best = null.fit if search is None or not members else search.fit_of(members)
     if search is not None:
-        search = with_numerics(search, members)
+        search = with_numerics(search, members, is_late=True)
         judgment = replace(judgment, search=search)
         checks = checks.at_set(search.numerics.get(members))
     gates = checks.gates

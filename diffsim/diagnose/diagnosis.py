@@ -182,11 +182,12 @@ def _settled(null: Null, simulations: Simulations) -> Search:
         search = search_sets(begin(null, simulations))
         seconds = process_time() - started
         best = decision_of(search).best
-        search = with_numerics(search, best)
+        is_late = seconds > null.case.settings.again_seconds or round_ == MAX_SEARCHES - 1
+        search = with_numerics(search, best, is_late=is_late)
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:
             break
-        if seconds > null.case.settings.again_seconds or round_ == MAX_SEARCHES - 1:
+        if is_late:
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
         null = _stored_anew(under(null, checked.finer), simulations)

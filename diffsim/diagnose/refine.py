@@ -73,13 +73,15 @@ class SetNumerics:
         return SetNumerics(self.changes, tuple(gates), None)
 
 
-def numerics_of(null: Null, fit: Fit, record: Array) -> SetNumerics:
+def numerics_of(null: Null, fit: Fit, record: Array, *, is_late: bool = False) -> SetNumerics:
     """Check the settings at the fit of a set of causes.
 
     Args:
         null: The plain model under the settings in use.
         fit: Fit of the set.
         record: Its prediction, (N,).
+        is_late: Nobody will search with finer settings: ``finer`` is no more than some within the
+            budget, from which the gate may not pass yet.
     """
     here = Linearization(fit.x, record, (), np.zeros((len(record), 0)))
     changes = numerics_changes(fit.problem, here)
@@ -89,7 +91,10 @@ def numerics_of(null: Null, fit: Fit, record: Array) -> SetNumerics:
     if not settings.accept_numerics and settings.refine_budget > 1.0 and _failing(gates):
         own = replace(fit.problem, numerics=None)
         once = min(_timed(own, fit.x)[1] for _ in range(TIMINGS))
-        finer, _, _, paid = _refined(fit, settings.refine_budget, changes, gates, once)
+        # what refined settings cost is said of them
+        is_enough = is_late and not any(getattr(used, name) < 1.0 for name in REFINEMENTS)
+        budget = settings.refine_budget
+        finer, _, _, paid = _refined(fit, budget, changes, gates, once, is_any_enough=is_enough)
     noted = _noted(gates, fit.problem.numerics, paid, settings.refine_budget, finer == used)
     noted = tuple(replace(g, note=f"{g.note}; with the named causes") for g in noted)
     return SetNumerics(changes, noted, None if finer == used else finer)
@@ -133,8 +138,11 @@ def _refined(
     changes: dict[str, Array],
     gates: tuple[GateResult, ...],
     once: float,
+    *,
+    is_any_enough: bool = False,
 ) -> tuple[Numerics, dict[str, Array], tuple[GateResult, ...], float]:
-    """Settings from which the gate passes at the same parameters, within the budget.
+    """Settings from which the gate passes at the same parameters, within the budget; or any finer
+    ones within it, where these are enough.
 
     Returns:
         The settings, the changes and gates there, and the cost of a simulation over the plain one.
@@ -151,6 +159,8 @@ def _refined(
                 dear.add(name)
             else:
                 numerics, paid, record = finer, seconds / once, tried
+                if is_any_enough:
+                    return numerics, changes, gates, paid
         if record is None:
             break
         there = Linearization(x, record, (), np.zeros((len(record), 0)))

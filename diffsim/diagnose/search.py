@@ -73,15 +73,21 @@ def search_sets(search: Search) -> Search:
     return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
-def with_numerics(search: Search, members: Members) -> Search:
+def with_numerics(search: Search, members: Members, *, is_late: bool = False) -> Search:
     """Check the numerical settings at the fit of a set, once; at that of the plain model they were
-    checked before; those of corrected simulations are checked by their correction."""
+    checked before; those of corrected simulations are checked by their correction.
+
+    Args:
+        search: Sets that were weighed so far.
+        members: Effects of the set, by index.
+        is_late: Nobody will search with finer settings.
+    """
     case = search.null.case
     accepted = case.settings.accept_numerics or case.correction is not None
     if accepted or members == NONE or members in search.numerics:
         return search
     record = search.simulations.fitted[members].record
-    found = numerics_of(search.null, search.fit_of(members), record)
+    found = numerics_of(search.null, search.fit_of(members), record, is_late=is_late)
     return replace(search, numerics={**search.numerics, members: found})
 
 

@@ -45,6 +45,37 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
     assert np.linalg.norm(found.changes["time_step"]) < 0.6 * before
 
 
+@pytest.mark.parametrize(("budget", "numerics"), [(8.0, None), (1.5, None), (8.0, 0.5)])
+def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(
+    budget, numerics, monkeypatch
+):
+    """What is said of the settings is the same: that they fail, and whether finer are too dear."""
+    settings = replace(QUICK, refine_budget=budget)
+    null = null_fit(case(settings, step=0.01 if numerics is None else 0.04))
+    if numerics is not None:
+        null = refine.under(null, Numerics(time_step=numerics))
+
+    def timed(problem, x):
+        return record_at(problem, x), 1.0 / (problem.numerics or Numerics()).time_step
+
+    monkeypatch.setattr(refine, "_timed", timed)
+    count, found = null.case.model.simulations, []
+    for is_late in (False, True):
+        before = count.count
+        made = refine.numerics_of(null, null.fit, null.at.record, is_late=is_late)
+        found.append((made, count.count - before))
+    (sought, many), (late, few) = found
+    assert not all(g.passed for g in sought.gates)
+    assert late.gates == sought.gates
+    assert (late.finer is None) == (sought.finer is None) == (budget < 2.0)
+    assert late.postponed().gates == sought.postponed().gates
+    np.testing.assert_equal(late.changes, sought.changes)
+    if numerics is None and budget > 2.0:
+        assert few <= many - 2 * len(null.case.study.fit_runs)
+    else:  # nothing to leave out, or what refined settings cost is said
+        assert few == many
+
+
 class Clock:
     """CPU seconds that pass as scenes say, whatever else this machine does."""
 
