@@ -106,10 +106,12 @@ def matrix_from_rotation_vector(rotation_vector: Tensor) -> Tensor:
     Returns:
         (..., 3, 3).
     """
-    first, second = sinc_terms(rotation_vector.square().sum(-1))
-    cross = skew(rotation_vector)
+    square = rotation_vector.square().sum(-1)
+    first, second = (term[..., None, None] for term in sinc_terms(square))
     unit = torch.eye(3, dtype=rotation_vector.dtype)
-    return unit + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+    # K K = v v' - v'v I: products of small matrices are dear
+    twice = rotation_vector[..., :, None] * rotation_vector[..., None, :]
+    return unit + first * skew(rotation_vector) + second * (twice - square[..., None, None] * unit)
 
 
 # Quaternions.

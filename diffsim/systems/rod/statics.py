@@ -30,6 +30,9 @@ from diffsim.systems.rod.shape import Points, RodShape
 STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
 MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]
 MOST_STEPS = 40
+SHRINKS = 0.7  # factor by which steps with foreign slopes become shorter, or they are given up
+MIXED = 3  # earlier steps that the next one learns from
+RIDGE = 1e-10  # of scaled differences: where they are alike, none is preferred
 DIFFERENCE = 1e-5  # step of difference quotients by strains [1/m]
 SMOOTHING = 1e-3  # bends below this do not count as a kink of a tendon [1/m]
 
@@ -317,18 +320,53 @@ def nearby(
         tolerance: As of :func:`equilibrium`.
     """
     factor = torch.linalg.lu_factor(slopes)
-    last = float("inf")
+    last, before = float("inf"), Mixing()
     for _ in range(MOST_STEPS):
         left = residual(u)
         step = torch.linalg.lu_solve(*factor, left.flatten(2).permute(1, 2, 0))
         step = step.permute(2, 0, 1).reshape(left.shape)
         most = float((step.norm(dim=-1) * lengths).sum(-1).max())
-        if not most < 0.7 * last:
+        if not most < SHRINKS * last:
             return None
-        u, last = u - step, most
         if most < tolerance:
-            return u
+            return u - step
+        u, last = before.next(u, step), most
     return None
+
+
+class Mixing:
+    """Anderson's mixing of a fixed-point iteration, each row by itself.
+
+    Steps with slopes of another place shrink the error by a constant factor. What the last steps
+    changed shows most of what the slopes lack.
+
+    Source: Walker and Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49
+    (2011) 1715, eq. 2.2.
+    """
+
+    def __init__(self) -> None:
+        self.places: list[Tensor] = []
+        self.steps: list[Tensor] = []
+
+    def next(self, u: Tensor, step: Tensor) -> Tensor:
+        """The next place of each row.
+
+        Args:
+            u: Places, (K, S, N, 3).
+            step: What the iteration itself would take off, the same shape.
+        """
+        self.places = [*self.places, u.flatten(2)][-MIXED - 1 :]
+        self.steps = [*self.steps, -step.flatten(2)][-MIXED - 1 :]
+        plain = u - step
+        if len(self.steps) < 2:
+            return plain
+        moves = torch.stack(self.places, -1).diff(dim=-1)
+        turns = torch.stack(self.steps, -1).diff(dim=-1)
+        scale = turns.norm(dim=-2, keepdim=True).clamp_min(1e-300)
+        moves, turns = moves / scale, turns / scale
+        inner = turns.mT @ turns + RIDGE * torch.eye(turns.shape[-1], dtype=u.dtype)
+        shares = torch.linalg.solve(inner, turns.mT @ self.steps[-1][..., None])
+        return plain - ((moves + turns) @ shares)[..., 0].reshape(u.shape)
 
 
 __all__ = ["Rod", "equilibrium", "nearby", "running_products"]

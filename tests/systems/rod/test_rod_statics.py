@@ -10,6 +10,7 @@ import torch
 from scipy.integrate import solve_bvp
 
 from diffsim.core.errors import ConvergenceError
+from diffsim.systems.rod import statics
 from diffsim.systems.rod.shape import points_on, rod_shape
 from diffsim.systems.rod.statics import Rod, equilibrium, nearby
 
@@ -187,6 +188,29 @@ def test_neighbors_are_found_by_the_slopes_of_one():
     far = replace(made, pull=torch.tensor([[[4.0]], [[-40.0]]], dtype=F64))
     few = known.expand(2, 1, 12, 3)
     assert nearby(far.residual, few, slopes, made.shape.lengths, 1e-10) is None
+
+
+def test_mixed_steps_take_what_the_slopes_lack_from_earlier_ones(monkeypatch):
+    """Slopes of a rod that is pulled less: half the residuals, the same equilibrium."""
+    made = rod(12, pull=4.0, density=100.0)
+    start = torch.zeros(1, 12, 3, dtype=F64)
+    slopes = equilibrium(rod(12, pull=2.5, density=100.0), start, 1e-10)[1]
+    known = equilibrium(made, start, 1e-10)[0]
+    guess = known + 0.01 * torch.randn(1, 1, 12, 3, generator=torch.manual_seed(0), dtype=F64)
+    asked = []
+
+    def residual(u):
+        asked.append(len(u))
+        return made.residual(u)
+
+    counts = []
+    for mixed in (0, statics.MIXED):
+        monkeypatch.setattr(statics, "MIXED", mixed)
+        found = nearby(residual, guess, slopes, made.shape.lengths, 1e-10)
+        assert found is not None
+        torch.testing.assert_close(found[0], known, atol=1e-8, rtol=0.0)
+        counts.append(len(asked) - sum(counts))
+    assert counts[1] <= 0.6 * counts[0]
 
 
 def test_no_equilibrium_is_said():
