@@ -26,6 +26,7 @@ from diffsim.diagnose.records import (
     CauseRow,
     Interval,
 )
+from diffsim.diagnose.scan import least_tried
 from diffsim.diagnose.screen import VISIBLE, Screen
 from diffsim.identify.effect import Effect
 
@@ -216,6 +217,9 @@ def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
     status, rivals = _status(told, about, i, p)
     helps = i in told.members and status not in (CERTAIN, LIKELY)
     sizes = about.size(i) or row.size
+    if status in (HIDDEN, REFUTED):  # nobody looked below
+        least = least_tried(effect)
+        sizes = {c: replace(s, high=max(s.high, least)) for c, s in sizes.items()}
     value = next(iter(sizes.values())).value if len(sizes) == 1 else 0.0
     words = effect.words(value) if effect.words is not None and value else row.words
     if effect.says is not None and value:
@@ -299,15 +303,13 @@ def _smallest_visible(told: Told, i: int) -> dict[str, float]:
     screened = told.screened.smallest_visible[k : k + len(effect.components)]
     out = dict(zip(effect.components, (float(s) for s in screened), strict=True))
     search = told.judgment.search
-    if search is None:
-        return out
-    for h, w in search.weighed.items():
+    for h, w in ({} if search is None else search.weighed).items():
         if i in h.effects and w.fit is not None and w.fit.converged:
             own = w.fit.problem.columns_of(effect)
             names = [w.fit.problem.names[c] for c in own]
             for component, name in zip(effect.components, names, strict=True):
                 out[component] = min(out[component], VISIBLE * w.fit.sd[name])
-    return out
+    return {c: max(s, least_tried(effect)) for c, s in out.items()}
 
 
 def _screened_size(told: Told, i: int) -> dict[str, Interval]:

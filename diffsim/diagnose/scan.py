@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
@@ -34,6 +35,10 @@ Members = frozenset[int]
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of the typical size
 COARSE_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)  # in pairs, and for effects of several components
 SCAN_NATS = 10.0  # misfit below which nothing large can hide
+CLOSE = 30  # sizes from which the best are sought in one run
+BEST = 3  # of them, that are looked around and then tried in all runs
+ROUNDS = 3  # of looking around, each a third as far as the one before
+FEW = 5  # of them, that show in which run
 BORROWED = 1.0  # relative error that slopes from elsewhere are taken to have
 
 
@@ -95,9 +100,17 @@ def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Ite
         yield frozenset(pair)
 
 
-def num_points(effects: Sequence[Effect]) -> int:
-    """Number of sizes that a scan of a group tries."""
-    return len(_combined(effects))
+def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
+    """Number of sizes that a scan of a group tries.
+
+    Args:
+        effects: The group.
+        num_runs: Runs that are simulated for each size; one in one run alone counts by its share.
+    """
+    count = len(_combined(effects))
+    if not _is_close(effects):
+        return count
+    return FEW + BEST + -(-(count + 2 * BEST * ROUNDS) // num_runs)
 
 
 def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequence[int]) -> Scan:
@@ -111,28 +124,116 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
     """
     effects = [wide.effects[i] for i in group]
     columns = [c for e in effects for c in wide.columns_of(e)]
-    tried = _combined(effects)
-    coordinates = sorted({*own, *columns})
-    narrow = narrowed(wide, coordinates)
-    points = np.tile(center.x, (len(tried), 1))
-    points[:, columns] = tried
-    records = records_for(narrow, points[:, coordinates], center.record)
     rest = [c for c in own if c not in columns]
-    costs = costs_of(wide, center, rest, records, points[:, columns])
+    count, tried = num_points(effects, len(first_runs(wide.runs))), _combined(effects)
+    if _is_close(effects):
+        tried = _best_of_one_run(wide, own, center, columns, tried)
+    costs = _costs_at(wide, own, center, columns, tried)
     here = costs_of(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
     best = int(np.argmin(costs))
     if not costs[best] < here - 2.0:  # within a nat of what no size of theirs does
-        return Scan(None, len(tried))
+        return Scan(None, count)
+    coordinates = sorted({*own, *columns})
+    x, place = center.x.copy(), {c: k for k, c in enumerate(coordinates)}
+    x[columns] = tried[best]
     try:
-        place = {c: k for k, c in enumerate(coordinates)}
-        at = linearization_at(narrow, points[best][coordinates], [place[c] for c in columns])
+        narrow = narrowed(wide, coordinates)
+        at = linearization_at(narrow, x[coordinates], [place[c] for c in columns])
     except DiffsimError:  # it cannot be moved there: fits start elsewhere
-        return Scan(None, len(tried))
+        return Scan(None, count)
     slopes = center.slopes(range(len(center.x))).copy()
     slopes[:, columns] = at.columns
     everything = tuple(range(len(center.x)))
-    found = Linearization(points[best], at.record, everything, slopes, BORROWED)
-    return Scan(found, len(tried))
+    found = Linearization(x, at.record, everything, slopes, BORROWED)
+    return Scan(found, count)
+
+
+def _costs_at(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], tried: Array
+) -> Array:
+    """chi2 and prior of sizes (num_points, num_columns), all else refitted linearly."""
+    records = _records_at(wide, own, center, columns, tried)
+    rest = [c for c in own if c not in columns]
+    return costs_of(wide, center, rest, records, tried)
+
+
+def _records_at(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], tried: Array
+) -> Array:
+    coordinates = sorted({*own, *columns})
+    points = np.tile(center.x, (len(tried), 1))
+    points[:, columns] = tried
+    return records_for(narrowed(wide, coordinates), points[:, coordinates], center.record)
+
+
+def _best_of_one_run(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], tried: Array
+) -> Array:
+    """The best few sizes by the run that they move most, each looked around more and more closely.
+
+    Args:
+        tried: Sizes of one component, (num_points, 1); others as of ``_costs_at``.
+    """
+    tried = tried[np.argsort(tried[:, 0])]
+    chosen = _most_moved(wide, own, center, columns, tried[:: len(tried) // FEW])
+    rows = _rows_of(wide.runs)[chosen]
+    one = replace(wide, runs=(wide.runs[chosen],))
+    there = Linearization(center.x, center.record[rows], center.idx, center.columns[rows])
+    costs = _costs_at(one, own, there, columns, tried)
+    best = _valleys(costs)[:BEST]
+    points, least = tried[best], costs[best]
+    away = np.gradient(tried[:, 0])[best, None]
+    for _ in range(ROUNDS):
+        away = away / 3.0
+        around = np.concatenate([points - away, points + away])
+        beside = _costs_at(one, own, there, columns, around)
+        places = np.concatenate([points, around]).reshape(3, len(points))
+        found = np.concatenate([least, beside]).reshape(3, len(points))
+        now = np.argmin(found, 0), np.arange(len(points))
+        points, least = places[now][:, None], found[now]
+    return points
+
+
+def _valleys(costs: Array) -> Array:
+    """Indices of what is no worse than both neighbors, best first."""
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    low = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+    return low[np.argsort(costs[low])]
+
+
+def _most_moved(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], some: Array
+) -> int:
+    """Index of the run whose record some sizes move most, over the noise."""
+    moved = np.nan_to_num(_records_at(wide, own, center, columns, some) - center.record)
+    rows = _rows_of(wide.runs)
+    one = [replace(wide, runs=(run,)) for run in wide.runs]
+    moves = [linalg.norm(whitened(p, moved[:, r].T)) for p, r in zip(one, rows, strict=True)]
+    return int(np.argmax(moves))
+
+
+def _rows_of(runs: Sequence[Run]) -> list[slice]:
+    ends = np.cumsum([0, *(run.measured.size for run in runs)])
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def least_tried(effect: Effect) -> float:
+    """Size below which an effect that must be known closely was never looked for [unit]; else 0."""
+    return min(effect.tries) * effect.typical if _is_close([effect]) else 0.0
+
+
+def _is_close(effects: Sequence[Effect]) -> bool:
+    """Whether an effect of one component names so many sizes that one run has to choose."""
+    return len(effects) == 1 and len(effects[0].tries) >= CLOSE and not effects[0].components[1:]
+
+
+def first_runs(runs: Sequence[Run]) -> list[int]:
+    """Indices of the runs that a scan simulates: of one command the first."""
+    return sorted(set(_stand_ins(runs)))
+
+
+def _stand_ins(runs: Sequence[Run]) -> list[int]:
+    return [next(j for j, r in enumerate(runs) if _repeats(run, r)) for run in runs]
 
 
 def _mask(a: Effect, b: Effect) -> bool:
@@ -180,7 +281,7 @@ def records_for(narrow: Problem, points: Array, here: Array) -> Array:
         here: Record at the center, (N,).
     """
     runs = narrow.runs
-    stands_for = [next(j for j, r in enumerate(runs) if _repeats(run, r)) for run in runs]
+    stands_for = _stand_ins(runs)
     kept = sorted(set(stands_for))
     made = records_at(replace(narrow, runs=tuple(runs[j] for j in kept)), points)
     ends = np.cumsum([runs[j].measured.size for j in kept])[:-1]

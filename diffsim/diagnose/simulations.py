@@ -21,7 +21,7 @@ from diffsim.diagnose.evidence import Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.fit_store import gauss_newton_kept
 from diffsim.diagnose.located import course_at, scan_located
-from diffsim.diagnose.scan import Scan, groups, num_points, scan
+from diffsim.diagnose.scan import Scan, first_runs, groups, num_points, scan
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect
@@ -282,7 +282,8 @@ class Simulations:
                 points = 0  # of what is located by its course none are tried
                 if self.wide.effects[members[0]].locate is None:
                     points = sum(s.num_points for s in made.scans.values())
-                    points += num_points([self.wide.effects[i] for i in members])
+                    effects = [self.wide.effects[i] for i in members]
+                    points += num_points(effects, len(first_runs(self.wide.runs)))
                 if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
                     is_late = points <= settings.scan_points
                     made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))

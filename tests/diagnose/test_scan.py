@@ -13,13 +13,20 @@ from diffsim.diagnose.fit import Case, Null
 from diffsim.diagnose.gates import scan_gate
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import noise_floor
-from diffsim.diagnose.scan import groups, num_points, records_for, scan
+from diffsim.diagnose.scan import (
+    first_runs,
+    groups,
+    least_tried,
+    num_points,
+    records_for,
+    scan,
+)
 from diffsim.diagnose.search import begin, repaired, search_sets
 from diffsim.diagnose.simulations import Simulations
 from diffsim.diagnose.store import Store
 from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
 from diffsim.identify.fitting import summary
-from diffsim.identify.linearization import linearization_at, record_at
+from diffsim.identify.linearization import linearization_at, measured_of, record_at
 from tests.diagnose import linear
 
 TYPICAL = 0.5
@@ -111,6 +118,23 @@ def test_sizes_that_an_effect_names_are_tried_instead_of_decades():
     """Between 0.5 and 1.5 of the typical size lies nothing but what the effect asks for."""
     narrow = replace(clipped(), tries=(0.7, 0.8))
     assert (num_points([clipped()]), num_points([narrow])) == (6, 2)
+
+
+def test_many_sizes_are_tried_in_one_run_and_looked_around():
+    """Of forty sizes up to six times the usual one the true one is none; the scan comes nearer."""
+    close = replace(clipped(), tries=tuple(np.linspace(0.15, 6.0, 40)))
+    assert (num_points([close]), num_points([close], 4)) == (66, 23)
+    problem = linear.problem((close,))
+    lost = (WAVE - WAVE.clamp(-0.5, 0.5)).numpy()[:, None]
+    runs = [replace(r, measured=r.measured - lost) for r in problem.runs]
+    problem = replace(problem, runs=tuple(runs))
+    at = linearization_at(problem, np.zeros(3), screen=True)
+    found = scan(problem, [0, 1], at, [0])
+    coarse = scan(replace(problem, effects=(clipped(),)), [0, 1], at, [0])
+    assert found.num_points == num_points([close], len(first_runs(problem.runs)))
+    costs = [np.sum(np.square(measured_of(problem) - f.at.record)) for f in (found, coarse)]
+    assert costs[0] < costs[1]
+    assert least_tried(close) == pytest.approx(0.15 * TYPICAL) and least_tried(clipped()) == 0.0
 
 
 def test_without_scans_it_is_not():
