@@ -11,6 +11,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.units import factor
@@ -18,6 +20,9 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems import grid as signals
 from diffsim.systems.grid import Grid, SizedMap, on_columns
+
+Array = NDArray[np.float64]
+_NOTHING = 1e-300  # of a command that is zero throughout
 
 
 class Commanded(Protocol):
@@ -33,6 +38,25 @@ def needs_command(study: Study) -> str | None:
     if not any(run.command for run in study.runs):
         return "runs with a recorded command"
     return None
+
+
+def needs_fine_command(study: Study) -> str | None:
+    """A recorded command of more values than the finest steps that a scan tries."""
+    if (lacks := needs_command(study)) is not None:
+        return lacks
+    values = [
+        np.unique(np.concatenate([run.command[name] for run in study.runs if name in run.command]))
+        for name in {name for run in study.runs for name in run.command}
+    ]
+    most = max(len(np.unique(_digits(v[np.isfinite(v)]))) for v in values)
+    if most < FINE:
+        return f"a command of {FINE} values or more; the recorded one has {most}"
+    return None
+
+
+def _digits(values: Array) -> Array:
+    """Values to six digits of the largest, so that rounding of a file makes none."""
+    return np.round(values / max(float(np.abs(values).max(initial=0.0)), _NOTHING), 6)
 
 
 def on_command(change: SizedMap) -> Apply:
@@ -181,7 +205,38 @@ COMMAND_OFFSET = replace(
     apply=on_command(shifted),
 )
 
-ACTUATOR: tuple[Effect, ...] = (LAG, DEAD_BAND, BACKLASH, SATURATION)
+# A wrong size predicts an unrelated staircase: sizes lie so closely that at the greatest command
+# the nearest is a fifth of a step off, and are never so fine that records hardly show them.
+STEPS = tuple(np.arange(2.0, 25.0, 0.4).tolist())  # from zero to the greatest command
+FINE = 48  # values of a command that tell it from one that was rounded itself
+_USUAL_STEPS = 10.0
+QUANTIZATION = replace(
+    DEAD_BAND,
+    name="quantization",
+    form="The actuator moves in steps of size, to the nearest one counted from zero.",
+    tries=tuple(_USUAL_STEPS / n for n in STEPS),
+    also_looks_like=(
+        "resolution of a stepper, a servo or a DAC",
+        "dry friction",
+        "saturation, if few steps are used",
+    ),
+    needs=needs_fine_command,
+    apply=on_command(signals.in_steps),
+)
+
+
+def quantization(reach: float, *, held: bool = False) -> Effect:
+    """Steps of an actuator, for commands whose greatest magnitude is ``reach``.
+
+    Args:
+        reach: Greatest magnitude of the command, in its unit.
+        held: Commands are held from sample to sample; else straight lines join the samples.
+    """
+    change = signals.held_in_steps if held else signals.in_steps
+    return replace(QUANTIZATION, typical=reach / _USUAL_STEPS, apply=on_command(change))
+
+
+ACTUATOR: tuple[Effect, ...] = (QUANTIZATION, LAG, DEAD_BAND, BACKLASH, SATURATION)
 
 
 def in_words(effect: Effect, unit: str, shown: str | None = None) -> Effect:
@@ -222,7 +277,9 @@ def command_causes(
     lagged = signals.held_lagged if held else signals.lagged
     delayed = signals.held_delayed if held else signals.delayed
     limit = f"The command is limited to (1 - size) times {reach:.4g}, the largest."
+    stepped = signals.held_in_steps if held else signals.in_steps
     found: list[tuple[Effect, SizedMap]] = [
+        (quantization(reach, held=held), stepped),  # first: of the command, not of what is late
         (LAG, lagged),
         (COMMAND_DELAY, delayed),
         (COMMAND_GAIN, scaled),
@@ -234,5 +291,5 @@ def command_causes(
         (replace(RATE_LIMIT, typical=0.1 / reach, masks=()), signals.slowed),
     ]
     if not one_sided:
-        found.insert(5, (replace(DEAD_BAND, typical=size), signals.dead_band))
+        found.insert(6, (replace(DEAD_BAND, typical=size), signals.dead_band))
     return found

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
+_SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 
 
@@ -194,6 +195,60 @@ def dead_band(u: Tensor, grid: Grid, half_width: Tensor) -> Tensor:
 def slack(u: Tensor, grid: Grid, length: Tensor) -> Tensor:
     """Nothing until a positive signal exceeds ``length``, () or (K,), then that much less."""
     return torch.where(u > 0.0, (u - length[..., None]).clamp(min=0.0), u)
+
+
+def in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
+    """A signal that is straight between times, rounded to whole ``step``, () or (K,).
+
+    An actuator that counts steps passes all of them on the way: each value is the mean from half
+    way to the time before to half way to the next. So what comes before it has its true slope,
+    though that of the rounding is zero almost everywhere.
+    """
+    return _rounded(u, step, lambda s: _mean_rounding(u, grid, s))
+
+
+def held_in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
+    """A command that is held over each step of time, rounded to whole ``step``, () or (K,).
+
+    Values are exact. Slopes are those of ``in_steps``: what comes before it moves when values
+    change to the next step, which no single value shows.
+    """
+
+    def error(s: Tensor) -> Tensor:
+        slope = _mean_rounding(u, grid, s)
+        return (_rounding(u, s).detach() - slope.detach()) + slope
+
+    return _rounded(u, step, error)
+
+
+def _rounded(u: Tensor, step: Tensor, error: Callable[[Tensor], Tensor]) -> Tensor:
+    wide = step[..., None]
+    return torch.where(wide > 0.0, u + error(torch.where(wide > 0.0, wide, 1.0)), u)
+
+
+def _rounding(u: Tensor, step: Tensor) -> Tensor:
+    """What rounding to the nearest step, counted from zero, adds."""
+    return step * torch.round(u / step) - u
+
+
+def _mean_rounding(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
+    """Mean of ``_rounding`` around each time along straight lines, exactly."""
+    half_way = 0.5 * (u[..., 1:] + u[..., :-1])
+    h = grid.times.diff()
+    none = torch.zeros_like(h[:1])
+    after = h * _mean_on_way(u[..., :-1], half_way, step)
+    before = h * _mean_on_way(half_way, u[..., 1:], step)
+    still = torch.zeros_like(after[..., :1])
+    total = torch.cat([after, still], -1) + torch.cat([still, before], -1)
+    return total / (torch.cat([h, none]) + torch.cat([none, h]))
+
+
+def _mean_on_way(start: Tensor, end: Tensor, step: Tensor) -> Tensor:
+    """Mean of the rounding e on a straight way: -e^2 / 2 is its integral, across steps, too."""
+    first, last, far = _rounding(start, step), _rounding(end, step), end - start
+    moves = far.abs() > _SHORT_WAY * step
+    mean = 0.5 * (first.square() - last.square()) / torch.where(moves, far, 1.0)
+    return torch.where(moves, mean, 0.5 * (first + last))
 
 
 def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -173,8 +173,7 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
     """Candidate causes of the laboratory's bar.
 
     Left out: what is a base parameter (stiffness-proportional damping, placement), what the
-    laboratory has no channels for (tilt and lens of cameras), a current without known drag, and
-    steps of the tension (quantization), for which there is no term.
+    laboratory has no channels for (tilt and lens of cameras), and a current without known drag.
 
     Args:
         largest_N: Largest force that the drive can pull with [N].
@@ -189,6 +188,7 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
         ADDED_MASS,
         SIDEWAYS_TILT,
         DRY_FRICTION,
+        actuator.in_words(actuator.quantization(largest_N), "N"),
         DELAY,
         LAG,
         TENSION_DEAD_BAND,

@@ -2,6 +2,7 @@
 
 from diffsim.identify.effect import Effect
 from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
+from diffsim.systems.multicopter.candidates import thrust_steps
 from diffsim.systems.multicopter.effects import COPTER
 from diffsim.systems.multicopter.model import CopterModel, flight_model, flight_nuisances
 from diffsim.systems.multicopter.scene import CopterScene
@@ -11,7 +12,13 @@ from diffsim.systems.multicopter.unknown import unknown_wrench
 
 def copter_library(num_rotors: int = 4) -> tuple[Effect, ...]:
     """Causes in flights; those of single rotors once for each."""
-    return (*COPTER, HELD_LAG, HELD_DELAY, *of_each_rotor(num_rotors))
+    return (
+        thrust_steps(1.0, num_rotors),
+        *COPTER,
+        HELD_LAG,
+        HELD_DELAY,
+        *of_each_rotor(num_rotors),
+    )
 
 
 __all__ = [

@@ -145,6 +145,7 @@ def vehicle_of(
         battery=of.battery,
         has_estimator=of.estimator is not None,
         states_sensors=states_sensors,
+        has_thrust=of.commands.meaning == "thrust",
     )
 
 

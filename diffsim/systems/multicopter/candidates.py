@@ -8,9 +8,10 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.copter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
+from diffsim.systems.actuator import HELD_DELAY, HELD_LAG, in_words, quantization
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import sensors as seen
 from diffsim.systems.multicopter import single_rotors as single
@@ -49,6 +50,7 @@ class Vehicle:
         battery: Name of the command that is the battery's voltage; None: none.
         has_estimator: Whether an estimator shows velocity and attitude.
         states_sensors: Whether channels say which sensor shows them: each has a clock then.
+        has_thrust: Whether commands tell the rotors' thrust, not a speed or a throttle.
     """
 
     num_rotors: int
@@ -66,6 +68,7 @@ class Vehicle:
     battery: str | None
     has_estimator: bool = False
     states_sensors: bool = False
+    has_thrust: bool = False
 
 
 def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
@@ -86,11 +89,24 @@ def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
         *_of_sensors(of, arm, in_body),
         *(in_body(e) if len(e.components) > 1 else e for e in single.of_each_rotor(of.num_rotors)),
     ]
+    if of.has_thrust:
+        out.insert(0, thrust_steps(of.mass, of.num_rotors))
     if not of.has_lag:
         out.append(SPEED_LAG if of.lags_speed else HELD_LAG)
     if not of.has_clock:
         out.append(HELD_DELAY)
     return tuple(out)
+
+
+def thrust_steps(mass: float, num_rotors: int) -> Effect:
+    """Thrust that is commanded in whole steps, of commands up to half more than hover needs.
+
+    Args:
+        mass: Of the vehicle [kg].
+        num_rotors: Number of rotors.
+    """
+    reach = 1.5 * mass * GRAVITY / num_rotors
+    return in_words(quantization(reach, held=True), "N")
 
 
 def acting_in(effect: Effect, facts: Mapping[str, str | float]) -> Effect:

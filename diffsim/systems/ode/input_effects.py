@@ -43,7 +43,7 @@ def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect
             name=model.name + tail,
             masks=tuple(m + tail for m in model.masks),
             # what a study must have is checked where the input is read
-            needs=needs_nothing,
+            needs=model.needs if model.name == "quantization" else needs_nothing,
             apply=_played(name)
             if model.name == "backlash"
             else by_input(name, change if model.smooth else _or_none(change)),

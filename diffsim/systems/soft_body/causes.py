@@ -10,7 +10,7 @@ import numpy as np
 
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
-from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION, in_words
+from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION, in_words, quantization
 from diffsim.systems.soft_body import forces, material, sensor
 from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.loads import (
@@ -110,7 +110,8 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
         "slack": TYPICAL_SHARE * width,
         "rate_limit": LIMIT_SHARE / rate,
     }
-    found = [LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
+    reach = max(np.abs(fitted_reach(study, given.commands)))
+    found = [quantization(reach or 1.0), LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
     if all(d.gain.is_fitted for d in drives):
         found = [e for e in found if e.name != "command_gain"]
     if not timed:

@@ -65,7 +65,7 @@ def cases() -> list[Case]:
     for decoy in DECOYS:
         add("decoy", decoys=[decoy])
     add("null")
-    add("outside", {"quantization": None})
+    add("single", {"quantization": None})
     add("outside", {"updraught": 0.4})
     return plan
 
