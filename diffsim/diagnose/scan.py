@@ -194,7 +194,7 @@ def _best_of_one_run(
     return points
 
 
-def _valleys(costs: Array) -> Array:
+def _valleys(costs: Array) -> NDArray[np.intp]:
     """Indices of what is no worse than both neighbors, best first."""
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     low = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
