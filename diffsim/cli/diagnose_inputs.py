@@ -28,10 +28,8 @@ from diffsim.systems.ode.traced import with_function
 from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
+# sets grow as in full while there is time: of two causes only, cheap studies had wrong names
 QUICK: dict[str, Any] = {
-    "num_refits": 2,
-    "max_rounds": 4,
-    "max_effects": 2,
     "scan_seconds": 20.0,
     "refit_seconds": 12.0,
     "linear_error": 0.2,  # fits end earlier, so that linear evidence at their ends is rougher

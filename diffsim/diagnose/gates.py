@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -228,8 +229,11 @@ def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
     """
     if not settings.is_first_answer:
         return ()
+    until = settings.search.refit_seconds
     note = (
-        f"sets of at most {settings.search.max_effects} causes were tried, fits end within "
+        f"sets of at most {settings.search.max_effects} causes were tried"
+        + (f", no larger one after {until:g} CPU s of search" if math.isfinite(until) else "")
+        + ", fits end within "
         f"{settings.fit_rtol:.0%} of their misfit, and the noise was estimated once; "
         "what it names is likely, never certain"
     )

@@ -59,6 +59,17 @@ def explained_quick(study_folder, tmp_path_factory):
     return out
 
 
+def test_a_first_answer_may_hold_as_many_causes_as_a_full_one(study_folder):
+    """Its time ends it. Of two causes at most, studies of cheap simulations had wrong names."""
+    study = load_study(study_folder)
+    quick, full = (
+        inputs_of(study, seed=0, setup_file=Path(SETUP), quick=quick).setup.settings.search
+        for quick in (True, False)
+    )
+    assert (quick.max_effects, quick.max_rounds) == (full.max_effects, full.max_rounds)
+    assert quick.refit_seconds < full.refit_seconds
+
+
 def run(step, study, out, *more):
     return cli.main(
         ["diagnose", step, str(study), "--out", str(out), "--setup", SETUP, "--debug", *more]
