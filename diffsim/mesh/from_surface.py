@@ -20,6 +20,8 @@ from diffsim.mesh.repair import flip_inverted, remove_degenerate
 from diffsim.mesh.stuffing import fill
 from diffsim.mesh.voxels import grid, hex_from_mask
 
+FINEST = 1e-4  # spacing over the diagonal: some 1e12 elements, more than a memory holds
+
 
 def voxelize(surface: SurfaceLike, spacing: float, keep: str = "largest") -> HexMesh:
     """Cubes whose center lies inside a closed surface.
@@ -64,6 +66,8 @@ def tetrahedralize(
     Raises:
         ImportError: "ftetwild" was asked for and is not installed.
         MeshError: the surface is not closed.
+        ValueError: "ftetwild" with a spacing above the diagonal of the bounding box, or below 1e-4
+            of it.
     """
     require_choice("method", method, ["auto", "ftetwild", "stuffing"])
     spacing = require_number("spacing", spacing, above=0.0)
@@ -107,6 +111,11 @@ def _pytetwild() -> ModuleType:
 def _ftetwild(x: Array, faces: IntArray, spacing: float, tolerance: float | None) -> TetMesh:
     """One thread, so that callers decide how many processors are busy."""
     diagonal = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    if not FINEST * diagonal <= spacing <= diagonal:  # beyond these fTetWild does not end
+        raise ValueError(
+            f"spacing must be from {FINEST:g} to 1 times the diagonal of the surface's bounding "
+            f"box, {diagonal:.3g} m, got {spacing:g} m"
+        )
     by_product = Path("__tracked_surface.stl")  # pytetwild 0.2.3 leaves it in the current folder
     existed = by_product.exists()
     points, tets = _pytetwild().tetrahedralize(
