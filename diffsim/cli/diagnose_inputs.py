@@ -42,6 +42,7 @@ FIRST: dict[str, Any] = {
     "dear_seconds": 0.3,
     "again_seconds": 12.0,
     "fit_rtol": 0.01,
+    "fit_nats": 0.5,  # a sixth of what separates two names
     "bend_after": 0,
 }
 

@@ -283,7 +283,8 @@ def _key(case: Case) -> str:
     """Hash of everything that changes a simulation."""
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
-    fits = case.settings.fit_rtol, case.settings.bend_after
+    s = case.settings
+    fits = s.fit_rtol, s.fit_nats, s.bend_after
     told = None if case.correction is None else case.correction.key
-    settings = (case.settings.jacobian, case.numerics, fits, told)
+    settings = (s.jacobian, case.numerics, fits, told)
     return key_of(case.study, case.model, causes, generic, *settings, __version__)

@@ -79,6 +79,7 @@ class Case:
             numerics=self.numerics,
             workers=s.workers,
             fit_rtol=s.fit_rtol,
+            fit_nats=s.fit_nats,
             bend_after=s.bend_after,
             correction=self.correction,
         )

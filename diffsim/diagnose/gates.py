@@ -234,8 +234,8 @@ def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
         f"sets of at most {settings.search.max_effects} causes were tried"
         + (f", no larger one after {until:g} CPU s of search" if math.isfinite(until) else "")
         + ", fits end within "
-        f"{settings.fit_rtol:.0%} of their misfit, and the noise was estimated once; "
-        "what it names is likely, never certain"
+        f"{settings.fit_rtol:.0%} of their misfit or {settings.fit_nats:g} nats, and the noise was "
+        "estimated once; what it names is likely, never certain"
     )
     return (GateResult(FIRST_ANSWER, False, settings.fit_rtol, FIT_RTOL, note, applies=False),)
 

@@ -29,7 +29,6 @@ from diffsim.identify.linearization import (
 )
 
 Array = NDArray[np.float64]
-TOLERANCE_NATS = 0.02  # gain of a further step, far below the 3 nats that separate two names
 GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
 OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
 SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
@@ -179,7 +178,7 @@ def gauss_newton(
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
         promised = s.promised(step)
-        if promised < max(TOLERANCE_NATS, 0.5 * problem.fit_rtol * s.misfit, GAP_RTOL * behind):
+        if promised < max(problem.fit_nats, 0.5 * problem.fit_rtol * s.misfit, GAP_RTOL * behind):
             if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break

@@ -203,7 +203,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    exact = max(WORSE_NATS, fit.problem.fit_rtol * misfit)
+    exact = max(WORSE_NATS, fit.problem.fit_nats, fit.problem.fit_rtol * misfit)
     return best if 0.5 * _fit_cost(fit) > costs[best] + exact else None
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from diffsim.identify.jacobian import Jacobian
 
 FIT_RTOL = 3e-4  # where a misfit is large no name explains it, and its last nats do not matter
+FIT_NATS = 0.02  # far below the 3 nats that separate two names
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class DiagnosisSettings:
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
+        fit_nats: The same where hardly any misfit is left [nats].
         bend_after: Number of times that a fit has simulated its slopes again, from which steps use
             what these show beyond Gauss-Newton; None: never. Quicker in long bent valleys.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
@@ -79,6 +81,7 @@ class DiagnosisSettings:
     again_seconds: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     fit_rtol: float = FIT_RTOL
+    fit_nats: float = FIT_NATS
     bend_after: int | None = None
     noise_rounds: int = 3
 

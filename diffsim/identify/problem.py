@@ -23,7 +23,7 @@ from diffsim.data.study import Run
 from diffsim.identify.coordinates import effect_coordinates, touches
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import FIT_RTOL
+from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel, has_tangents
@@ -53,6 +53,7 @@ class Problem:
         numerics: Factors on the numerical settings; the model's own settings if None.
         workers: Threads over runs; the compiled kernels release the interpreter.
         fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
+        fit_nats: The same where hardly any misfit is left [nats].
         bend_after: Number of times that a fit has simulated its slopes again, from which steps use
             what these show beyond Gauss-Newton; None: never.
         correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
@@ -66,6 +67,7 @@ class Problem:
     numerics: Numerics | None = None
     workers: int = 1
     fit_rtol: float = FIT_RTOL
+    fit_nats: float = FIT_NATS
     bend_after: int | None = None
     correction: Correction | None = None
 

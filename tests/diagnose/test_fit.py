@@ -100,6 +100,20 @@ def test_nothing_is_simulated_at_the_minimum_and_an_outranked_set_is_left_early(
     assert problem.model.simulations.count == before
 
 
+def test_a_fit_ends_where_a_step_promises_less_than_it_is_told(study):
+    nats = 50.0
+    exact = problem_of(study, (toy.DRAG, toy.DELAY))
+    spent, ends = [], []
+    for problem in (exact, replace(exact, fit_nats=nats)):
+        before = problem.model.simulations.count
+        found, _ = gauss_newton(problem, linearization_at(problem, np.zeros(len(problem.names))))
+        assert found.converged
+        ends.append(0.5 * (found.chi2 + found.prior))
+        spent.append(problem.model.simulations.count - before)
+    assert spent[1] < spent[0]
+    assert ends[1] - ends[0] < nats
+
+
 def test_unsigned_sizes_stay_at_their_bound():
     effect = linear.line("push", signed=False)
     shape = linear.shapes("push", linear.run("r1", 1)).numpy()[..., 0]

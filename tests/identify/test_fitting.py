@@ -6,6 +6,7 @@ import torch
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, SimModel, WhiteNoise, fit
+from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear
 
@@ -56,6 +57,15 @@ def test_linear_posterior_is_the_closed_form():
     np.testing.assert_allclose(found.correlation, covariance / np.outer(sd, sd), atol=1e-7)
     np.testing.assert_allclose(found.values["mass"], 0.3 + 0.7 * mean[0], atol=1e-7)
     np.testing.assert_allclose(found.chi2, np.sum((y - a @ mean) ** 2), rtol=1e-7)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("rows", [[0, 1], [1, 0]])
+def test_slopes_of_many_decades_leave_no_negative_variance(rows):
+    """A = [[k, k], [0, 1]]: (A'A + 1)^-1 is [[1, -1], [-1, 1]] / 3 for large k."""
+    slopes = np.array([[1e30, 1e30], [0.0, 1.0]])[rows]
+    covariance = posterior_covariance(slopes)
+    np.testing.assert_allclose(covariance, np.array([[1, -1], [-1, 1]]) / 3.0, rtol=1e-12)
 
 
 def test_known_truth_without_noise():
