@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.judge import Decision
@@ -34,6 +35,9 @@ class Answer:
         best_names: Effects of the best set.
         beside: Name of an unknown cause that leads beside the named set; empty if none.
         chosen_by: What chose between causes.
+        strained: Parameters that the set takes further off their data sheets than even wrong ones
+            lie while something unknown acts, in words, each with its distance [prior sd].
+        left: What the set leaves, if that is much and an unknown cause explains it [noise sd].
     """
 
     verdict: str
@@ -46,6 +50,8 @@ class Answer:
     best_names: tuple[str, ...] = ()
     beside: str = ""
     chosen_by: str = ""
+    strained: Mapping[str, float] = field(default_factory=dict)
+    left: float | None = None
 
     def told(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
         """Causes with a status, unknown ones left out."""

@@ -16,7 +16,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.answer import Answer
 from diffsim.diagnose.averaging import Averaged, averaged, widening
 from diffsim.diagnose.causes import Told, cause_rows, certain_of, open_rivals, vetoed
-from diffsim.diagnose.data_sheet import base_rows
+from diffsim.diagnose.data_sheet import base_rows, far_off
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.force_map import ForceMap, force_map
@@ -28,7 +28,7 @@ from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.outside import spans_of
 from diffsim.diagnose.own_values import unmet_by
-from diffsim.diagnose.records import BaseRow, CauseRow
+from diffsim.diagnose.records import CERTAIN, LIKELY, BaseRow, CauseRow
 from diffsim.diagnose.referee import Referee
 from diffsim.diagnose.refine import SetNumerics
 from diffsim.diagnose.report import Report
@@ -44,6 +44,7 @@ from diffsim.identify import Fit
 from diffsim.identify.unknown import UnknownForce
 
 Array = NDArray[np.float64]
+MUCH_LEFT = 3.0  # noise sd, root mean square: nothing is certain that leaves more to the unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +132,11 @@ def report_of(
     certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
     base = _base(best, judgment)
     rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
-    is_first = case.settings.is_first_answer
-    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals, is_first)
+    strained = {} if decision.beside is None else far_off(best)
+    left = 0.0 if decision.beside is None else float(np.sqrt(best.chi2 / best.num_samples))
+    may_stand_in = bool(strained) or left > MUCH_LEFT
+    surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
+    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals, surest)
     causes = cause_rows(told, base)
     findings = tuple(row.name for row in base if row.finding)
     refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
@@ -188,6 +192,8 @@ def report_of(
             named=tuple(effects[i].name for i in sorted(named)),
             best_names=tuple(effects[i].name for i in sorted(decision.best)),
             beside=_beside(judgment),
+            strained=strained,
+            left=left if left > MUCH_LEFT else None,
             chosen_by="" if referee is None else referee.words,
         ),
     )

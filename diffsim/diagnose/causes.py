@@ -151,8 +151,8 @@ class Told:
         unmet: What the study lacks for candidates that were left out, by name.
         certain: Effects that are certain, by index.
         rivals: Sets that the choice is open to.
-        is_first: Whether it is a first answer: sets of few causes were fitted, and a further cause
-            may take the place of what is named. Nothing is certain then.
+        surest: Status of what no set within reach can do without. Likely in a first answer, as a
+            further cause may take its place, and where it may stand in for what is unknown.
     """
 
     judgment: Judgment
@@ -163,12 +163,7 @@ class Told:
     unmet: Mapping[str, str]
     certain: frozenset[int] = frozenset()
     rivals: tuple[Hypothesis, ...] = ()
-    is_first: bool = False
-
-    @property
-    def surest(self) -> str:
-        """Status of what no set within reach can do without."""
-        return LIKELY if self.is_first else CERTAIN
+    surest: str = CERTAIN
 
 
 def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:

@@ -46,6 +46,25 @@ def words_of(name: str) -> str:
     return f"{words} of {run}" if run else words
 
 
+def far_off(fit: Fit) -> dict[str, float]:
+    """Parameters further off than 99 % even of wrong data sheets are.
+
+    Where something unknown acts besides, a set may get there by standing in for it.
+
+    Args:
+        fit: Fit of a set.
+
+    Returns:
+        Distance from the data sheet by the parameter's words [prior sd].
+    """
+    base, limit = fit.problem.model.base, -WIDE * float(ndtri(FALSE_FINDINGS / 2.0))
+    return {
+        words_of(p.name): float(x)
+        for p, x in zip(base, fit.x[: len(base)], strict=True)
+        if "@" not in p.name and abs(x) > limit
+    }
+
+
 def base_rows(
     fit: Fit,
     runs: Sequence[Run],

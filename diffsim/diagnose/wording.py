@@ -47,7 +47,7 @@ def sentences(
         unseen: Errors on test runs.
         failed: Runs that could not be simulated, by name, with why.
     """
-    out = [_first(answer), *_data_sheets(answer), *_rest(answer)]
+    out = [_first(answer), *_strained(answer), *_data_sheets(answer), *_rest(answer)]
     if gained is not None:
         out.append(gained.words)
     elif failed:
@@ -108,6 +108,23 @@ def _first(answer: Answer) -> str:
         + ", ".join(f"{g.value:.1f} noise sd ({g.name})" for g in failed)
         + ": state finer ones in the model, or go on as they are with --accept-numerics."
     )
+
+
+def _strained(answer: Answer) -> list[str]:
+    """Why a set is not certain that left data sheets far behind, or leaves much."""
+    if answer.verdict != "named":
+        return []
+    out = [
+        f"{opened(words)} is {abs(pull):.0f} standard deviations off its data sheet, and something "
+        "unknown acts: what is named may stand in for that."
+        for words, pull in answer.strained.items()
+    ]
+    if answer.left is not None:
+        out.append(
+            f"What the fit leaves is {answer.left:.2g} times the noise, and something unknown "
+            "acts: what is named may stand in for that."
+        )
+    return out
 
 
 def _data_sheets(answer: Answer) -> list[str]:

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from diffsim.data.study import Study
+from diffsim.diagnose import diagnose
 from diffsim.diagnose.averaging import Widening
 from diffsim.diagnose.data_sheet import base_rows
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.wrong_sheet import off_sheet
 from diffsim.identify import Parameter, SimModel, fit
+from diffsim.identify.unknown import UnknownDrift
 from tests.diagnose import linear
-from tests.diagnose.test_causes import causes, diagnosed
+from tests.diagnose.test_causes import QUICK, causes, diagnosed, recorded
 from tests.diagnose.test_evidence import linearized
 
 OWN = linear.line("tug")
@@ -104,3 +107,47 @@ PAIR = SimModel(
     [Parameter("front", 0.0, 1.0, "N/m"), Parameter("rear", 0.0, 1.0, "N/m")],
     "pair",
 )
+
+
+@pytest.mark.parametrize(
+    ("pull", "drift", "status"),
+    [(35.0, 0.8, "likely"), (35.0, 0.0, "certain"), (15.0, 0.8, "certain")],
+)
+def test_nothing_is_certain_that_takes_a_data_sheet_far_off_while_something_unknown_acts(
+    pull, drift, status
+):
+    """A winding that heats up had a bent sensor for certain, the air 30 sd colder than stated."""
+    push, runs = linear.line("push"), []
+    for k, use in enumerate(["fit"] * 6 + ["test"] * 2):
+        run = recorded(f"r{k}", k, {push: 3.0}, base=(pull, 0.0), use=use)
+        course = np.outer(np.sin(4.0 * run.time_s), [drift, 0.0])
+        runs.append(replace(run, measured=run.measured + course))
+    study = Study("far", "copter", linear.CHANNELS, tuple(runs))
+    unknowns = (UnknownDrift(0, "drift"),)
+    report = diagnose(study, linear.model(), (push,), seed=0, unknowns=unknowns, settings=QUICK)
+    assert (report.verdict, report.named, report.findings) == ("named", ("push",), ("mass",))
+    found = causes(report)
+    assert found["push"].status == found["mass"].status == status
+    assert ("probably" in report.headline) == (status == "likely")
+    told = [s for s in report.sentences if "standard deviations off its data sheet" in s]
+    assert len(told) == (status == "likely")
+
+
+@pytest.mark.parametrize(("noise", "status"), [(1.0, "certain"), (0.1, "likely")])
+def test_nothing_is_certain_that_leaves_much_while_something_unknown_acts(noise, status):
+    """A cable that pulls beyond 0.9 rad was a cubic stiffness, certain, with 16 noise sd left."""
+    push, runs = linear.line("push"), []
+    for k, use in enumerate(["fit"] * 6 + ["test"] * 2):
+        run = linear.run(f"r{k}", k)
+        run = replace(run, measured=noise * run.measured, use=use)
+        clean = recorded(f"r{k}", k, {push: 6.0}).measured - linear.run(f"r{k}", k).measured
+        course = np.outer(np.sin(4.0 * run.time_s), [0.8, 0.0])
+        runs.append(replace(run, measured=run.measured + clean + course))
+    channels = tuple(replace(c, sd=noise * c.sd) for c in linear.CHANNELS)
+    study = Study("left", "copter", channels, tuple(runs))
+    unknowns = (UnknownDrift(0, "drift"),)
+    report = diagnose(study, linear.model(), (push,), seed=0, unknowns=unknowns, settings=QUICK)
+    assert (report.verdict, report.named) == ("named", ("push",))
+    assert causes(report)["push"].status == status
+    told = [s for s in report.sentences if "times the noise, and something unknown" in s]
+    assert len(told) == (status == "likely")
