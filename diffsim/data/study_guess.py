@@ -56,8 +56,8 @@ _STAMP = re.compile(r"(^|_)(time)?stamp(_|$)", re.I)  # further clocks of a log
 _FLAG = re.compile(r"(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)", re.I)
 _MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
 _BY_TOPIC = "by its topic"
-_SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
-_SMOOTH = 1e-5  # of the range: a sensor scatters by more
+_SET_UNITS = ("N", "Nm", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
+_SMOOTH = 1e-5  # standard deviation over the range: a sensor scatters by more
 _HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
 MIN_EQUAL = 10  # samples: fewer may be equal by chance
 _LARGE = 0.05  # of the range: changes of what is held and looks commanded
@@ -266,9 +266,12 @@ def _commanded(column: Column, values: Sequence[Array]) -> str:
     # a slow or coarse sensor is held, too, but changes by little
     if held > _HELD and float(np.median(steps[steps > 0.0])) > _LARGE * float(np.ptp(there)):
         return "held for many samples"
-    if column.unit is not None and to_si(column.unit).unit in _SET_UNITS:
-        second = np.concatenate([np.abs(np.diff(v[np.isfinite(v)], n=2)) for v in values])
-        if len(second) and float(np.median(second)) < _SMOOTH * float(np.ptp(there)):
+    unit = "" if column.unit is None else re.sub(r"[\s*·.]", "", to_si(column.unit).unit)
+    if unit in _SET_UNITS:
+        # fourth differences: what is left of a sweep in frequency is rounding
+        fourth = np.concatenate([np.abs(np.diff(v[np.isfinite(v)], n=4)) for v in values])
+        scatter = float(np.median(fourth)) / 0.6745 / np.sqrt(70.0) if len(fourth) else np.inf
+        if scatter < _SMOOTH * float(np.ptp(there)):
             return "by its lack of noise"
     return ""
 

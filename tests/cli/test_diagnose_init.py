@@ -33,8 +33,8 @@ def init(folder: Path, *more: str) -> int:
 T = np.arange(60) * 10.0
 
 
-def noisy(seed: int, size: float = 0.1):
-    return size * np.random.default_rng(seed).normal(size=60)
+def noisy(seed: int, size: float = 0.1, num: int = 60):
+    return size * np.random.default_rng(seed).normal(size=num)
 
 
 @pytest.fixture
@@ -151,6 +151,18 @@ def test_what_drives_without_noise_looks_commanded(tmp_path):
     study = load_study(tmp_path)
     assert [c.name for c in study.commands] == ["Kraft"]
     assert [c.name for c in study.channels] == ["x", "angle"]  # motions may be smooth
+
+
+def test_a_sweep_in_frequency_with_five_digits_looks_commanded(tmp_path):
+    t = 0.01 * np.arange(800)
+    for seed, name in enumerate("ab"):
+        sweep = np.round((0.35 - 0.1 * seed) * np.sin(2.0 * np.pi * (0.2 + 0.12 * t) * t), 5)
+        columns = [t, sweep, 1.3 * sweep + noisy(seed, 1e-3, 800), sweep + noisy(seed, 1e-4, 800)]
+        write(tmp_path / f"{name}.csv", "t[s],torque[Nm],angle[rad],sensed[Nm]", columns)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["torque"]
+    assert [c.name for c in study.channels] == ["angle", "sensed"]
 
 
 def test_one_long_run_is_cut_into_blocks(tmp_path):
