@@ -13,6 +13,7 @@ from diffsim.data.study import Channel
 from diffsim.diagnose.answer import component_words
 from diffsim.diagnose.force_map import ForceMap
 from diffsim.diagnose.gates import GateResult
+from diffsim.diagnose.records import CERTAIN
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.whiteness import ljung_box
 from diffsim.viz import diagnosis_charts as draw
@@ -51,6 +52,7 @@ MEANINGS = {
     "numerical": "time step, mesh or tolerance still move the record",
 }
 """Verdicts in words, as ``docs/diagnose.md`` has them."""
+LIKELY_ONLY = "one or more causes are likely, none is certain"
 MAX_LISTED = 3  # names or sets in a sentence; the tables have all
 
 
@@ -123,11 +125,13 @@ def _pairs(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
 
 def _numbers(r: Report) -> list[page.Number]:
     """Verdict, then error before and after on unseen runs in the recordings' unit, then gain."""
+    certain = {row.name for row in r.causes if row.status == CERTAIN}
+    is_likely_only = r.verdict == "named" and certain.isdisjoint(r.named)
     verdict = page.Number(
         label="verdict",
         value=r.verdict.replace("_", " "),
-        note=MEANINGS[r.verdict],
-        tone=TONES[r.verdict],
+        note=LIKELY_ONLY if is_likely_only else MEANINGS[r.verdict],
+        tone="fair" if is_likely_only else TONES[r.verdict],
     )
     gained = [] if r.gain is None else [gain_number(r.gain)]
     return [verdict, *error_numbers(r.errors), *gained]

@@ -229,6 +229,14 @@ def test_first_words_are_plain_and_the_error_has_its_unit():
     assert not any("_" in word for line in shown.verdict for word in line.split())
 
 
+def test_the_page_does_not_call_certain_what_is_likely():
+    for status, tone in (("certain", "good"), ("likely", "fair")):
+        causes = tuple(replace(c, status=status) if c.name == "delay" else c for c in CAUSES)
+        card = dr.diagnosis_page(example(causes=causes)).numbers[0]
+        assert (card.value, card.tone) == ("named", tone)
+        assert ("are certain" in card.note) == (status == "certain")
+
+
 def test_green_only_where_the_interval_excludes_zero():
     for low, tone, word in ((0.1, "good", "confirmed"), (-0.1, "fair", "not confirmed")):
         gain = Gain(value=0.3, low=low, high=0.5, excess=2.0, num_blocks=10)
