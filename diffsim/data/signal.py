@@ -10,6 +10,7 @@ Frequencies are those of the damped oscillation, as seen in the record, unless a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -301,6 +302,20 @@ def noise_std(x: Array) -> float:
     if len(second) < 10:
         raise ValueError(f"{len(second)} second differences; a noise level needs at least 10")
     return float(np.sqrt(np.mean(second**2) / 6.0))
+
+
+def scatter(differences: Array, order: int) -> Array:
+    """Noise sd behind differences of samples, from their median: blind to spikes and slow motion.
+
+    Args:
+        differences: (T, ...) of one order, as of ``numpy.diff``; NaN are passed over.
+        order: How often the samples were differenced.
+
+    Returns:
+        (...) in the unit of the samples.
+    """
+    middle = np.nanmedian(np.abs(differences), axis=0)
+    return np.asarray(middle / 0.6745 / np.sqrt(float(math.comb(2 * order, order))))
 
 
 @dataclass(frozen=True)

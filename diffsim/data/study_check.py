@@ -11,6 +11,7 @@ import numpy as np
 
 from diffsim.core.units import factor, to_si
 from diffsim.data.rounding import step_of
+from diffsim.data.signal import scatter
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 NO_FIT_RUN = (
@@ -168,7 +169,7 @@ def _jitter(study: Study, channel: Channel) -> str:
     for run in study.runs:
         steps = np.diff(run.measured[:, at], n=2) if run.measured.shape[1] > at else np.empty(0)
         if np.isfinite(steps).sum() >= MIN_SAMPLES:
-            levels.append(float(np.nanmedian(np.abs(steps))) / 0.6745 / np.sqrt(6.0))
+            levels.append(float(scatter(steps, 2)))
     if not levels or not max(levels) > 0.0:
         return ""
     unit = channel.shown_unit or channel.unit

@@ -27,6 +27,7 @@ from diffsim.data.runs_guess import (
     give_uses,
     say,
 )
+from diffsim.data.signal import scatter
 from diffsim.data.table_guess import Column, Layout
 
 Array = NDArray[np.float64]
@@ -269,9 +270,8 @@ def _commanded(column: Column, values: Sequence[Array]) -> str:
     unit = "" if column.unit is None else re.sub(r"[\s*·.]", "", to_si(column.unit).unit)
     if unit in _SET_UNITS:
         # fourth differences: what is left of a sweep in frequency is rounding
-        fourth = np.concatenate([np.abs(np.diff(v[np.isfinite(v)], n=4)) for v in values])
-        scatter = float(np.median(fourth)) / 0.6745 / np.sqrt(70.0) if len(fourth) else np.inf
-        if scatter < _SMOOTH * float(np.ptp(there)):
+        fourth = np.concatenate([np.diff(v[np.isfinite(v)], n=4) for v in values])
+        if len(fourth) and float(scatter(fourth, 4)) < _SMOOTH * float(np.ptp(there)):
             return "by its lack of noise"
     return ""
 
@@ -289,9 +289,9 @@ def _noise(values: Sequence[Array]) -> float | None:
     """Scatter from sample to sample, with two digits; at least that of rounding."""
     levels = []
     for v in values:
-        second = np.abs(np.diff(v[np.isfinite(v)], n=2))  # a slow sensor leaves cells empty
+        second = np.diff(v[np.isfinite(v)], n=2)  # a slow sensor leaves cells empty
         if len(second) >= 8:
-            levels.append(float(np.median(second)) / 0.6745 / np.sqrt(6.0))
+            levels.append(float(scatter(second, 2)))
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from diffsim.data.signal import scatter
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.video import Tracks
 
@@ -22,10 +23,10 @@ def noise_px(tracks: Tracks) -> np.ndarray:
     Smooth motion leaves little in a third difference; the median passes over the impacts. NaN
     where fewer than four frames in a row were seen.
     """
-    third = np.abs(np.diff(tracks.centers, n=3, axis=0))
+    third = np.diff(tracks.centers, n=3, axis=0)
     out = np.full(tracks.centers.shape[1:], np.nan)
     seen = np.isfinite(third).any(0) if len(third) else np.zeros_like(out, dtype=bool)
-    out[seen] = np.nanmedian(third[:, seen], axis=0) / 0.6745 / np.sqrt(20.0)
+    out[seen] = scatter(third[:, seen], 3)
     return out
 
 

@@ -133,8 +133,8 @@ def report_of(
     base = _base(best, judgment)
     rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
     strained = {} if decision.beside is None else far_off(best)
-    left = 0.0 if decision.beside is None else float(np.sqrt(best.chi2 / best.num_samples))
-    may_stand_in = bool(strained) or left > MUCH_LEFT
+    left = None if decision.beside is None else _much_left(best)
+    may_stand_in = bool(strained) or left is not None
     surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
     told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals, surest)
     causes = cause_rows(told, base)
@@ -193,7 +193,7 @@ def report_of(
             best_names=tuple(effects[i].name for i in sorted(decision.best)),
             beside=_beside(judgment),
             strained=strained,
-            left=left if left > MUCH_LEFT else None,
+            left=left,
             chosen_by="" if referee is None else referee.words,
         ),
     )
@@ -244,6 +244,12 @@ def _averaged(
         return None
     instead = {members: nats for members, (_, nats) in judgment.decision.instead.items()}
     return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes, instead)
+
+
+def _much_left(best: Fit) -> float | None:
+    """What a fit leaves, root mean square [noise sd]; None where it is not much."""
+    left = float(np.sqrt(best.chi2 / best.num_samples))
+    return left if left > MUCH_LEFT else None
 
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.yaml_text import read_yaml_file
+from diffsim.data.signal import scatter
 from diffsim.data.table import open_table, parse_number
 
 Array = NDArray[np.float64]
@@ -57,5 +58,4 @@ def jitter(values: Array) -> Array:
 
     A robust estimate (median absolute difference), so that single jumps do not count.
     """
-    step = np.diff(values, axis=0)
-    return np.asarray(np.nanmedian(np.abs(step), axis=0) / 0.6745 / np.sqrt(2.0))
+    return scatter(np.diff(values, axis=0), 1)
