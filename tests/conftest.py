@@ -1,0 +1,64 @@
+"""What every run of the tests does: threads, how workers share the files, CPU seconds counted."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from collections import Counter
+
+# Two workers of one thread each; libraries read these when they are first loaded.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import pytest  # noqa: E402
+
+from tests.cpu_seconds import CpuSeconds  # noqa: E402
+
+COLLECTION_S = pytest.StashKey[float]()
+"""CPU seconds of this process up to its first test."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(CpuSeconds())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session):
+    """Collect without the garbage collector: what is imported stays, and looking through it took
+    a third of the time."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.freeze()
+    session.config.stash[COLLECTION_S] = time.process_time()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Group what must not run beside its like; for workers, put files of few tests first.
+
+    Those are the dear ones, and a dear file at the end would keep one worker waiting.
+    """
+    for item in items:
+        if item.get_closest_marker("serial"):
+            item.add_marker(pytest.mark.xdist_group("serial"))
+    if hasattr(config, "workerinput"):
+        tests = Counter(item.location[0] for item in items)
+        items.sort(key=lambda item: (not item.get_closest_marker("serial"), tests[item.location[0]]))
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | None:
+    """Deal whole files to the workers, and the group of serial tests to one of them."""
+    if config.getoption("dist") != "loadgroup":
+        return None
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            group = nodeid.rpartition("]")[2].partition("@")[2]
+            return group or nodeid.partition("::")[0]
+
+    return ByFile(config, log)
