@@ -23,6 +23,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import grimp
@@ -53,6 +54,7 @@ def module_of(path: str) -> str:
     return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
+@cache
 def tracked_files() -> list[str]:
     """Files that git knows or would take, and that are there."""
     words = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
@@ -124,8 +126,10 @@ def rooms_of_kernel(path: str, files: list[str]) -> set[str]:
     }
 
 
-def above(files: list[str]) -> Edges:
+@cache
+def above() -> Edges:
     """Each module and file to those that import or name it."""
+    files = tracked_files()
     graph = grimp.build_graph(*PACKAGES, cache_dir=None, exclude_type_checking_imports=True)
     edges: Edges = defaultdict(set)
     for module in graph.modules - {"diffsim"}:
@@ -164,7 +168,7 @@ def tests_of(changed: Iterable[str]) -> list[str]:
         return ["tests"]
     files = tracked_files()
     starts = {node for path in changed for node in starts_of(path, files)}
-    touched = reach(starts, above(files))
+    touched = reach(starts, above())
     tests = [p for p in files if re.fullmatch(r"tests/(.*/)?test_[^/]*\.py", p)]
     return sorted({p for p in tests if module_of(p) in touched} | set(ALWAYS))
 

@@ -1,0 +1,49 @@
+"""The tests that a change can touch are found from the imports, and no others."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def tests_of():
+    pytest.importorskip("grimp")
+    return runpy.run_path(str(ROOT / "scripts" / "changed_tests.py"))["tests_of"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "meant", "not_meant"),
+    [
+        ("diffsim/stokes/flow.py", "stokes/test_flow", "copter/test_hover"),
+        ("diffsim/cli/info.py", "cli/test_main", "stokes/test_flow"),
+        ("diffsim/viz/frames.py", "viz/test_frames", "soft/test_solvers"),
+        # by a story's path, by the folder of the docs, by the package that reads its own files
+        ("examples/stokes/amplifier.py", "examples/test_stokes", "examples/test_copter"),
+        ("docs/soft.md", "docs/test_site", "soft/test_solvers"),
+        (
+            "diffsim/copter/designs/pentacopter.yaml",
+            "copter/test_design_files",
+            "soft/test_solvers",
+        ),
+        # by inclusion: the room of the kernel and what stands above it
+        ("csrc/kernels/stokes/flow_schur.cpp", "stokes/test_flow", "soft/test_solvers"),
+        ("csrc/kernels/linalg/lanes.h", "soft/test_solvers", "data/test_study_file"),
+        ("tests/helpers.py", "copter/test_hover", "cli/test_main"),
+    ],
+)
+def test_tests_of_a_change(tests_of, changed, meant, not_meant):
+    found = tests_of([changed])
+    assert (ROOT / changed).exists()
+    assert f"tests/{meant}.py" in found
+    assert (ROOT / f"tests/{not_meant}.py").exists() and f"tests/{not_meant}.py" not in found
+    assert "tests/test_house.py" in found
+
+
+def test_what_lies_below_everything_asks_for_all(tests_of):
+    assert tests_of(["pyproject.toml"]) == ["tests"]
+    assert tests_of([]) == []
