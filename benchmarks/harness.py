@@ -16,10 +16,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from benchmarks.machine import code_fingerprint, machine
 from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.progress import show_progress
 
 Result = Any
 T = TypeVar("T")
@@ -117,10 +117,11 @@ class Store:
 
     def run(self, parts: Sequence[Part]) -> None:
         """Compute what is missing, in order, under a progress bar."""
-        with tqdm(total=len(parts), unit="part", dynamic_ncols=True) as bar:
+        first = parts[0].name if parts else ""
+        with show_progress(desc=first, total=len(parts), unit="part", dynamic_ncols=True) as bar:
             for part in parts:
                 bar.set_description(part.name)
-                kept = self._read(part) if self.resume else None
+                kept = self._read(part, bar.write) if self.resume else None
                 if kept is None:
                     say = bar.set_postfix_str
                     kept = {
@@ -136,7 +137,7 @@ class Store:
     def _path(self, part: Part) -> Path:
         return self.folder / f"{part.name.replace('/', '__')}.json"
 
-    def _read(self, part: Part) -> dict[str, Any] | None:
+    def _read(self, part: Part, say: Callable[[str], None]) -> dict[str, Any] | None:
         try:
             kept = json.loads(self._path(part).read_text(encoding="utf-8"))
         except (FileNotFoundError, json.JSONDecodeError):
@@ -146,7 +147,7 @@ class Store:
             self.fingerprint,
         )
         if not same:
-            tqdm.write(f"{part.name}: measured with other code or settings before, measuring anew")
+            say(f"{part.name}: measured with other code or settings before, measuring anew")
         return kept if same else None
 
 

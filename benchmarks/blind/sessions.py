@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 import diffsim
 from benchmarks.blind.score import score_answer, with_strength
@@ -28,6 +27,7 @@ from benchmarks.blind.table import by_strength, confusion, figures, markdown
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.progress import show_progress
 from diffsim.core.runs import run_each
 from diffsim.data.labs.sealed import BENCHES, Bench, draw_label, is_sealed, open_label, seal
 from diffsim.data.study_file import load_study
@@ -163,7 +163,7 @@ class Blind:
         """
         names = self.seal_all(count)
         scores: dict[int, dict[str, Any]] = {}
-        with tqdm(total=count, desc="blind", unit="case") as bar:
+        with show_progress(total=count, desc="blind", unit="case") as bar:
 
             def keep(k: int, score: dict[str, Any]) -> None:
                 scores[k] = score

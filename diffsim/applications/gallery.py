@@ -23,12 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from diffsim.applications.catalog import FOLDER, examples
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.progress import show_progress
 from diffsim.core.yaml_text import read_yaml_file
 
 DOCS = FOLDER.parent / "docs"
@@ -107,7 +106,7 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
     for name in names:
         require_choice("name", name, tuple(e.key for e in listed))
     chosen = [e for e in listed if not names or e.key in names]
-    with tqdm(chosen, desc="gallery") as bar:
+    with show_progress(chosen, desc="gallery") as bar:
         for entry in bar:
             bar.set_postfix_str(entry.key)
             if entry.example:

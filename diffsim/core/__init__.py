@@ -15,10 +15,16 @@ from diffsim.core.lazy import offered
 
 if TYPE_CHECKING:
     from diffsim.core.executors import open_executor
+    from diffsim.core.progress import show_progress
     from diffsim.core.runs import run_each, run_kept
 
-# what needs numpy or processes is imported when it is asked for
-_WHERE = {"open_executor": "executors", "run_each": "runs", "run_kept": "runs"}
+# what needs processes, or more than Python itself, is imported when it is asked for
+_WHERE = {
+    "open_executor": "executors",
+    "run_each": "runs",
+    "run_kept": "runs",
+    "show_progress": "progress",
+}
 __getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
 
 __all__ = [
@@ -32,4 +38,5 @@ __all__ = [
     "open_executor",
     "run_each",
     "run_kept",
+    "show_progress",
 ]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tqdm import tqdm
-
+from diffsim.core.progress import show_progress
 from diffsim.diagnose.fit import Progress
 
 
@@ -18,7 +17,7 @@ def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
         title: Text before the bar.
         quiet: Whether to show nothing.
     """
-    with tqdm(total=100, desc=title, unit="%", disable=quiet, bar_format=_FORMAT) as bar:
+    with show_progress(total=100, desc=title, unit="%", disable=quiet, bar_format=_FORMAT) as bar:
 
         def show(stage: str, fraction: float, message: str) -> None:
             bar.n = round(100 * min(max(fraction, 0.0), 1.0))

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.progress import show_progress
 from diffsim.core.runs import run_each
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
 from diffsim.learn.mixed import MixedLearner, MixedOptions
@@ -124,7 +124,7 @@ def train_all(
     Each run keeps its own checkpoints: one that lost its worker goes on from its last.
     """
     alone = executor is None
-    with tqdm(total=len(trainings), unit="run", disable=alone or not show) as bar:
+    with show_progress(total=len(trainings), unit="run", disable=alone or not show) as bar:
         run = partial(Training.run, show=show and alone)
         return run_each(run, trainings, executor, done=lambda *_: bar.update())
 

@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 import torch
 from torch import nn
-from tqdm import tqdm
 
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.core.optional import ask_for
+from diffsim.core.progress import show_progress
 from diffsim.learn.parallel import rank
 from diffsim.learn.setup import Setup, evaluate
 
@@ -104,7 +104,9 @@ def train(
     task = setup.make_task()
     leads = rank() == 0  # of processes that train together one rates and writes
     writer = _writer(run.folder) if leads else None
-    bar = tqdm(total=setup.steps, initial=run.steps, unit="step", disable=not (show and leads))
+    bar = show_progress(
+        total=setup.steps, initial=run.steps, unit="step", disable=not (show and leads)
+    )
     try:
         if not run.rows:
             _rate(run, setup, task, learner)

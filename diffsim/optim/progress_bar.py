@@ -1,12 +1,11 @@
-"""A bar on the terminal for a search."""
+"""The progress of a search."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tqdm import tqdm
-
+from diffsim.core.progress import show_progress
 from diffsim.optim.evaluation import Callback, Progress
 
 
@@ -23,7 +22,7 @@ def progress_bar(
         show: Whether to draw the bar at all.
         leave: Whether the bar stays when the search is over.
     """
-    with tqdm(desc=label, total=total, leave=leave, disable=not show) as bar:
+    with show_progress(desc=label, total=total, leave=leave, disable=not show) as bar:
 
         def advance(progress: Progress) -> None:
             bar.set_postfix(best=f"{progress.best / unit:.4g}", refresh=False)

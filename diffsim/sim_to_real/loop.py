@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from diffsim.core.files import write_json_atomic
+from diffsim.core.progress import show_progress
 from diffsim.data.study import Run
 from diffsim.data.study_file import STUDY_FILE, load_study
 from diffsim.data.study_save import save_study
@@ -61,8 +61,9 @@ def sim_to_real(
     open_loop(folder, model, hardware, settings, resume)
     done: list[Iteration] = []
     converged = False
-    with tqdm(total=settings.max_iterations + 1, desc="sim to real", disable=not progress) as bar:
-        for k in range(settings.max_iterations + 1):
+    count = settings.max_iterations + 1
+    with show_progress(total=count, desc="sim to real", disable=not progress) as bar:
+        for k in range(count):
             place = folder / f"iteration_{k}"
             bar.set_description(f"iteration {k}: identify, optimize")
             if k == 0:

@@ -41,9 +41,9 @@ from contact_scenes import (
 )
 from scipy.optimize import least_squares
 from torch import Tensor
-from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import show_progress
 
 RADIUS = 0.8  # of the slide [m]
 HIGH, LIP = math.radians(60.0), math.radians(20.0)  # ends of its arc, before and after the bottom
@@ -126,7 +126,7 @@ def main(
     target = torch.tensor(TARGET, dtype=torch.float64)
     seen: list[tuple[float, list[float], Tensor]] = []
     slopes: dict[tuple[float, ...], list] = {}
-    show = tqdm(desc="simulations with gradient", leave=False)
+    show = show_progress(desc="simulations with gradient", leave=False)
 
     def miss(values: Sequence[float]) -> list[float]:
         """How far beyond and above the target the center ends, and the derivatives, kept aside."""

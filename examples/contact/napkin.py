@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import torch
 from contact_scenes import BLUE, GREY, ORANGE, RED, TEAL, add_body, add_patch, save, tidy
 from torch import Tensor
-from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import show_progress
 
 SIDE, THICK, GAP, DT = 0.3, 0.006, 0.002, 0.01  # [m], [m], [m], [s]
 RADII = (0.065, 0.165, 0.30, 2.0)  # of the ball [m]
@@ -77,7 +77,7 @@ def drape(cells: int, radius: float, num_steps: int) -> Run:
     )
     ball = contact.sphere(radius, position=(0.0, 0.0, -radius), friction=math.inf)
     state, rows = body.rest_state(), []
-    for _ in tqdm(range(num_steps), desc=f"{cells}^2, ball {radius:g} m", leave=False):
+    for _ in show_progress(range(num_steps), desc=f"{cells}^2, ball {radius:g} m", leave=False):
         with torch.no_grad(), soft.record_stats() as solves:
             start = time.process_time()
             state = body(state, obstacles=ball)

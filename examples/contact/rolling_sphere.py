@@ -38,9 +38,9 @@ from contact_scenes import (
     tidy,
 )
 from torch import Tensor
-from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import show_progress
 
 RADIUS, SPIN, DT = 0.2, 10.0, 0.005  # [m], [rad/s], [s]
 FLOORS = {"sticking": math.inf, "friction 0.3": 0.3}
@@ -73,7 +73,7 @@ def roll(
     ground = contact.floor(friction=FLOORS[name])
     state = first_state(body, spin, STARTS_ROLLING[name])
     xs, forces = [state.x.detach()], []
-    for _ in tqdm(range(num_steps), desc=name, leave=False, disable=not progress):
+    for _ in show_progress(range(num_steps), desc=name, leave=False, disable=not progress):
         state = body(state, obstacles=ground)
         xs.append(state.x.detach())
         forces.append(state.contact_force.detach().sum(0))

@@ -47,9 +47,9 @@ from contact_scenes import (
     tilted,
 )
 from torch import Tensor
-from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import show_progress
 
 ANGLE = math.radians(10.0)
 DOWN = torch.tensor([math.cos(ANGLE), 0.0, -math.sin(ANGLE)], dtype=torch.float64)
@@ -97,7 +97,7 @@ def slide(m: mesh.TetMesh, friction: float, model: str, duration: float) -> tupl
 
         inputs["external_force"] = force
     steps = round(duration / dt)
-    show = tqdm(total=steps, desc=f"{model}, friction {friction:g}", leave=False)
+    show = show_progress(total=steps, desc=f"{model}, friction {friction:g}", leave=False)
 
     def place(state: soft.State) -> Tensor:
         show.update()

@@ -7,6 +7,7 @@ A quick look at the bar without weight: a short window, few candidates.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -26,12 +27,15 @@ SKIPPED = (
 NOT_RUN = "The diagnosis of these recordings was switched off: Plan(diagnosis_effects=...) runs it."
 
 
-def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
+def describe(
+    study: BeamStudy, plan: Plan, tell: Callable[[str], None] = lambda doing: None
+) -> dict[str, Any]:
     """Diagnose the recordings; finished figures and tables, so that the page can be made again.
 
     Args:
         study: Measured recordings; of virtual ones only why they are skipped is said.
         plan: Its sizes.
+        tell: Receives what is being done.
     """
     if study.is_virtual:
         return {"skipped": SKIPPED}
@@ -48,7 +52,13 @@ def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
     assert made.study is not None  # this setup cuts its own window
     effects = [e for e in made.effects if e.name in plan.diagnosis_effects]
     found = diagnose(
-        made.study, made.model, effects, seed=0, unknowns=made.unknowns, settings=made.settings
+        made.study,
+        made.model,
+        effects,
+        seed=0,
+        unknowns=made.unknowns,
+        settings=made.settings,
+        progress=lambda stage, fraction, doing: tell(f"{stage}, {doing}"),
     )
     return {
         "verdict": found.verdict,

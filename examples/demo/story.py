@@ -172,7 +172,9 @@ def _compute(
     )["runs"]
     results["remaining"] = ladder.compare(study, models, results["simulated"])
     workers.stage("diagnosis", 0)
-    results["diagnosis"] = stages.run("diagnosis", lambda: diagnosis.describe(study, plan))
+    results["diagnosis"] = stages.run(
+        "diagnosis", lambda: diagnosis.describe(study, plan, workers.note)
+    )
     results["models"] = {
         rung.name: {
             "title": rung.title,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from tqdm import tqdm
+from diffsim.core import show_progress
 
 T = TypeVar("T")
 
@@ -32,16 +32,24 @@ class Workers:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.threads = threads
-        self.bar = tqdm(total=total_steps, unit="step", desc="demo", disable=quiet, smoothing=0.1)
+        self.bar = show_progress(
+            total=total_steps, unit="step", desc="demo", disable=quiet, smoothing=0.1
+        )
         self._stop, self._lock = threading.Event(), threading.Lock()
-        self._planned = 0
+        self._planned, self._stage = 0, ""
 
     def stage(self, name: str, steps: int) -> None:
         """A new stage of ``steps`` planned steps begins; the bar catches up with the plan."""
         with self._lock:
             self.bar.update(self._planned - self.bar.n)
             self._planned += steps
+            self._stage = name
             self.bar.set_postfix_str(name)
+
+    def note(self, doing: str) -> None:
+        """What the stage is doing now, beside its name."""
+        with self._lock:
+            self.bar.set_postfix_str(f"{self._stage}: {doing}")
 
     def say(self, line: str) -> None:
         """A result, on its own line above the bar; nothing where there is no bar."""

@@ -35,8 +35,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from diffsim.core import show_progress
 from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_study
@@ -106,7 +106,7 @@ def find(
     """
     channels = equal(study)
     problem = Problem(model, study.fit_runs, WhiteNoise(channels), jacobian=JACOBIAN)
-    with tqdm(total=effort.starts, desc="random starts") as bar:
+    with show_progress(total=effort.starts, desc="random starts") as bar:
         starts = random_starts(
             problem, effort.starts, seed=seed, fixed=SEEN, report=lambda cost: bar.update()
         )
@@ -116,11 +116,13 @@ def find(
         x, costs = np.array(before["x"]), before["costs"]
     if adjoint:
         budget = 15 * effort.rounds * effort.evaluations  # about as long as the differences take
-        with tqdm(total=budget, desc="adjoint descent") as bar:
+        with show_progress(total=budget, desc="adjoint descent") as bar:
             down = descend(problem, x, max_evaluations=budget, report=lambda cost: bar.update())
         return Found(starts.x[0], down.x, starts.cost, down.cost)
     for number in range(len(costs) - 1, effort.rounds):
-        with tqdm(desc=f"Gauss-Newton, round {number + 1} of {effort.rounds}", unit="run") as bar:
+        with show_progress(
+            desc=f"Gauss-Newton, round {number + 1} of {effort.rounds}", unit="run"
+        ) as bar:
             model.report = bar.update
             found = fit(
                 model,

@@ -217,7 +217,7 @@ def test_bar_shows_what_is_best(capsys):
     with progress_bar("down", 5, unit=2.0) as bar:
         minimize(rosenbrock, START, BOUNDS, Options(Budget(5)), callback=bar)
     shown = capsys.readouterr().err
-    assert "down" in shown and "5/5" in shown and "best=" in shown
+    assert "down: 5 of 5" in shown and "best=" in shown
     with progress_bar("down", 5, show=False) as bar:
         minimize(rosenbrock, START, BOUNDS, Options(Budget(5)), callback=bar)
     assert capsys.readouterr().err == ""

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from diffsim.copter.codesign.api import codesign
 from diffsim.copter.codesign.metrics import parse_objective
 from diffsim.copter.codesign.result import CoDesignResult
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.core.check import require_number
+from diffsim.core.progress import show_progress
 from diffsim.core.runs import run_each
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def pareto_front(
         raise ValueError(f"metrics must be two or more different names, got {list(metrics)}")
     require_number("num_points", num_points, at_least=2)
     mixes = [dict(zip(names, mix, strict=True)) for mix in _simplex(len(names), num_points)]
-    with tqdm(total=len(mixes), disable=not progress, unit="mix") as bar:
+    with show_progress(total=len(mixes), disable=not progress, unit="mix") as bar:
         results = run_each(
             partial(_designed, design, settings), mixes, executor, done=lambda *_: bar.update()
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.progress import show_progress
 from diffsim.core.runs import run_each
 from diffsim.optim import Log, progress_bar, screen
 from diffsim.stokes.devices.device import FAILURES, Device, quiet
@@ -58,9 +58,10 @@ def draw(
     for entry in kept:
         for _ in range(entry["rejected"] + 1):
             device.sample(generator)
-    show = tqdm(desc="random designs", total=count, initial=len(kept), disable=not progress)
-    with show:
-        accepted = _Accepted(device.name, log, kept, show)
+    with show_progress(
+        desc="random designs", total=count, initial=len(kept), disable=not progress
+    ) as bar:
+        accepted = _Accepted(device.name, log, kept, bar.update)
         while (lacking := count - len(kept)) > 0:
             designs = [device.sample(generator) for _ in range(lacking)]
             accepted.begin(designs)
@@ -75,8 +76,10 @@ def draw(
 class _Accepted:
     """Designs that let fluid through, kept in the order in which they were drawn."""
 
-    def __init__(self, device: str, log: Log, kept: list[Mapping[str, Any]], show: tqdm):
-        self.device, self.log, self.kept, self.show = device, log, kept, show
+    def __init__(
+        self, device: str, log: Log, kept: list[Mapping[str, Any]], count: Callable[[], object]
+    ):
+        self.device, self.log, self.kept, self.count = device, log, kept, count
         self.rejected = 0  # since the last that was accepted
 
     def begin(self, designs: Sequence[Tensor]) -> None:
@@ -103,7 +106,7 @@ class _Accepted:
         entry = {"x": x.tolist(), "loss": outcome, "rejected": self.rejected}
         self.kept.append(self.log.append("samples", entry))
         self.rejected = 0
-        self.show.update()
+        self.count()
 
 
 def _tried(device: Device, x: Tensor) -> float | str:

@@ -51,6 +51,16 @@ def test_the_bar_follows_the_plan():
     assert workers.bar.n == 30
 
 
+def test_a_stage_says_what_it_is_doing():
+    workers = Workers(1, 30)
+    workers.stage("diagnosis", 0)
+    workers.note("search, drag")
+    assert str(workers.bar).rstrip("]").endswith(", diagnosis: search, drag")
+    workers.stage("page", 0)
+    assert "diagnosis" not in str(workers.bar)
+    workers.close()
+
+
 def test_results_are_said_above_the_bar(capsys):
     for quiet, expected in ((False, ["the first"]), (True, [])):
         workers = Workers(1, 30, quiet=quiet)
