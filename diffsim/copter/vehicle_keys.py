@@ -14,7 +14,7 @@ from diffsim.core.schema_numbers import (
     MilliampHours,
     Newtons,
     Ohms,
-    Rate,
+    RadiansPerSecond,
     Seconds,
 )
 
@@ -33,7 +33,7 @@ class RotorFacts(Part):
     )
     torque_ratio: Meters | None = Field(None, gt=0, description="Reaction torque over thrust [m]")
     thrust_exponent: float = Field(2.0, gt=0, description="Power of the speed in the thrust")
-    max_speed: Rate | None = Field(
+    max_speed: RadiansPerSecond | None = Field(
         None,
         gt=0,
         description="Speed at full signal [rad/s]; default: that of a usual propeller of this size",

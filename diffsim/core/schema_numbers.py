@@ -7,52 +7,55 @@ from typing import TYPE_CHECKING, TypeAlias
 from diffsim.core.schema import number
 
 if TYPE_CHECKING:
-    Acceleration: TypeAlias = float
-    Angle: TypeAlias = float
-    Density: TypeAlias = float
+    Hertz: TypeAlias = float
+    KilogramSquareMeters: TypeAlias = float
     Kilograms: TypeAlias = float
+    KilogramsPerCubicMeter: TypeAlias = float
     Meters: TypeAlias = float
+    MetersPerSquareSecond: TypeAlias = float
     MilliampHours: TypeAlias = float
     Newtons: TypeAlias = float
     Ohms: TypeAlias = float
     Pascals: TypeAlias = float
     PerSecond: TypeAlias = float
-    Rate: TypeAlias = float
+    Radians: TypeAlias = float
+    RadiansPerSecond: TypeAlias = float
     Ratio: TypeAlias = float
     Seconds: TypeAlias = float
-    ShearRate: TypeAlias = float
     Volts: TypeAlias = float
 else:
-    Acceleration = number("m/s^2")
-    Angle = number("rad")
-    Density = number("kg/m^3")
+    Hertz = number("Hz")
+    KilogramSquareMeters = number("kg m^2")
     Kilograms = number("kg")
+    KilogramsPerCubicMeter = number("kg/m^3")
     Meters = number("m")
+    MetersPerSquareSecond = number("m/s^2")
     MilliampHours = number("mA h")
     Newtons = number("N")
     Ohms = number("ohm")
     Pascals = number("Pa")
-    PerSecond = number("Hz")
-    Rate = number("rad/s")
+    PerSecond = number("1/s")
+    Radians = number("rad")
+    RadiansPerSecond = number("rad/s")
     Ratio = number("-")
     Seconds = number("s")
-    ShearRate = number("1/s")
     Volts = number("V")
 
 __all__ = [
-    "Acceleration",
-    "Angle",
-    "Density",
+    "Hertz",
+    "KilogramSquareMeters",
     "Kilograms",
+    "KilogramsPerCubicMeter",
     "Meters",
+    "MetersPerSquareSecond",
     "MilliampHours",
     "Newtons",
     "Ohms",
     "Pascals",
     "PerSecond",
-    "Rate",
+    "Radians",
+    "RadiansPerSecond",
     "Ratio",
     "Seconds",
-    "ShearRate",
     "Volts",
 ]

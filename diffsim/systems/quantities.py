@@ -1,4 +1,8 @@
-"""Types of keys that are quantities, known or fitted; text with another unit is converted."""
+"""Types of keys that are quantities, known or fitted; text with another unit is converted.
+
+They are named by what they are, known numbers (``core/schema_numbers.py``) by their unit. A type
+checker, which cannot read a call in an annotation, sees what a key holds.
+"""
 
 from __future__ import annotations
 
@@ -7,37 +11,70 @@ from typing import TYPE_CHECKING, TypeAlias
 from diffsim.systems.description import Quantity, positive_quantity, quantity
 
 if TYPE_CHECKING:
-    Hertz: TypeAlias = Quantity
+    Acceleration: TypeAlias = Quantity
+    Angle: TypeAlias = Quantity
+    Density: TypeAlias = Quantity
+    Force: TypeAlias = Quantity
+    Frequency: TypeAlias = Quantity
     Inertia: TypeAlias = Quantity
     Length: TypeAlias = Quantity
     Mass: TypeAlias = Quantity
-    Moment: TypeAlias = Quantity
-    PerSecond: TypeAlias = Quantity
+    Pixels: TypeAlias = Quantity
     Plain: TypeAlias = Quantity
+    PositiveDensity: TypeAlias = Quantity
+    PositiveInertia: TypeAlias = Quantity
+    PositiveLength: TypeAlias = Quantity
+    PositiveMass: TypeAlias = Quantity
+    PositivePressure: TypeAlias = Quantity
+    Pressure: TypeAlias = Quantity
+    Rate: TypeAlias = Quantity
     Resistance: TypeAlias = Quantity
+    Speed: TypeAlias = Quantity
     Time: TypeAlias = Quantity
     Viscosity: TypeAlias = Quantity
 else:
-    Hertz = quantity("Hz")
+    Acceleration = quantity("m/s^2")
+    Angle = quantity("rad")
+    Density = quantity("kg/m^3")
+    Force = quantity("N")
+    Frequency = quantity("Hz")
     Inertia = quantity("kg m^2")
     Length = quantity("m")
-    Mass = positive_quantity("kg")
-    Moment = positive_quantity("kg m^2")
-    PerSecond = quantity("1/s")
+    Mass = quantity("kg")
+    Pixels = quantity("px")
     Plain = quantity("-")
+    PositiveDensity = positive_quantity("kg/m^3")
+    PositiveInertia = positive_quantity("kg m^2")
+    PositiveLength = positive_quantity("m")
+    PositiveMass = positive_quantity("kg")
+    PositivePressure = positive_quantity("Pa")
+    Pressure = quantity("Pa")
+    Rate = quantity("1/s")
     Resistance = quantity("Pa s/m^3")
+    Speed = quantity("m/s")
     Time = quantity("s")
     Viscosity = quantity("Pa s")
 
 __all__ = [
-    "Hertz",
+    "Acceleration",
+    "Angle",
+    "Density",
+    "Force",
+    "Frequency",
     "Inertia",
     "Length",
     "Mass",
-    "Moment",
-    "PerSecond",
+    "Pixels",
     "Plain",
+    "PositiveDensity",
+    "PositiveInertia",
+    "PositiveLength",
+    "PositiveMass",
+    "PositivePressure",
+    "Pressure",
+    "Rate",
     "Resistance",
+    "Speed",
     "Time",
     "Viscosity",
 ]

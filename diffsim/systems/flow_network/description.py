@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema_numbers import Density, ShearRate
+from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
@@ -36,8 +36,8 @@ class FlowNetworkDescription(Description):
 
     system: Literal["flow_network"] = Field(description="flow_network")
     viscosity: Viscosity = Field(description="Of the fluid [Pa s]")
-    density: Density = Field(1000.0, gt=0, description="Of the fluid [kg/m^3]")
-    shear_rate: ShearRate = Field(
+    density: KilogramsPerCubicMeter = Field(1000.0, gt=0, description="Of the fluid [kg/m^3]")
+    shear_rate: PerSecond = Field(
         100.0, gt=0, description="Beyond which a thinning fluid thins [1/s]"
     )
     channels: tuple[TubeKeys, ...] = Field(

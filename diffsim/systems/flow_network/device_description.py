@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema_numbers import Density, ShearRate
+from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify import Parameter
@@ -44,8 +44,8 @@ class FlowDeviceDescription(Description):
         None, description="In its place: straight channels between nodes, one pump"
     )
     viscosity: Viscosity = Field(description="Of the fluid [Pa s]")
-    density: Density = Field(1000.0, gt=0, description="Of the fluid [kg/m^3]")
-    shear_rate: ShearRate = Field(
+    density: KilogramsPerCubicMeter = Field(1000.0, gt=0, description="Of the fluid [kg/m^3]")
+    shear_rate: PerSecond = Field(
         100.0, gt=0, description="Beyond which a thinning fluid thins in a network [1/s]"
     )
     wall_offset: Length = Field(

@@ -10,17 +10,17 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.core.schema import Part, Said
 from diffsim.core.schema_numbers import (
-    Acceleration,
-    Angle,
+    MetersPerSquareSecond,
     Newtons,
-    Rate,
+    Radians,
+    RadiansPerSecond,
     Ratio,
     Seconds,
     Volts,
 )
 from diffsim.core.units import in_si
 from diffsim.systems.description import Quantity
-from diffsim.systems.quantities import Inertia, Length, Moment, PerSecond, Plain
+from diffsim.systems.quantities import Inertia, Length, Plain, PositiveInertia, Rate
 
 _NONE = Quantity(value=0.0)
 Level = Annotated[float, BeforeValidator(lambda given: in_si(given)[0]), Said("number")]
@@ -42,9 +42,9 @@ class FrameKeys(Part):
 class InertiaKeys(Part):
     """Inertia about the center of mass, along the body's axes."""
 
-    xx: Moment = Field(description="About x [kg m^2]")
-    yy: Moment = Field(description="About y [kg m^2]")
-    zz: Moment = Field(description="About z [kg m^2]")
+    xx: PositiveInertia = Field(description="About x [kg m^2]")
+    yy: PositiveInertia = Field(description="About y [kg m^2]")
+    zz: PositiveInertia = Field(description="About z [kg m^2]")
     xy: Inertia = Field(_NONE, description="Entry of row x and column y [kg m^2]")
     xz: Inertia = Field(_NONE, description="Entry of row x and column z [kg m^2]")
     yz: Inertia = Field(_NONE, description="Entry of row y and column z [kg m^2]")
@@ -228,13 +228,13 @@ class NuisanceKeys(Part):
     run_thrust_gain: Ratio = Field(
         0.005, ge=0, description="Factor on all thrusts, of its own in every run: battery, air"
     )
-    attitude_offset: Angle = Field(
+    attitude_offset: Radians = Field(
         3e-3, ge=0, description="Constant error of the measured attitude, per axis [rad]"
     )
-    body_rates_offset: Rate = Field(
+    body_rates_offset: RadiansPerSecond = Field(
         0.0, ge=0, description="Zero of the gyro, per axis [rad/s]; 0: a candidate cause instead"
     )
-    specific_force_offset: Acceleration = Field(
+    specific_force_offset: MetersPerSquareSecond = Field(
         0.03, ge=0, description="Zero of the accelerometer, per axis [m/s^2]"
     )
     clock: Seconds = Field(
@@ -249,7 +249,7 @@ class EstimatorKeys(Part):
     specific force, with the gain `tilt` for roll and pitch and `heading` for yaw.
     """
 
-    velocity: PerSecond = Field(
+    velocity: Rate = Field(
         Quantity(value=4.0, percent=60.0, unit="1/s"), description="Of velocity [1/s]"
     )
     tilt: Plain = Field(

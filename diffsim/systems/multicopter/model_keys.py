@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.core.schema_numbers import Meters, Newtons, PerSecond
+from diffsim.core.schema_numbers import Hertz, Meters, Newtons
 from diffsim.systems.description import Description
 from diffsim.systems.dials import CLOCKS
 from diffsim.systems.multicopter.keys import (
@@ -21,7 +21,7 @@ from diffsim.systems.multicopter.keys import (
     ThrustKeys,
     WindowKeys,
 )
-from diffsim.systems.quantities import Hertz, Length, Mass, Plain, Time
+from diffsim.systems.quantities import Frequency, Length, Plain, PositiveMass, Time
 
 
 class MulticopterKeys(Description):
@@ -34,7 +34,7 @@ class MulticopterKeys(Description):
         description="Name of a shipped design, or a design file beside study.yaml; gives mass, "
         "inertia, rotors and propellers",
     )
-    mass: Mass | None = Field(
+    mass: PositiveMass | None = Field(
         None, description="Mass [kg]; a load is the fact `payload_kg` of a run's `setup`"
     )
     inertia: InertiaKeys | None = Field(
@@ -76,7 +76,7 @@ class MulticopterKeys(Description):
     sling_length: Length | None = Field(
         None, description="String of a load that may hang below [m]; default 0.5 to 60 %"
     )
-    gust_frequency: Hertz | None = Field(
+    gust_frequency: Frequency | None = Field(
         None, description="Of a gust that there may be [Hz]; default: as the records suggest"
     )
     commands: CommandKeys = Field(description="Recorded commands of the rotors")
@@ -87,7 +87,7 @@ class MulticopterKeys(Description):
     )
     battery: str | None = Field(None, description="Command that is the battery's voltage [V]")
     sensors: SensorKeys = Field(description="Channels by what they measure")
-    rate: PerSecond | None = Field(
+    rate: Hertz | None = Field(
         None,
         gt=0,
         description="Samples per second that the records are brought to [Hz]; default: as "

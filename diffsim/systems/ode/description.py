@@ -13,7 +13,7 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import chosen_effects, quantity, settings_with
+from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.dials import CLOCKS
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, Motion
@@ -40,6 +40,7 @@ from diffsim.systems.ode.law_effects import (
 from diffsim.systems.ode.library import MAGNITUDES, Library, magnitudes
 from diffsim.systems.ode.names import Reader, longest, where_of
 from diffsim.systems.ode.unknown import unknown_forces
+from diffsim.systems.quantities import Time
 
 
 class OdeDescription(FormulaKeys):
@@ -78,9 +79,7 @@ class OdeDescription(FormulaKeys):
     slow_time: AnyQuantity | None = Field(
         None, description="Time in which slow shares of inputs and forces come; none: fitted"
     )
-    clocks: dict[str, quantity("s")] = Field(  # type: ignore[valid-type]
-        {}, description=CLOCKS
-    )
+    clocks: dict[str, Time] = Field({}, description=CLOCKS)
 
     @field_validator("states", "rates", mode="before")
     @classmethod

@@ -19,7 +19,6 @@ from diffsim.systems.description import (
     Part,
     Quantity,
     chosen_effects,
-    quantity,
     settings_with,
 )
 from diffsim.systems.dials import CLOCKS, channels_of
@@ -27,6 +26,7 @@ from diffsim.systems.holding import looks_held
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.setup import outside_setup
 from diffsim.systems.outside.source import Environment, Source
+from diffsim.systems.quantities import Time
 
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
@@ -121,9 +121,7 @@ class OutsideDescription(Description):
         description="Between two samples: straight lines, or held until the next sample. None: "
         "held where all commands rest and jump, which `check` says; else straight",
     )
-    clocks: dict[str, quantity("s")] = Field(  # type: ignore[valid-type]
-        {}, description=CLOCKS
-    )
+    clocks: dict[str, Time] = Field({}, description=CLOCKS)
     hooks: HookKeys = Field(HookKeys(), description="What causes may act on")
     environment: EnvironmentKeys = Field(
         EnvironmentKeys(), description="How a simulator with reset and step is read"

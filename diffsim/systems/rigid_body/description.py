@@ -19,9 +19,9 @@ from diffsim.systems.description import (
     Description,
     Quantity,
     chosen_effects,
-    quantity,
     settings_with,
 )
+from diffsim.systems.quantities import Acceleration
 from diffsim.systems.rigid_body.ball_setup import Balls
 from diffsim.systems.rigid_body.parts import (
     GROUND,
@@ -51,7 +51,7 @@ class RigidBodyDescription(Description):
     """Rigid bodies: tossed boxes through their first impact; balls through all of theirs."""
 
     bodies: tuple[Body, ...] = Field(min_length=1, description="The bodies")
-    gravity: quantity("m/s^2") = Field(  # type: ignore[valid-type]
+    gravity: Acceleration = Field(
         Quantity(value=9.81), description="Gravity, known to 0.3 % everywhere on earth"
     )
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(

@@ -8,7 +8,9 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.systems.description import Part, Quantity, number, positive_quantity, quantity
+from diffsim.core.schema_numbers import Kilograms, KilogramSquareMeters, Meters, Radians, Seconds
+from diffsim.systems.description import Part, Quantity
+from diffsim.systems.quantities import Length, Pixels, Plain, PositiveLength, Speed
 
 GROUND = "ground"
 AXES = ("x", "y", "z")
@@ -19,9 +21,9 @@ _DRAG_OF_BOX, _DRAG_OF_SPHERE = 1.0, 0.5
 class Start(Part):
     """First guess of a ball's start, where the recording does not give it."""
 
-    place: tuple[quantity("m"), ...] = Field((), description="Its center: x, y and, in flight, z")  # type: ignore[valid-type]
-    velocity: tuple[quantity("m/s"), ...] = Field((), description="Along the same axes")  # type: ignore[valid-type]
-    roll: tuple[quantity("m/s"), ...] = Field(  # type: ignore[valid-type]
+    place: tuple[Length, ...] = Field((), description="Its center: x, y and, in flight, z")
+    velocity: tuple[Speed, ...] = Field((), description="Along the same axes")
+    roll: tuple[Speed, ...] = Field(
         (), description="Velocity at which it would roll with its spin: x and y"
     )
 
@@ -30,15 +32,15 @@ class Body(Part):
     """One rigid body."""
 
     name: str = Field(description="Name of the body")
-    box: tuple[positive_quantity("m"), ...] | None = Field(  # type: ignore[valid-type]
+    box: tuple[PositiveLength, ...] | None = Field(
         None, description="Lengths of a box's three edges, or one for a cube"
     )
-    sphere: positive_quantity("m") | None = Field(None, description="Diameter of a ball")  # type: ignore[valid-type]
+    sphere: PositiveLength | None = Field(None, description="Diameter of a ball")
     like: str | None = Field(
         None, description="Another ball that this one equals: the same diameter and inertia"
     )
-    mass: number("kg") | None = Field(None, gt=0, description="Mass; sizes what air may do")  # type: ignore[valid-type]
-    inertia: tuple[number("kg m^2"), ...] | None = Field(  # type: ignore[valid-type]
+    mass: Kilograms | None = Field(None, gt=0, description="Mass; sizes what air may do")
+    inertia: tuple[KilogramSquareMeters, ...] | None = Field(
         None, description="Moments of inertia about the body's x, y, z; needs mass"
     )
     inertia_ratio: float | None = Field(
@@ -96,18 +98,18 @@ class Body(Part):
 class Ground(Part):
     """The plane below, level unless an effect tilts it."""
 
-    height: number("m") = Field(0.0, description="Height of the plane in the recorded frame")  # type: ignore[valid-type]
+    height: Meters = Field(0.0, description="Height of the plane in the recorded frame")
 
 
 class Contact(Part):
     """What two bodies, or a body and the ground, do where they touch."""
 
     between: tuple[str, str] = Field(description="Two bodies, or a body and `ground`")
-    restitution: quantity("-") = Field(  # type: ignore[valid-type]
+    restitution: Plain = Field(
         Quantity(value=0.5, sd=0.25, lower=0.0, upper=1.0),
         description="Speed of separation over that of approach [-]",
     )
-    friction: quantity("-") | None = Field(  # type: ignore[valid-type]
+    friction: Plain | None = Field(
         None, description="Coulomb coefficient [-]; left out: none, but a candidate cause"
     )
 
@@ -180,16 +182,14 @@ class Camera(Part):
     """A pinhole: Y = turn R p + shift, u = u0 + f Y0 / Y2, v = v0 - f Y1 / Y2 (Y2 < 0 in front)."""
 
     size: tuple[float, float] = Field(description="Width and height of the picture [px]")
-    focal: quantity("px") | None = Field(None, description="Focal length [px]; default: by points")  # type: ignore[valid-type]
+    focal: Pixels | None = Field(None, description="Focal length [px]; default: by points")
     rotation: tuple[tuple[float, float, float], ...] | None = Field(
         None, description="First guess of R, rows of three; default: by points"
     )
-    shift: tuple[quantity("m"), ...] | None = Field(  # type: ignore[valid-type]
+    shift: tuple[Length, ...] | None = Field(
         None, description="First guess of the shift; default: by points"
     )
-    turn_sd: number("rad") = Field(  # type: ignore[valid-type]
-        0.1, gt=0, description="How far R may be off, about each axis [rad]"
-    )
+    turn_sd: Radians = Field(0.1, gt=0, description="How far R may be off, about each axis [rad]")
     points: Points | None = Field(None, description="Clicked points that calibrate it")
 
     @property
@@ -214,7 +214,7 @@ class Starts(Part):
         description="run: each its own; once: all runs are parts of one motion; or a fact of the "
         "runs' setup: one for each of its values",
     )
-    at: number("s") = Field(  # type: ignore[valid-type]
+    at: Seconds = Field(
         0.0, description="Time of the start where runs share it; else each run's first sample"
     )
 
@@ -227,7 +227,7 @@ class Window(Part):
         description="touch: just before the first contact; rebound: through the impact of the "
         "corner that hits first, until another one comes down",
     )
-    near: number("m") | None = Field(  # type: ignore[valid-type]
+    near: Meters | None = Field(
         None, gt=0, description="Height of a corner that counts as touching; default: 3 % of edge"
     )
     spared: int = Field(1, ge=0, description="Frames left out before the touch")
@@ -237,7 +237,7 @@ class Window(Part):
         description="Number of frames at the end in which the body rests on the ground: their "
         "median height counts as one more sample; 0: none",
     )
-    rest_sd: number("m") | None = Field(  # type: ignore[valid-type]
+    rest_sd: Meters | None = Field(
         None, gt=0, description="Noise of that height; default: its scatter over the runs"
     )
 

@@ -8,9 +8,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import Part, number
+from diffsim.core.schema import Part
+from diffsim.core.schema_numbers import Meters, Radians
 from diffsim.core.units import in_unit
-from diffsim.systems.description import Description, Quantity, positive_quantity, quantity
+from diffsim.systems.description import Description, Quantity
+from diffsim.systems.quantities import Angle, Length, Mass, Plain, PositiveDensity, PositivePressure
 
 Vector = tuple[float, float, float]
 
@@ -32,18 +34,18 @@ def _known(value: float, unit: str = "-") -> Quantity:
 class Station(Part):
     """Radius of the rod at one place."""
 
-    at: number("m") = Field(ge=0, description="Arc length from the base [m]")  # type: ignore[valid-type]
-    radius: number("m") = Field(gt=0, description="Radius there [m]")  # type: ignore[valid-type]
+    at: Meters = Field(ge=0, description="Arc length from the base [m]")
+    radius: Meters = Field(gt=0, description="Radius there [m]")
 
 
 class RodMaterial(Part):
     """Material of the rod, linear in bending, twist and stretch."""
 
-    youngs_modulus: positive_quantity("Pa") = Field(description="Young's modulus [Pa]")  # type: ignore[valid-type]
-    poissons_ratio: quantity("-") = Field(  # type: ignore[valid-type]
+    youngs_modulus: PositivePressure = Field(description="Young's modulus [Pa]")
+    poissons_ratio: Plain = Field(
         _known(0.45), description="Poisson's ratio; it says how stiff the rod is against twist"
     )
-    density: positive_quantity("kg/m^3") = Field(description="Density [kg/m^3]")  # type: ignore[valid-type]
+    density: PositiveDensity = Field(description="Density [kg/m^3]")
 
 
 class Base(Part):
@@ -52,12 +54,12 @@ class Base(Part):
     place: Place = Field((0.0, 0.0, 0.0), description="Where, in the frame of the recording [m]")
     along: Vector = Field((1.0, 0.0, 0.0), description="Direction of the axis there")
     across: Vector = Field((0.0, 1.0, 0.0), description="Direction of local y; z is along x y")
-    twist: quantity("rad") = Field(_known(0.0, "rad"), description="Turned about its axis [rad]")  # type: ignore[valid-type]
-    tilt_y: quantity("rad") = Field(_known(0.0, "rad"), description="Turned about local y [rad]")  # type: ignore[valid-type]
-    tilt_z: quantity("rad") = Field(_known(0.0, "rad"), description="Turned about local z [rad]")  # type: ignore[valid-type]
-    shift_x: quantity("m") = Field(_known(0.0, "m"), description="Place along x, in addition [m]")  # type: ignore[valid-type]
-    shift_y: quantity("m") = Field(_known(0.0, "m"), description="Place along y, in addition [m]")  # type: ignore[valid-type]
-    shift_z: quantity("m") = Field(_known(0.0, "m"), description="Place along z, in addition [m]")  # type: ignore[valid-type]
+    twist: Angle = Field(_known(0.0, "rad"), description="Turned about its axis [rad]")
+    tilt_y: Angle = Field(_known(0.0, "rad"), description="Turned about local y [rad]")
+    tilt_z: Angle = Field(_known(0.0, "rad"), description="Turned about local z [rad]")
+    shift_x: Length = Field(_known(0.0, "m"), description="Place along x, in addition [m]")
+    shift_y: Length = Field(_known(0.0, "m"), description="Place along y, in addition [m]")
+    shift_z: Length = Field(_known(0.0, "m"), description="Place along z, in addition [m]")
 
     @model_validator(mode="after")
     def _directions(self) -> Base:
@@ -70,9 +72,9 @@ class Base(Part):
 class PathPoint(Part):
     """Where a tendon passes a section."""
 
-    at: number("m") = Field(ge=0, description="Arc length of the section [m]")  # type: ignore[valid-type]
-    angle: number("rad") = Field(description="Around the axis, from local y towards z [rad]")  # type: ignore[valid-type]
-    distance: number("m") = Field(gt=0, description="From the axis [m]")  # type: ignore[valid-type]
+    at: Meters = Field(ge=0, description="Arc length of the section [m]")
+    angle: Radians = Field(description="Around the axis, from local y towards z [rad]")
+    distance: Meters = Field(gt=0, description="From the axis [m]")
 
 
 class RodTendon(Part):
@@ -83,7 +85,7 @@ class RodTendon(Part):
     path: tuple[PathPoint, ...] = Field(
         min_length=2, description="Sections that it passes, straight between them"
     )
-    gain: quantity("-") = Field(  # type: ignore[valid-type]
+    gain: Plain = Field(
         _known(1.0), description="Tension per command: one over the radius of a pulley, say"
     )
 
@@ -92,19 +94,19 @@ class RodMass(Part):
     """A mass fixed to a section."""
 
     name: str = Field(description="Short name; base parameters are called by it")
-    at: number("m") = Field(ge=0, description="Arc length of its section [m]")  # type: ignore[valid-type]
+    at: Meters = Field(ge=0, description="Arc length of its section [m]")
     offset: Place = Field((0.0, 0.0, 0.0), description="From the axis: along, local y, z [m]")
-    mass: quantity("kg") = Field(description="Mass [kg]")  # type: ignore[valid-type]
+    mass: Mass = Field(description="Mass [kg]")
 
 
 class RodMarker(Part):
     """A marker fixed to a section, perhaps on a stub."""
 
-    at: number("m") = Field(ge=0, description="Arc length of its section [m]")  # type: ignore[valid-type]
+    at: Meters = Field(ge=0, description="Arc length of its section [m]")
     offset: Place = Field((0.0, 0.0, 0.0), description="From the axis: along, local y, z [m]")
-    along: quantity("m") = Field(_known(0.0, "m"), description="Shifted along the axis by [m]")  # type: ignore[valid-type]
-    y: quantity("m") = Field(_known(0.0, "m"), description="Shifted along local y by [m]")  # type: ignore[valid-type]
-    z: quantity("m") = Field(_known(0.0, "m"), description="Shifted along local z by [m]")  # type: ignore[valid-type]
+    along: Length = Field(_known(0.0, "m"), description="Shifted along the axis by [m]")
+    y: Length = Field(_known(0.0, "m"), description="Shifted along local y by [m]")
+    z: Length = Field(_known(0.0, "m"), description="Shifted along local z by [m]")
 
 
 class RodReading(Part):

@@ -7,9 +7,10 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import number
-from diffsim.systems.description import Description, Quantity, quantity
+from diffsim.core.schema_numbers import Meters
+from diffsim.systems.description import Description, Quantity
 from diffsim.systems.dials import CLOCKS, clock_of
+from diffsim.systems.quantities import Time
 from diffsim.systems.soft_body.keys import (
     Chamber,
     Clamp,
@@ -61,7 +62,7 @@ class SoftBodyKeys(Description):
     vibration: Vibration | None = Field(
         None, description="A base that may shake unrecorded: cause base_vibration"
     )
-    slack_string: number("m") | None = Field(  # type: ignore[valid-type]
+    slack_string: Meters | None = Field(
         None,
         description="Attached masses may hang slack at first and be caught after a fall of about "
         "this height [m]: cause slack_string",
@@ -70,9 +71,7 @@ class SoftBodyKeys(Description):
     channels: dict[str, Reading] = Field(description="What each channel of the study shows")
     camera: Camera = Field(Camera(), description="What all channels share")
     clock: Clock = Field(Clock(), description="Clock of the recording against that of the commands")
-    clocks: dict[str, quantity("s")] = Field(  # type: ignore[valid-type]
-        {}, description=CLOCKS
-    )
+    clocks: dict[str, Time] = Field({}, description=CLOCKS)
     start: Start = Field(Start(), description="How the body begins")
     numerics: Numerics = Field(Numerics(), description="Time step, mesh and tolerance")
 

@@ -6,9 +6,22 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.core.schema import Part, number
+from diffsim.core.schema import Part
+from diffsim.core.schema_numbers import Hertz, KilogramsPerCubicMeter, Meters, Seconds
 from diffsim.soft import MATERIALS
-from diffsim.systems.description import Quantity, quantity
+from diffsim.systems.description import Quantity
+from diffsim.systems.quantities import (
+    Angle,
+    Density,
+    Force,
+    Length,
+    Mass,
+    Plain,
+    Pressure,
+    Rate,
+    Speed,
+    Time,
+)
 from diffsim.systems.soft_body.places import Point, Region
 
 Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
@@ -22,15 +35,15 @@ class Material(Part):
     """Material of the whole body, where no region says otherwise."""
 
     law: str = Field("pd", description=f"Energy of the solid: {', '.join(MATERIALS)}")
-    youngs_modulus: quantity("Pa") = Field(description="Young's modulus [Pa]")  # type: ignore[valid-type]
-    poissons_ratio: quantity("-") = Field(  # type: ignore[valid-type]
+    youngs_modulus: Pressure = Field(description="Young's modulus [Pa]")
+    poissons_ratio: Plain = Field(
         _known(0.45, "-"), description="Poisson's ratio; cells lock as it nears 0.5"
     )
-    density: quantity("kg/m^3") = Field(description="Density [kg/m^3]")  # type: ignore[valid-type]
-    rayleigh_beta: quantity("s") = Field(  # type: ignore[valid-type]
+    density: Density = Field(description="Density [kg/m^3]")
+    rayleigh_beta: Time = Field(
         _known(0.0, "s"), description="Damping that grows with the frequency: force -beta K v [s]"
     )
-    rayleigh_alpha: quantity("1/s") = Field(  # type: ignore[valid-type]
+    rayleigh_alpha: Rate = Field(
         _known(0.0, "1/s"), description="Damping by speed against the room: -alpha M v [1/s]"
     )
 
@@ -43,9 +56,9 @@ class MaterialRegion(Part):
     group: str | None = Field(
         None, description="Instead of `where`: name of a region of the body's mesh file"
     )
-    youngs_modulus: quantity("Pa") | None = Field(None, description="Young's modulus [Pa]")  # type: ignore[valid-type]
-    poissons_ratio: quantity("-") | None = Field(None, description="Poisson's ratio")  # type: ignore[valid-type]
-    density: quantity("kg/m^3") | None = Field(None, description="Density [kg/m^3]")  # type: ignore[valid-type]
+    youngs_modulus: Pressure | None = Field(None, description="Young's modulus [Pa]")
+    poissons_ratio: Plain | None = Field(None, description="Poisson's ratio")
+    density: Density | None = Field(None, description="Density [kg/m^3]")
 
     @model_validator(mode="after")
     def _one_place(self) -> MaterialRegion:
@@ -66,8 +79,8 @@ class Gravity(Part):
     vector: tuple[float, float, float] = Field(
         (0.0, 0.0, -9.81), description="Acceleration of free fall along x, y, z [m/s^2]"
     )
-    roll: quantity("rad") = Field(_known(0.0, "rad"), description="Turned about x by this [rad]")  # type: ignore[valid-type]
-    pitch: quantity("rad") = Field(_known(0.0, "rad"), description="Turned about y by this [rad]")  # type: ignore[valid-type]
+    roll: Angle = Field(_known(0.0, "rad"), description="Turned about x by this [rad]")
+    pitch: Angle = Field(_known(0.0, "rad"), description="Turned about y by this [rad]")
 
 
 class Load(Part):
@@ -75,11 +88,11 @@ class Load(Part):
 
     name: str = Field("load", description="Short name; base parameters are called by it")
     where: Region = Field(description="Nodes that carry it, each its share")
-    mass: quantity("kg") | None = Field(None, description="Mass [kg]")  # type: ignore[valid-type]
+    mass: Mass | None = Field(None, description="Mass [kg]")
     mass_from: str | None = Field(
         None, description="Instead of `mass`: the fact of the runs' `setup` that holds it [kg]"
     )
-    share: quantity("-") = Field(  # type: ignore[valid-type]
+    share: Plain = Field(
         _known(1.0, "-"), description="Factor on the mass: a hook and a string weigh something"
     )
     acts_as: Literal["mass", "weight"] = Field(
@@ -100,7 +113,7 @@ class Drive(Part):
 
     name: str = Field(description="Short name; base parameters are called by it")
     command: str = Field(description="Name of the command that drives it")
-    gain: quantity("-") = Field(  # type: ignore[valid-type]
+    gain: Plain = Field(
         _known(1.0, "-"), description="Factor on the command: radius of a pulley, unit of a scale"
     )
 
@@ -116,10 +129,10 @@ class DescribedTendon(Drive):
         description="What the command says: by how much the cable is drawn in [m], that as a share "
         "of its length, its length [m], or its tension [N]",
     )
-    axial_stiffness: quantity("N") | None = Field(  # type: ignore[valid-type]
+    axial_stiffness: Force | None = Field(
         None, description="Force per strain, E A [N]; not for means: force"
     )
-    full_length: number("m") | None = Field(  # type: ignore[valid-type]
+    full_length: Meters | None = Field(
         None, gt=0, description="Length that strain refers to [m]; default: that of the path"
     )
     part: float = Field(
@@ -138,7 +151,7 @@ class DescribedMuscle(Drive):
 
     where: Region = Field(description="Which part: cells whose center lies inside")
     direction: tuple[float, float, float] = Field(description="Direction of the fibers at rest")
-    stiffness: quantity("Pa") = Field(description="Stiffness of the fibers [Pa]")  # type: ignore[valid-type]
+    stiffness: Pressure = Field(description="Stiffness of the fibers [Pa]")
     means: Literal["shortening", "length"] = Field(
         "shortening", description="The command is the share by which they shorten, or their length"
     )
@@ -153,14 +166,12 @@ class Chamber(Drive):
 class Water(Part):
     """A fluid around the body."""
 
-    density: number("kg/m^3") = Field(1000.0, gt=0, description="Density [kg/m^3]")  # type: ignore[valid-type]
-    drag: quantity("-") = Field(  # type: ignore[valid-type]
-        _known(1.0, "-"), description="Factor on the published drag coefficients"
-    )
-    thrust: quantity("-") = Field(  # type: ignore[valid-type]
+    density: KilogramsPerCubicMeter = Field(1000.0, gt=0, description="Density [kg/m^3]")
+    drag: Plain = Field(_known(1.0, "-"), description="Factor on the published drag coefficients")
+    thrust: Plain = Field(
         _known(1.0, "-"), description="Factor on the published thrust coefficients"
     )
-    added_mass: quantity("-") = Field(  # type: ignore[valid-type]
+    added_mass: Plain = Field(
         _known(1.0, "-"), description="Inertia of the fluid, as a share of what the body displaces"
     )
     current: tuple[float, float, float] = Field(
@@ -173,7 +184,7 @@ class Wall(Part):
     """A flat obstacle: everything on its far side is solid."""
 
     normal: tuple[float, float, float] = Field(description="Out of the solid")
-    offset: number("m") = Field(0.0, description="Its distance from the origin along normal [m]")  # type: ignore[valid-type]
+    offset: Meters = Field(0.0, description="Its distance from the origin along normal [m]")
     friction: float = Field(0.0, ge=0, description="Coefficient of friction")
 
 
@@ -182,7 +193,7 @@ class Stop(Part):
 
     where: Region = Field(description="Nodes that meet it")
     direction: tuple[float, float, float] = Field(description="Direction in which it stops them")
-    gap: number("m") = Field(description="How far they move freely, on average [m]")  # type: ignore[valid-type]
+    gap: Meters = Field(description="How far they move freely, on average [m]")
 
 
 class Support(Part):
@@ -190,7 +201,7 @@ class Support(Part):
 
     x: str = Field(description="Command with its place along x [m]")
     z: str = Field(description="Command with its place along z [m]")
-    faster_than: number("Hz") | None = Field(  # type: ignore[valid-type]
+    faster_than: Hertz | None = Field(
         None, gt=0, description="Noise above this is taken out [Hz]: accelerations act"
     )
 
@@ -198,7 +209,7 @@ class Support(Part):
 class Vibration(Part):
     """An oscillation of the base that nobody recorded, a candidate cause: base_vibration."""
 
-    frequency: number("Hz") = Field(gt=0, description="Its frequency [Hz]")  # type: ignore[valid-type]
+    frequency: Hertz = Field(gt=0, description="Its frequency [Hz]")
     axes: Axes = Field("xyz", description="Along which axes the base may shake")
 
 
@@ -215,16 +226,16 @@ class Start(Part):
     direction: tuple[float, float, float] = Field(
         (0.0, 0.0, 1.0), description="For held: direction of `offset` and `speed`"
     )
-    offset: quantity("m") = Field(  # type: ignore[valid-type]
+    offset: Length = Field(
         _known(0.0, "m"), description="For held: how far from the unstrained place [m]"
     )
-    speed: quantity("m/s") = Field(  # type: ignore[valid-type]
+    speed: Speed = Field(
         _known(0.0, "m/s"), description="For held: speed with which they are let go [m/s]"
     )
-    at: number("s") | None = Field(  # type: ignore[valid-type]
+    at: Seconds | None = Field(
         None, description="Time on the run's clock; default: its first sample [s]"
     )
-    lead_in: number("s") = Field(  # type: ignore[valid-type]
+    lead_in: Seconds = Field(
         0.0,
         ge=0,
         description="Simulated before the first sample, while the command comes up from zero [s]: "
@@ -246,7 +257,7 @@ class Numerics(Part):
         description="`quasi_static`: at every sample in equilibrium under its command, for slow "
         "motions and for poses; a hundred times quicker",
     )
-    time_step: number("s") = Field(5e-3, gt=0, description="Time step [s]")  # type: ignore[valid-type]
+    time_step: Seconds = Field(5e-3, gt=0, description="Time step [s]")
     integrator: Literal["implicit_midpoint", "bdf2", "implicit_euler", "semi_implicit_euler"] = (
         Field("implicit_midpoint", description="Implicit midpoint has no damping of its own")
     )

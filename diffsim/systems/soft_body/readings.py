@@ -21,6 +21,7 @@ from torch import Tensor
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.core.schema import Part
 from diffsim.systems.description import Quantity, quantity
+from diffsim.systems.quantities import Angle, Plain, Time
 from diffsim.systems.soft_body.places import (
     AnyMesh,
     Array,
@@ -75,9 +76,7 @@ class Reading(Part):
     zero: Quantity = Field(
         Quantity(value=0.0), description="What it reads at no displacement [m], or rotation [rad]"
     )
-    scale: quantity("-") = Field(  # type: ignore[valid-type]
-        Quantity(value=1.0), description="Factor on what it reads"
-    )
+    scale: Plain = Field(Quantity(value=1.0), description="Factor on what it reads")
 
     @field_validator("zero", mode="before")
     @classmethod
@@ -101,29 +100,23 @@ class Camera(Part):
         "first samples; `place`: where the markers are",
     )
     first_samples: int = Field(1, ge=1, description="For first: how many samples")
-    scale: quantity("-") = Field(  # type: ignore[valid-type]
-        Quantity(value=1.0), description="Factor on all lengths that are read"
-    )
-    roll: quantity("rad") = Field(  # type: ignore[valid-type]
+    scale: Plain = Field(Quantity(value=1.0), description="Factor on all lengths that are read")
+    roll: Angle = Field(
         Quantity(value=0.0), description="Its axes are turned about x by this [rad]"
     )
-    pitch: quantity("rad") = Field(  # type: ignore[valid-type]
+    pitch: Angle = Field(
         Quantity(value=0.0), description="Its axes are turned about y by this [rad]"
     )
-    yaw: quantity("rad") = Field(  # type: ignore[valid-type]
-        Quantity(value=0.0), description="Its axes are turned about z by this [rad]"
-    )
+    yaw: Angle = Field(Quantity(value=0.0), description="Its axes are turned about z by this [rad]")
 
 
 class Clock(Part):
     """Clock of the recording against that of the commands and of the start."""
 
-    offset: quantity("s") = Field(  # type: ignore[valid-type]
+    offset: Time = Field(
         Quantity(value=0.0), description="What the record shows at t happened at t - offset [s]"
     )
-    rate: quantity("-") = Field(  # type: ignore[valid-type]
-        Quantity(value=1.0), description="True seconds per second of the record"
-    )
+    rate: Plain = Field(Quantity(value=1.0), description="True seconds per second of the record")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from diffsim import mesh as meshes
 from diffsim.core.inside import inside
-from diffsim.core.schema import Part, number
+from diffsim.core.schema import Part
+from diffsim.core.schema_numbers import Meters, Radians
 from diffsim.core.units import factor
 from diffsim.mesh import HexMesh, RegionMesh, TetMesh
 from diffsim.systems.soft_body.places import Array, Point, Region
@@ -24,9 +25,9 @@ _UNIT_SPACING = 0.785  # of a rod's section of radius 1: a core of two by two ce
 class Section(Part):
     """Cross-section of a bar at one place."""
 
-    at: number("m") = Field(description="Place along x [m]")  # type: ignore[valid-type]
-    y: tuple[number("m"), number("m")] = Field(description="From and to across [m]")  # type: ignore[valid-type]
-    z: tuple[number("m"), number("m")] = Field(description="From and to up [m]")  # type: ignore[valid-type]
+    at: Meters = Field(description="Place along x [m]")
+    y: tuple[Meters, Meters] = Field(description="From and to across [m]")
+    z: tuple[Meters, Meters] = Field(description="From and to up [m]")
 
 
 class Bar(Part):
@@ -40,7 +41,7 @@ class Bar(Part):
     cells: tuple[int, int, int] = Field(
         (10, 2, 2), description="Number of cells along x, y and z; more are slower and more exact"
     )
-    floor_layer: number("m") | None = Field(  # type: ignore[valid-type]
+    floor_layer: Meters | None = Field(
         None,
         description="Thickness of the lowest layer of cells, the same everywhere [m]: tendons act "
         "along the middle of the cells that they pass",
@@ -89,8 +90,8 @@ class Bar(Part):
 class Station(Part):
     """Radius of a rod at one place."""
 
-    at: number("m") = Field(description="Place along x [m]")  # type: ignore[valid-type]
-    radius: number("m") = Field(gt=0, description="Radius there [m]")  # type: ignore[valid-type]
+    at: Meters = Field(description="Place along x [m]")
+    radius: Meters = Field(gt=0, description="Radius there [m]")
 
 
 class Rod(Part):
@@ -121,7 +122,7 @@ class MeshFile(Part):
 
     path: str = Field(description="File, relative to the study: .msh, .vtk, .stl, .obj, ...")
     unit: str = Field("m", description="Unit of its coordinates")
-    spacing: number("m") | None = Field(  # type: ignore[valid-type]
+    spacing: Meters | None = Field(
         None, gt=0, description="Length of the cells that fill a surface [m]"
     )
     cells: Literal["cubes", "tetrahedra"] = Field("cubes", description="What fills a surface")
@@ -185,7 +186,7 @@ class BodyShape(Part):
     bar: Bar | None = Field(None, description="A bar along x")
     rod: Rod | None = Field(None, description="A rod along x with a round section")
     file: MeshFile | None = Field(None, description="A mesh or a surface from a file")
-    rotation: tuple[number("rad"), number("rad"), number("rad")] = Field(  # type: ignore[valid-type]
+    rotation: tuple[Radians, Radians, Radians] = Field(
         (0.0, 0.0, 0.0), description="Rotation vector that turns it about the origin [rad]"
     )
     shift: Point = Field((0.0, 0.0, 0.0), description="Moved by, after the rotation [m]")
