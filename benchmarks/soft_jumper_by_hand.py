@@ -95,7 +95,7 @@ def optimize(task: SoftJumper, options: Options, out: Path) -> Period:
         set_rate(adam, cosine_rate(o.rate, k / o.iterations, o.last_rate))
         adam.zero_grad()
         episode = rollout_task(task, period, task.start(o.batch, rng), o.horizon)
-        (-episode.rewards.mean()).backward()  # type: ignore[no-untyped-call]
+        (-episode.rewards.mean()).backward()
         torch.nn.utils.clip_grad_norm_([period.raw], 1.0)
         adam.step()
         seconds += time.process_time() - began

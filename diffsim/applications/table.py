@@ -42,7 +42,7 @@ def row(
     quick: bool,
     evaluations: int | None,
     first: Sequence[float] | None = None,
-) -> dict:
+) -> dict[str, Any]:
     """Optimize one application by one solver; what is on record is not computed again.
 
     ``first`` is where to begin instead of the application's own first guess or random starts.
@@ -95,14 +95,14 @@ def make(
     quick: bool = False,
     evaluations: int | None = None,
     baseline_evaluations: int | None = None,
-) -> list[dict]:
+) -> list[dict[str, Any]]:
     """All rows; ``table.json`` and ``table.md`` are written after each.
 
     ``baseline_evaluations`` limits those of the Newton baselines only, where their seconds per
     evaluation are wanted rather than where they end. They begin
     where ours began, at the best of its random starts if there are any.
     """
-    rows: list[dict] = []
+    rows: list[dict[str, Any]] = []
     for name in names:
         first = None
         for solver in (OURS, *[s for s in solvers if s != OURS]):
@@ -114,7 +114,7 @@ def make(
     return rows
 
 
-def markdown(rows: Sequence[dict]) -> str:
+def markdown(rows: Sequence[dict[str, Any]]) -> str:
     """The table: a line per application and solver."""
     lines = [
         "| application | DoF | solver | forward CPU s | backward CPU s | evaluations | normalized "
@@ -143,5 +143,5 @@ def markdown(rows: Sequence[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cost(r: dict) -> float:
+def _cost(r: dict[str, Any]) -> float:
     return r["forward_cpu_s"] + r["backward_cpu_s"]

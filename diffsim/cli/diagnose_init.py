@@ -16,9 +16,10 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
+from diffsim.data.runs_guess import GuessedRun, Quantity
 from diffsim.data.study_check import TODO
 from diffsim.data.study_file import STUDY_FILE, load_study
-from diffsim.data.study_guess import Guess, GuessedRun, Quantity, guess_study
+from diffsim.data.study_guess import Guess, guess_study
 from diffsim.systems.registry import DESCRIPTIONS
 
 WIDTH = 96

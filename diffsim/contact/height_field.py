@@ -162,7 +162,7 @@ def closest_in_graph(padded: Tensor, p: Tensor, *, handle: int) -> Tensor:
 
 
 @closest_in_graph.register_fake
-def _(padded, p, *, handle):
+def _(padded: Tensor, p: Tensor, *, handle: int) -> Tensor:
     return p.new_empty(len(p), 2)
 
 

@@ -59,6 +59,6 @@ def nearest_in_graph(x: Tensor, *, handle: int) -> tuple[Tensor, Tensor, Tensor,
 
 
 @nearest_in_graph.register_fake
-def _(x, *, handle):
+def _(x: Tensor, *, handle: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     index = x.new_empty(len(x), dtype=torch.int64)
     return index, torch.empty_like(index), x.new_empty(len(x)), torch.empty_like(x)

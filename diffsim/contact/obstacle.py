@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -166,27 +167,27 @@ def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle
     return many
 
 
-def floor(height: float | Tensor = 0.0, **options) -> Obstacle:
+def floor(height: float | Tensor = 0.0, **options: Any) -> Obstacle:
     """Solid below z = height [m]; options as in :class:`Obstacle`."""
     return Obstacle(Plane((0.0, 0.0, 1.0), height), **options)
 
 
-def plane(normal: Vector, offset: Number = 0.0, **options) -> Obstacle:
+def plane(normal: Vector, offset: Number = 0.0, **options: Any) -> Obstacle:
     """Half space, see :class:`Plane`; options as in :class:`Obstacle`."""
     return Obstacle(Plane(normal, offset), **options)
 
 
-def sphere(radius: Number, **options) -> Obstacle:
+def sphere(radius: Number, **options: Any) -> Obstacle:
     """Ball, see :class:`Sphere`; options as in :class:`Obstacle`."""
     return Obstacle(Sphere(radius), **options)
 
 
-def capsule(start: Vector, end: Vector, radius: Number, **options) -> Obstacle:
+def capsule(start: Vector, end: Vector, radius: Number, **options: Any) -> Obstacle:
     """Capsule, see :class:`Capsule`; options as in :class:`Obstacle`."""
     return Obstacle(Capsule(start, end, radius), **options)
 
 
-def box(size: Vector, **options) -> Obstacle:
+def box(size: Vector, **options: Any) -> Obstacle:
     """Box, see :class:`Box`; options as in :class:`Obstacle`."""
     return Obstacle(Box(size), **options)
 

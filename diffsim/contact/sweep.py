@@ -90,5 +90,13 @@ def first_entry_in_graph(
 
 
 @first_entry_in_graph.register_fake
-def _(y0, y1, start_distance, end_distance, end_normal, *, handle):
+def _(
+    y0: Tensor,
+    y1: Tensor,
+    start_distance: Tensor,
+    end_distance: Tensor,
+    end_normal: Tensor,
+    *,
+    handle: int,
+) -> Tensor:
     return torch.empty_like(end_distance)

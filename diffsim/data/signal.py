@@ -346,7 +346,11 @@ class RepeatFloor:
 
 
 def repeat_floor(
-    first: tuple[Array, Array], second: tuple[Array, Array], *, until_s: float, max_lag_s=0.02
+    first: tuple[Array, Array],
+    second: tuple[Array, Array],
+    *,
+    until_s: float,
+    max_lag_s: float = 0.02,
 ) -> RepeatFloor:
     """Difference of two recordings whose times count from their own release.
 

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -65,13 +66,13 @@ class Store:
         kept = self.load_arrays(name)
         return None if kept is None else kept["array"]
 
-    def save_arrays(self, name: str, **arrays: NDArray) -> None:
+    def save_arrays(self, name: str, **arrays: NDArray[Any]) -> None:
         """Write arrays of numbers, truth values or text to the folder."""
         buffer = BytesIO()
         np.savez(buffer, **arrays)  # type: ignore[arg-type]
         write_bytes_atomic(self._path(name), buffer.getvalue())
 
-    def load_arrays(self, name: str) -> dict[str, NDArray] | None:
+    def load_arrays(self, name: str) -> dict[str, NDArray[Any]] | None:
         """Arrays by name; None if there are none that can be read."""
         try:
             with np.load(self._path(name)) as file:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -279,5 +279,5 @@ def _twins(effects: Sequence[Effect], screened: Screen, i: int) -> tuple[str, ..
     )
 
 
-def _by_component(effect: Effect, values) -> dict[str, float]:
+def _by_component(effect: Effect, values: Iterable[float]) -> dict[str, float]:
     return {c: float(v) for c, v in zip(effect.components, values, strict=True)}

@@ -8,10 +8,11 @@ taken along these, the scaled coordinates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -368,7 +369,7 @@ class Problem:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         return np.asarray(self.whitener.matrix(run) @ record)
 
-    def _each(self, job):
+    def _each(self, job: Callable[[Run], Any]) -> list[Any]:
         if self.workers > 1:
             with ThreadPoolExecutor(self.workers) as pool:
                 contexts = [copy_context() for _ in self.runs]  # records of solves go along

@@ -140,7 +140,7 @@ class GradientLearner:
         cut = self.options.cut_every or None
         episode = rollout_task(self.task, self.net, start, horizon, cut_every=cut)
         reward = episode.rewards.mean()
-        (-reward).backward()  # type: ignore[no-untyped-call]
+        (-reward).backward()
         return Batch(reward.detach(), episode.observations[episode.alive])
 
     def state_dict(self) -> dict[str, Any]:

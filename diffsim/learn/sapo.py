@@ -89,7 +89,7 @@ class Temperature:
         """One step for entropies H (...)."""
         self.adam.zero_grad()
         loss = self.log.exp() * (entropy.detach().mean() - self.target)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         self.adam.step()
 
     def state_dict(self) -> dict[str, Any]:

@@ -117,7 +117,7 @@ class ShortHorizonLearner:
         before = self.state
         try:
             loss, window = self._window()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             norm = nn.utils.clip_grad_norm_(self.actor_parameters, o.clip)
         except (ArithmeticError, RuntimeError, ValueError) as error:
             if not broke_down(error):

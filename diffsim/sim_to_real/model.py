@@ -15,7 +15,7 @@ from diffsim import soft
 from diffsim.data.importers.starfish import COMMAND, MARKERS
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Parameter
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.mesh import HexMesh, TetMesh
 from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS

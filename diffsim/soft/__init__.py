@@ -1,5 +1,7 @@
 """Soft bodies, projective-dynamics and hyperelastic, forward and backward (thesis 4.1)."""
 
+from diffsim.soft._context import MATERIALS
+from diffsim.soft._solves import SolveStats
 from diffsim.soft.actuators import (
     ActuatorDynamics,
     ActuatorState,
@@ -11,7 +13,7 @@ from diffsim.soft.chambers import PressureChamber, sealed_pressure
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
 from diffsim.soft.immersion import added_mass, buoyancy
-from diffsim.soft.materials import MATERIALS, Material, lame_parameters, pd_weights
+from diffsim.soft.materials import Material, lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.physics import Physics
@@ -19,7 +21,7 @@ from diffsim.soft.physics_tangent import physics_directions
 from diffsim.soft.rollout import rollout
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
-from diffsim.soft.stats import SolveStats, record_stats
+from diffsim.soft.stats import record_stats
 from diffsim.soft.step import step
 from diffsim.soft.tangents import Directions, Tangents, rollout_tangents, static_tangents
 from diffsim.soft.tendons import Tendon

@@ -22,16 +22,15 @@ from diffsim.soft._context import (
 )
 from diffsim.soft._ops_step import (
     ADJOINT_HINT,
-    STATS,
     STEP_HINT,
     TANGENT_HINT,
     adjoint_arguments,
     new_stats,
-    notify,
     report_failure,
     require_step,
     step_options,
 )
+from diffsim.soft._solves import STATS, notify
 from diffsim.soft._sticking import report_pulling
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from torch import Tensor
 
@@ -82,14 +83,14 @@ class SoftBody(Solid):
             physics=physics,
         )
 
-    def static_equilibrium(self, **inputs) -> State:
+    def static_equilibrium(self, **inputs: Any) -> State:
         """Rest under load; see :func:`diffsim.soft.static_equilibrium`."""
         return static_equilibrium(self, **inputs)
 
-    def elastic_force(self, x: Tensor, **inputs) -> Tensor:
+    def elastic_force(self, x: Tensor, **inputs: Any) -> Tensor:
         """-d(E - p V)/dx; see :func:`diffsim.soft.elastic_force`."""
         return elastic_force(self, x, **inputs)
 
-    def elastic_energy(self, x: Tensor, **inputs) -> Tensor:
+    def elastic_energy(self, x: Tensor, **inputs: Any) -> Tensor:
         """E(x) - p V(x); see :func:`diffsim.soft.elastic_energy`."""
         return elastic_energy(self, x, **inputs)

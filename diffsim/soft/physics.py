@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -288,6 +288,6 @@ def _per(name: str, value: Tensor, size: int, axis: str, batch: int | None = Non
     return require(name, value, shape)
 
 
-def _range(name: str, value: Tensor, **limits) -> None:
+def _range(name: str, value: Tensor, **limits: Any) -> None:
     if not torch.compiler.is_compiling():
         require_range(name, value, **limits)

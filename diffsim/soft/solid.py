@@ -132,10 +132,10 @@ class Solid(nn.Module):
             fixed=self.fixed,
         )
 
-    def __getstate__(self) -> dict:
+    def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_context"}
 
-    def __setstate__(self, state: dict) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         self._context = self._make_context()  # compiled objects are made anew in this process
 

@@ -11,6 +11,7 @@ import math
 import threading
 import weakref
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -66,7 +67,7 @@ class StokesContext:
         self._systems: list[tuple[Tensor, object]] = []  # latest last
         contexts[self.handle] = self
 
-    def system(self, phi: Tensor, num_threads: int):
+    def system(self, phi: Tensor, num_threads: int) -> Any:
         """The factorized system of a level set, from the cache where phi is equal."""
         known = self._known(phi)
         if known is not None:
@@ -97,7 +98,7 @@ class StokesContext:
         self._systems.append((phi, system))
         return system
 
-    def _known(self, phi: Tensor):
+    def _known(self, phi: Tensor) -> Any:
         """The kept system of an equal level set, now the latest, or None."""
         for i, (kept, system) in enumerate(self._systems):
             if torch.equal(kept, phi):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -199,7 +200,7 @@ class StokesFlow(nn.Module):
             iterative = self._context.system(phi.detach(), self.num_threads).report.iterative
         return solve_of(stats.detach(), "Stokes solve", self._context.options, iterative)
 
-    def _inspect(self, report, phi: Tensor) -> None:
+    def _inspect(self, report: Any, phi: Tensor) -> None:
         """Warn about what a new geometry will not resolve."""
         if report.num_loose_regions:
             warn(

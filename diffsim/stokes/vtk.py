@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import meshio
@@ -39,7 +40,7 @@ def write_vtk(path: str | Path, field: FlowField) -> Path:
     raise ValueError(f"path must end in .vti or .vtu, got {path.name!r}")
 
 
-def _data(field: FlowField) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
+def _data(field: FlowField) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
     """Node and cell arrays by name, grid axes first."""
     nodes = {"phi": field.phi.detach().numpy()}
     cells = {"volume_fraction": field.volume_fraction.detach().numpy()}
@@ -81,7 +82,7 @@ def _image(field: FlowField) -> str:
     )
 
 
-def _array(name: str, values: NDArray, dim: int) -> str:
+def _array(name: str, values: NDArray[Any], dim: int) -> str:
     """One array, inline: its length in bytes, then its numbers with x running fastest."""
     components = 1 if values.ndim == dim else values.shape[-1]
     ordered = values.transpose(*reversed(range(dim)), *range(dim, values.ndim))

@@ -134,7 +134,7 @@ def _steps(x: Tensor, frames: int) -> list[int]:
     return np.linspace(0, len(x) - 1, frames).round().astype(int).tolist()
 
 
-def _surface(axes, polygons: np.ndarray, color: str) -> None:
+def _surface(axes: Any, polygons: np.ndarray, color: str) -> None:
     from matplotlib.colors import LightSource
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -150,7 +150,7 @@ def _surface(axes, polygons: np.ndarray, color: str) -> None:
     )
 
 
-def _floor(axes, low: np.ndarray, high: np.ndarray) -> None:
+def _floor(axes: Any, low: np.ndarray, high: np.ndarray) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     z = min(0.0, float(low[2]))

@@ -17,6 +17,8 @@ from diffsim.viz import scene
 from diffsim.viz.ball_video import outline, view_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from diffsim.systems.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
@@ -160,12 +162,12 @@ def _around(seen: Array) -> tuple[Array, Array]:
     return low - room, high + room
 
 
-def _frame(ax, size_px: tuple[float, float], window: tuple[Array, Array]) -> None:
+def _frame(ax: Axes, size_px: tuple[float, float], window: tuple[Array, Array]) -> None:
     (left, top), (right, bottom) = window
     ax.set(xlim=(max(left, 0.0), min(right, size_px[0])))
     ax.set(ylim=(min(bottom, size_px[1]), max(top, 0.0)))  # v runs down
     ax.set(aspect="equal", xticks=[], yticks=[], facecolor="#f4f4f2")
 
 
-def _ball(ax, edge: Array, k: int, alpha: float) -> None:
+def _ball(ax: Axes, edge: Array, k: int, alpha: float) -> None:
     ax.add_patch(Polygon(edge, facecolor=COLORS[k], edgecolor="none", alpha=alpha * 0.5))

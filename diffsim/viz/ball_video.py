@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -125,7 +125,9 @@ def outline(view: View, center: Array, radius: float) -> Array:
     return view.project(center - share * radius * normal + wide * circle)
 
 
-def _draw_ball(cv2, picture: NDArray[np.uint8], view: View, center: Array, radius: float) -> None:
+def _draw_ball(
+    cv2: Any, picture: NDArray[np.uint8], view: View, center: Array, radius: float
+) -> None:
     """Darker at the edge, brightest off the middle, as under a lamp at the upper left."""
     edge = outline(view, center, radius)
     middle = edge.mean(0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +65,8 @@ def write_rerun(
 
 
 def _log(
-    rr,
-    stream,
+    rr: Any,
+    stream: Any,
     field: FlowField,
     case: int,
     lines: Sequence[Streamline],
@@ -113,7 +114,7 @@ def _log(
         stream.log("arrows", arrows, static=True)
 
 
-def _tracers(rr, stream, lines: Sequence[Streamline], lift: float, cell: float) -> None:
+def _tracers(rr: Any, stream: Any, lines: Sequence[Streamline], lift: float, cell: float) -> None:
     """Points that ride along the lines, over the time in which most of them pass."""
     end = float(np.median([line.time[-1] for line in lines]))
     for t in np.linspace(0.0, end, 61):

@@ -11,7 +11,7 @@ import numpy as np
 from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 from diffsim.learn.comparison import AXES, Runs
-from diffsim.learn.statistics import Scale, bootstrap_interval, held, interquartile_mean
+from diffsim.learn.statistics import Row, Scale, bootstrap_interval, held, interquartile_mean
 from diffsim.viz.figures import CYCLE, INK, LINE, SOFT
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def _plain(value: float, _: object) -> str:
     return f"{value:,.4g}" if value < 1e4 else f"{value / 1e3:,.4g}k"
 
 
-def _curve(ax: Axes, axis: str, method: str, runs: list, scale: Scale) -> None:
+def _curve(ax: Axes, axis: str, method: str, runs: list[list[Row]], scale: Scale) -> None:
     name, color = LOOK[method]
     first = min(rows[1][axis] for rows in runs if len(rows) > 1)
     last = float(np.median([rows[-1][axis] for rows in runs]))

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from diffsim.core.files import write_bytes_atomic
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def save(figure, path: str | Path, dpi: int = 110) -> Path:
+
+def save(figure: Figure, path: str | Path, dpi: int = 110) -> Path:
     """Write a PNG with a palette of 256 colors and close the figure."""
     from matplotlib.pyplot import close
     from PIL import Image

@@ -139,7 +139,9 @@ class Report:
     versions: Sequence[tuple[str, str]] = field(default_factory=lambda: versions())
 
 
-def versions(packages: Sequence[str] = ("torch", "numpy", "scipy", "matplotlib")) -> list:
+def versions(
+    packages: Sequence[str] = ("torch", "numpy", "scipy", "matplotlib"),
+) -> list[tuple[str, str]]:
     """(name, version) of diffsim, Python, the machine and what computed the numbers."""
     installed = [("diffsim", __version__), ("Python", platform.python_version())]
     for package in packages:

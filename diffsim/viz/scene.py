@@ -110,7 +110,7 @@ def rgb(color: str) -> list[int]:
     return [int(color[i : i + 2], 16) for i in (1, 3, 5)]
 
 
-def _surface(rr, stream, surface: MovingSurface) -> None:
+def _surface(rr: Any, stream: Any, surface: MovingSurface) -> None:
     color = rgb(surface.color)
     for t, nodes in zip(surface.time_s, surface.nodes_m, strict=True):
         stream.set_time("time_since_release", duration=float(t))
@@ -134,7 +134,7 @@ def _normals(nodes: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArra
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
-def _points(rr, stream, points: MovingPoints) -> None:
+def _points(rr: Any, stream: Any, points: MovingPoints) -> None:
     for t, places in zip(points.time_s, points.points_m, strict=True):
         stream.set_time("time_since_release", duration=float(t))
         stream.log(
@@ -143,7 +143,7 @@ def _points(rr, stream, points: MovingPoints) -> None:
         )
 
 
-def _plot(rr, stream, plot: Plot) -> None:
+def _plot(rr: Any, stream: Any, plot: Plot) -> None:
     stream.log(plot.path, rr.SeriesLines(colors=[rgb(plot.color)], names=[plot.name]), static=True)
     stream.send_columns(
         plot.path,

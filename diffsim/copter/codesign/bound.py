@@ -7,9 +7,13 @@ payload metric of a fixed mass it is m g / sum u_max: no design lifts more than 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from diffsim.copter.codesign.limits import Scales
 from diffsim.copter.codesign.metrics import ALTERNATING, require_cvxpy
+from diffsim.copter.codesign.space import Shape
 from diffsim.copter.codesign.task import Task
 from diffsim.copter.vehicle import GRAVITY
 
@@ -36,7 +40,7 @@ def lower_bound(task: Task) -> float:
     return _dual_bound(task, shape, w, scales)
 
 
-def _dual_bound(task: Task, shape, w, scales) -> float:
+def _dual_bound(task: Task, shape: Shape, w: Mapping[str, float], scales: Scales) -> float:
     """max over y >= 0 of min over u, s of objective + y (m(s) g - sum u)."""
     cp = require_cvxpy()
     model = task.model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ class FreeProgram:
         thrusts = np.arange(program.num_all) >= program.at["v"].start
         self.whole = np.where(thrusts & ~program.free, program.fixed_value, start)
         self.start = np.clip(self.whole[program.free], program.lower, program.upper)
-        self._kept: dict[str, tuple[bytes, tuple]] = {}
+        self._kept: dict[str, tuple[bytes, tuple[Any, ...]]] = {}
 
     def fill(self, y: Array) -> Array:
         """All unknowns of the free ones."""
@@ -29,7 +30,7 @@ class FreeProgram:
         x[self.program.free] = y
         return x
 
-    def _evaluate(self, name: str, y: Array) -> tuple:
+    def _evaluate(self, name: str, y: Array) -> tuple[Any, ...]:
         key = y.tobytes()
         kept = self._kept.get(name)
         if kept is None or kept[0] != key:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from diffsim.copter.codesign import wrench
 from diffsim.copter.codesign.program import Program
+from diffsim.copter.codesign.space import Shape
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,9 @@ def lagrangian_hessian(
     return full
 
 
-def _inequality_part(program: Program, y: Array, shape, full: Array, of_positions: Array) -> Array:
+def _inequality_part(
+    program: Program, y: Array, shape: Shape, full: Array, of_positions: Array
+) -> Array:
     """Adds clearance to the Hessian; returns the weights of the currents' second derivatives."""
     row = len(program.model.b) if "shape" in program.limits.free else 0
     row += program.n * sum(case.cap is not None for case in program.cases)

@@ -6,7 +6,7 @@ import time
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from diffsim.copter.codesign.solve import LocalSolution, second_solver
 from diffsim.copter.codesign.space import ShapeModel
 from diffsim.copter.codesign.task import Point, Task, hover_residual
 from diffsim.core.runs import run_each
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Array = NDArray[np.float64]
 
@@ -176,7 +179,7 @@ def random_point(task: Task, origin: Point, rng: np.random.Generator) -> Point:
     return Point(s, d, origin.spins, LEVEL)
 
 
-def as_tensor(array: Array):
+def as_tensor(array: Array) -> Tensor:
     """A torch copy."""
     import torch
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ def solve_local(
         solver = "slsqp"  # has no second derivatives
     free = FreeProgram(program, start)
     notes = Notes(free)
-    run: Callable = by_uno if solver in PRESETS else by_scipy
+    run: Callable[..., Any] = by_uno if solver in PRESETS else by_scipy
     y, converged, message, num_iters = run(free, notes, solver, max_iters, tolerance)
     y = np.clip(y, program.lower, program.upper)
     return LocalSolution(

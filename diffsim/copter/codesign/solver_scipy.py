@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
@@ -20,7 +22,7 @@ def by_scipy(
     kinds = [(kind, name) for kind, name in kinds if len(free.values(name, free.start))]
     shared = {"fun": free.objective, "x0": free.start, "jac": True, "callback": notes}
     if solver == "slsqp":
-        constraints: list = [
+        constraints: list[Any] = [
             {
                 "type": kind,
                 "fun": lambda y, name=name: free.values(name, y),
@@ -29,7 +31,7 @@ def by_scipy(
             for kind, name in kinds
         ]
         bounds = list(zip(p.lower, p.upper, strict=True))
-        options: dict = {"ftol": tolerance, "maxiter": max_iters}
+        options: dict[str, Any] = {"ftol": tolerance, "maxiter": max_iters}
         solution = minimize(
             **shared, method="SLSQP", bounds=bounds, constraints=constraints, options=options
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +178,7 @@ def direction_step(task: Task, point: Point, u: Array, options: AlternatingOptio
     return best
 
 
-def _solve(cp, problem, what: str) -> None:
+def _solve(cp: Any, problem: Any, what: str) -> None:
     problem.solve(solver=cp.CLARABEL)
     if problem.status not in ("optimal", "optimal_inaccurate"):
         raise CoDesignError(

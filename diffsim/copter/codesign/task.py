@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -105,7 +106,7 @@ class Task:
         return program.pack(point.s, point.d, point.gamma, aux, v)
 
     def solve(
-        self, point: Point, *, free: Sequence[str] | None = None, **options
+        self, point: Point, *, free: Sequence[str] | None = None, **options: Any
     ) -> tuple[LocalSolution, Program]:
         """A local solve from a point with its spins."""
         program = self.program(point.spins, free)

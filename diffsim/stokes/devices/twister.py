@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
-from diffsim.stokes.boundary import Inlet, Open
+from diffsim.stokes.boundary import WALL_KINDS, Inlet, Open
 from diffsim.stokes.devices.column import NUM_AROUND, column
 from diffsim.stokes.devices.device import SOLVER, Device, Parameter, State, scaled
 from diffsim.stokes.devices.losses import vertical_curl
 from diffsim.stokes.field import FlowField
-from diffsim.stokes.flow import WALL_KINDS, StokesFlow
+from diffsim.stokes.flow import StokesFlow
 from diffsim.stokes.grid import Grid
 from diffsim.stokes.shapes import Shape
 

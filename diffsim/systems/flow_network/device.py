@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -108,7 +109,7 @@ class ChannelDevice:
                 )
 
     @classmethod
-    def two_inlets(cls, **settings) -> ChannelDevice:
+    def two_inlets(cls, **settings: Any) -> ChannelDevice:
         """The same branches fed by two inlets."""
         return cls(inlets=(Opening(2.747e-3, 1.441e-3), Opening(6.317e-3, 1.683e-3)), **settings)
 

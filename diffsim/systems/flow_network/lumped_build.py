@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.flow_network import effects as causes
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.data.study import Run
-from diffsim.identify.model import Numerics, Parameter, SimModel
+from diffsim.identify.model import Parameter, SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.stokes import FlowField
 from diffsim.systems.flow_network.corrections import shear_rate_squared
 from diffsim.systems.flow_network.device import ChannelDevice

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.identify import Parameter
-from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.flow_network.network import NetworkDevice
 from diffsim.systems.flow_network.network_balance import Balance
 from diffsim.systems.flow_network.network_conditions import RTOL, NetworkConditions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,7 +13,7 @@ from torch import Tensor
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.devices.losses import integral, on_face
 from diffsim.systems.flow_network.corrections import FlowDerivatives
-from diffsim.systems.flow_network.device import ChannelDevice
+from diffsim.systems.flow_network.device import ChannelDevice, Opening
 from diffsim.systems.flow_network.moving_fit import MovingFit
 
 BULK_RATIO = 1e6
@@ -51,7 +52,7 @@ class Rig:
         self.outlet_masks = [_between(heights, bounds) for bounds in _territories(device.outlets)]
         self._known: tuple[Tensor, FlowDerivatives] | None = None
 
-    def _nodes_near(self, inlet: int):
+    def _nodes_near(self, inlet: int) -> Callable[[Tensor], Tensor]:
         """The inlet's nodes on its face: those in the fluid and one beyond each wall, on which the
         velocity goes on smoothly."""
         opening = self.device.inlets[inlet]
@@ -147,7 +148,7 @@ def _mean_of_corners(nodal: Tensor) -> Tensor:
     return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])
 
 
-def _territories(openings) -> list[tuple[float, float]]:
+def _territories(openings: Sequence[Opening]) -> list[tuple[float, float]]:
     """Bounds in y that part the openings of one side: middles of the walls between them [m]."""
     middles = [0.5 * (below.high + above.low) for below, above in pairwise(openings)]
     return list(zip([-np.inf, *middles], [*middles, np.inf], strict=True))

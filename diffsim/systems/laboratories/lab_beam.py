@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim.data.study import Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.laboratories.lab_beam_causes import causes

@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.data.study import Run
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in
 from diffsim.systems.grid import held_delayed, held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import Cutter, spacing

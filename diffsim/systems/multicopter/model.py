@@ -17,7 +17,8 @@ from diffsim.core.check import require_choice
 from diffsim.core.layer import may_be_differentiated
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Build, Numerics, Scene, SimModel
+from diffsim.identify.model import Build, Scene, SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.grid import held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, Cutter, spacing
 from diffsim.systems.multicopter.figure import figure_of

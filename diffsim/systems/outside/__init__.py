@@ -2,11 +2,12 @@
 
 from diffsim.systems.outside.description import OutsideDescription
 from diffsim.systems.outside.effects import outside_library, unknown_forces
+from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.hooks import Hooks, Place, command_groups, output_groups
 from diffsim.systems.outside.model import OutsideModel, SimulatorError
 from diffsim.systems.outside.setup import outside_setup
-from diffsim.systems.outside.source import Environment, Source
+from diffsim.systems.outside.source import Source
 
 __all__ = [
     "Environment",

@@ -24,8 +24,9 @@ from diffsim.systems.description import (
 from diffsim.systems.dials import CLOCKS, channels_of
 from diffsim.systems.holding import looks_held
 from diffsim.systems.outside import hooks as hooks_of
+from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.setup import outside_setup
-from diffsim.systems.outside.source import Environment, Source
+from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
 
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"

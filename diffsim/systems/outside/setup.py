@@ -22,6 +22,7 @@ from diffsim.systems.instrument import (
     with_play_start,
 )
 from diffsim.systems.outside.effects import outside_library, unknown_forces
+from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.hooks import (
     Hooks,
     Place,
@@ -31,7 +32,7 @@ from diffsim.systems.outside.hooks import (
     without_clock,
 )
 from diffsim.systems.outside.model import OutsideModel
-from diffsim.systems.outside.source import Environment, Source
+from diffsim.systems.outside.source import Source
 
 InRun = Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]]
 

@@ -17,7 +17,8 @@ from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
 from diffsim.data.study import TIMELESS, Channel, Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.rigid_body import ball_effects as causes

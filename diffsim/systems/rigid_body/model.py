@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Channel, Run
-from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters
 from diffsim.systems.rigid_body.figure import figure_of

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.rod.figure import dots_of, skin_of
 from diffsim.systems.rod.layout import Layout, layout_of
 from diffsim.systems.rod.scene import Poses, RodScene

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from diffsim import contact
 from diffsim.core.rotation import matrix_from_rotation_vector
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import fact_in
 from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.model import SoftModel

@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.data.beam import BeamGeometry
 from diffsim.identify import Parameter
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.soft_body.clamped_beam import Beam, Setup
 from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.scene import SoftScene

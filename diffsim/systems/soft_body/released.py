@@ -18,7 +18,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.data.beam import TIP_MARKERS, BeamGeometry
 from diffsim.identify import Parameter
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.soft_body.markers import marker_weights
 from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.models import finer

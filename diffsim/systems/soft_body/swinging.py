@@ -15,7 +15,7 @@ from torch import Tensor
 
 from diffsim.data.beam import BeamGeometry
 from diffsim.identify import Parameter
-from diffsim.identify.model import Numerics
+from diffsim.identify.numerics import Numerics
 from diffsim.systems.soft_body.history import History
 from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.models import finer
