@@ -4,7 +4,7 @@
 
     >>> import diffsim
     >>> bar = diffsim.mesh.hex_box((8, 2, 2), (0.1, 0.03, 0.03))
-    >>> body = diffsim.soft.SoftBody(bar, dt=0.01)
+    >>> body = diffsim.soft.SoftBody(bar, dt=0.01, youngs_modulus=1e6, poissons_ratio=0.4)
 
 What a room offers stands in its ``__all__``, and in docs/api.md; the order in which to read the
 rooms stands in docs/architecture.md.
@@ -71,11 +71,12 @@ ROOMS = (
     "systems",
     "viz",
 )
-__getattr__, _rooms = offered(__name__, {room: f"{__name__}.{room}" for room in ROOMS})
+if not TYPE_CHECKING:  # to a type checker, any name would be one
+    __getattr__, _ = offered(__name__, {room: f"{__name__}.{room}" for room in ROOMS})
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_rooms()})
+    return sorted({*globals(), *ROOMS})
 
 
 __all__ = [

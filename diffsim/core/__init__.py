@@ -25,7 +25,8 @@ _WHERE = {
     "run_kept": "runs",
     "show_progress": "progress",
 }
-__getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
+if not TYPE_CHECKING:  # to a type checker, any name would be one
+    __getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
 
 __all__ = [
     "ConvergenceError",

@@ -67,4 +67,5 @@ __all__ = [
     "rotors",
     "scene",
 ]
-__getattr__, __dir__ = offered(__name__, {name: f"{__name__}.{name}" for name in __all__})
+if not TYPE_CHECKING:  # to a type checker, any name would be one
+    __getattr__, __dir__ = offered(__name__, {name: f"{__name__}.{name}" for name in __all__})
