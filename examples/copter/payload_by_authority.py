@@ -6,7 +6,7 @@ own, so that the same command goes on after an interruption, whoever computed th
 workers here, or a cluster's.
 
 Expected: 58.4 N without, 57.5, 56.7, 55.3 and 52.7 N with 0.25, 0.5, 1 and 2 N m; the same from
-every executor. Running time: 14 CPU seconds.
+every executor. Running time: 10 CPU seconds.
 
     python examples/copter/payload_by_authority.py --out runs/authority --executor processes:2
 """

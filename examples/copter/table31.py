@@ -16,13 +16,13 @@ predicted +15.8 % and flew +11.1 % with 10.6 degrees. Why they differ:
   here, reaches 25.0 %, too (benchmarks/copter.py); a margin for control, or limits of size that it
   does not state, would explain a smaller one.
 - Angles: many tilts balance five equal thrusts; ours stays near upright. Torque kept for control at
-  the largest weight (0.5 N m in roll and pitch, 0.05 in yaw) asks for 11 degrees and gains 26.2 %
+  the largest weight (0.5 N m in roll and pitch, 0.05 in yaw) asks for 8 degrees and gains 26.3 %
   over the flat design with the same torque kept.
 - Size: the thesis does not say what bounded it. Ours keeps propellers 10 mm apart, and where torque
   is kept, lengths change by at most 0.3 mean arms: longer arms would always be better.
 
 The clips under the motors, which co-design does not know, add 39 g and cost 0.15 % of the lift.
-Running time: 12 CPU seconds.
+Running time: 9 CPU seconds.
 
     python examples/copter/table31.py --out runs/table31
 """

@@ -116,10 +116,12 @@ def joint(
 def _solve_start(task: Task, options: SearchOptions, point: Point) -> tuple[LocalSolution, float]:
     """A local solve, and the wall time that it took [s]."""
     began = time.perf_counter()
-    solution, _ = task.solve(point, solver=options.solver, max_iters=options.max_iters)
-    # SQP may stop at a stationary point of the violation.
+    solution, program = task.solve(point, solver=options.solver, max_iters=options.max_iters)
+    # A solver may stop at a stationary point of the violation.
     if solution.violation > FEASIBLE and options.solver is None:
-        solution, _ = task.solve(point, solver=second_solver(), max_iters=options.max_iters)
+        other = second_solver(program)
+        if other is not None:
+            solution, _ = task.solve(point, solver=other, max_iters=options.max_iters)
     return solution, time.perf_counter() - began
 
 

@@ -17,7 +17,8 @@ class SearchOptions:
         num_spins: Best spin assignments that share the starts of the joint method.
         seed: Seed of the random starts; the first ones are the design itself.
         max_iters: Largest number of iterations of each local solve.
-        solver: ``uno``, ``uno-ipm``, ``slsqp`` or ``trust-constr``; None: uno if installed.
+        solver: ``uno``, ``uno-ipm``, ``slsqp`` or ``trust-constr``; None: ``uno``, or ``uno-ipm``
+            where torques or lost rotors ask for several flight cases; ``slsqp`` without Uno.
     """
 
     num_starts: int = 8

@@ -1,7 +1,7 @@
 """One local solve of a co-design program on its free unknowns, by a solver of choice.
 
-Uno's filterSQP (trust-region SQP with an active-set QP solver) uses the exact second derivatives;
-scipy's SLSQP stands in where Uno is not installed.
+Uno's filterSQP (trust-region SQP with an active-set QP solver) and its interior point use the exact
+second derivatives; scipy's SLSQP stands in where Uno is not installed.
 """
 
 from __future__ import annotations
@@ -54,14 +54,24 @@ class LocalSolution:
 SOLVERS = ("uno", "uno-ipm", "slsqp", "trust-constr")
 
 
-def default_solver() -> str:
-    """``uno`` where it is installed, else ``slsqp``."""
-    return "uno" if importlib.util.find_spec("unopy") else "slsqp"
+def default_solver(program: Program) -> str:
+    """``uno`` for one flight case, ``uno-ipm`` for several, ``slsqp`` where Uno is not installed.
+
+    Where torques are kept in all combinations of signs, many sets of thrust limits can hold at the
+    optimum. An active-set method passes from set to set, and where several are as good the last bit
+    of a number says which is next: the same start ended at 56.4 to 56.7 N. An interior point's path
+    bends smoothly with its start, and ends at the same optimum whatever the rounding.
+    """
+    if not importlib.util.find_spec("unopy") or "response" in program.aux:
+        return "slsqp"  # the response metric has no second derivatives
+    return "uno-ipm" if len(program.cases) > 1 else "uno"
 
 
-def second_solver() -> str:
-    """What is tried where the first one stops at an infeasible point."""
-    return "uno-ipm" if importlib.util.find_spec("unopy") else "trust-constr"
+def second_solver(program: Program) -> str | None:
+    """What is tried where the default solver stopped at an infeasible point; None: nothing."""
+    if "response" in program.aux:
+        return None
+    return {"uno": "uno-ipm", "uno-ipm": "uno", "slsqp": "trust-constr"}[default_solver(program)]
 
 
 def solve_local(
@@ -78,9 +88,9 @@ def solve_local(
         ValueError: unknown solver.
         ModuleNotFoundError: Uno is asked for and not installed.
     """
-    solver = require_choice("solver", solver or default_solver(), SOLVERS)
-    if solver == "uno" and "response" in program.aux:
-        solver = "slsqp"  # has no second derivatives
+    solver = require_choice("solver", solver or default_solver(program), SOLVERS)
+    if solver in PRESETS and "response" in program.aux:
+        solver = "slsqp"
     free = FreeProgram(program, start)
     notes = Notes(free)
     run: Callable[..., Any] = by_uno if solver in PRESETS else by_scipy
