@@ -11,8 +11,8 @@ Assumed, for the shipped tables do not have them: motor and propeller weigh 38 g
 inch) or 172 g (14 inch); 180 Wh/kg of which 80 % are used; 150 g and 5 W on board.
 
 Expected: within 0.7 m 101 of 333 choices are solved, and 21 are on the front: eight 5-inch rotors
-carry 2.8 kg, four 10-inch rotors hover for 32 minutes. Running time: 68 CPU seconds; 20 without the
-limit on width, where the largest propellers surpass all others.
+carry 2.8 kg, four 10-inch rotors hover for 32 minutes. Running time: 114 CPU seconds; 30 without
+the limit on width, where the largest propellers surpass all others.
 
     python examples/copter/catalog.py --width 0.7 --out runs/catalog --executor processes:2
 """
