@@ -13,10 +13,6 @@
 #include <cstring>
 #include <type_traits>
 
-#if defined(__SSE2__)
-#include <immintrin.h>
-#endif
-
 #define DIFFSIM_INLINE inline __attribute__((always_inline))
 
 namespace diffsim {
@@ -162,14 +158,22 @@ DIFFSIM_INLINE V sqrt(const V& a) {
     }
     return r;
   } else {
+#if defined(__clang__)
+#if __has_builtin(__builtin_elementwise_sqrt)
+    return __builtin_elementwise_sqrt(a);
+#endif
+#else
 #if defined(__AVX512F__)
-    if constexpr (sizeof(V) == 64) return (V)_mm512_maskz_sqrt_pd(0xff, (__m512d)a);
+    if constexpr (sizeof(V) == 64) {  // all lanes, rounded as the processor is set (4)
+      return (V)__builtin_ia32_sqrtpd512_mask(a, V{}, -1, 4);
+    }
 #endif
 #if defined(__AVX__)
-    if constexpr (sizeof(V) == 32) return (V)_mm256_sqrt_pd((__m256d)a);
+    if constexpr (sizeof(V) == 32) return (V)__builtin_ia32_sqrtpd256(a);
 #endif
 #if defined(__SSE2__)
-    if constexpr (sizeof(V) == 16) return (V)_mm_sqrt_pd((__m128d)a);
+    if constexpr (sizeof(V) == 16) return (V)__builtin_ia32_sqrtpd(a);
+#endif
 #endif
     V r = a;
     for (int i = 0; i < width<V>(); ++i) r[i] = std::sqrt(a[i]);
@@ -216,13 +220,16 @@ namespace detail {
 template <class M>
 DIFFSIM_INLINE std::int64_t fold_or(const M& mask) {
 #if defined(__AVX512DQ__)
-  if constexpr (sizeof(M) == 64) return _mm512_movepi64_mask((__m512i)mask);
+  using Longs = long long __attribute__((vector_size(64)));
+  if constexpr (sizeof(M) == 64) return __builtin_ia32_cvtq2mask512((Longs)mask);
 #endif
 #if defined(__AVX__)
-  if constexpr (sizeof(M) == 32) return _mm256_movemask_pd((__m256d)mask);
+  using Doubles4 = double __attribute__((vector_size(32)));
+  if constexpr (sizeof(M) == 32) return __builtin_ia32_movmskpd256((Doubles4)mask);
 #endif
 #if defined(__SSE2__)
-  if constexpr (sizeof(M) == 16) return _mm_movemask_pd((__m128d)mask);
+  using Doubles2 = double __attribute__((vector_size(16)));
+  if constexpr (sizeof(M) == 16) return __builtin_ia32_movmskpd((Doubles2)mask);
 #endif
   std::int64_t r = 0;
   for (unsigned i = 0; i < sizeof(M) / 8; ++i) r |= mask[i];
