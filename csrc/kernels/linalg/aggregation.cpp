@@ -1,11 +1,12 @@
 #include "kernels/linalg/aggregation.h"
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
 constexpr std::int32_t kFree = -1;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 bool is_surrounded_by_free(const Pattern& graph, const std::vector<std::int32_t>& of_node,
                            Index node) {

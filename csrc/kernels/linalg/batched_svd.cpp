@@ -10,17 +10,17 @@
 namespace diffsim {
 namespace {
 
-constexpr int kGroup = 2 * kLanes;            // matrices per call of the lane kernels
-constexpr std::int64_t kBlock = 32 * kGroup;  // matrices per task
+constexpr int kGroup = 2 * kLanes;                   // matrices per call of the lane kernels
+constexpr std::int64_t kTaskMatrices = 32 * kGroup;  // matrices per task
 
 // Calls f(first, count) for groups of at most kGroup matrices, in parallel over fixed blocks.
 template <class F>
 void for_groups(std::int64_t n, int num_threads, F&& f) {
-  const std::int64_t num_blocks = (n + kBlock - 1) / kBlock;
+  const std::int64_t num_blocks = (n + kTaskMatrices - 1) / kTaskMatrices;
   ThreadPool pool(static_cast<int>(std::min<std::int64_t>(num_threads, num_blocks)));
   pool.run(num_blocks, [&](std::int64_t block) {
-    const std::int64_t end = std::min(n, (block + 1) * kBlock);
-    for (std::int64_t i = block * kBlock; i < end; i += kGroup) {
+    const std::int64_t end = std::min(n, (block + 1) * kTaskMatrices);
+    for (std::int64_t i = block * kTaskMatrices; i < end; i += kGroup) {
       f(i, static_cast<int>(std::min<std::int64_t>(kGroup, end - i)));
     }
   });

@@ -9,6 +9,7 @@
 namespace diffsim {
 
 constexpr int kFloatLanes = 8;
+constexpr int kFloatBlock = 6 * kFloatLanes;  ///< floats of a block of a coarse level
 using FloatLane = float __attribute__((vector_size(4 * kFloatLanes)));
 
 DIFFSIM_INLINE FloatLane load_floats(const float* p) {  // any alignment

@@ -4,13 +4,13 @@
 #include <cstring>
 #include <limits>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
 
 constexpr int kWidth = LaneCholesky::kCount;
-constexpr int kBlock = 9 * kWidth;  // doubles of a block
-
-std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+constexpr int kBlockSize = 9 * kWidth;  // doubles of a block
 
 DIFFSIM_INLINE void load_block(const double* from, Native out[9]) {
 #pragma GCC unroll 9
@@ -128,7 +128,7 @@ LanePattern::LanePattern(const std::vector<std::int64_t>& row_start,
 }
 
 void LaneCholesky::clear(const LanePattern& pattern) {
-  const std::size_t size = at(pattern.num_blocks() * kBlock);
+  const std::size_t size = at(pattern.num_blocks() * kBlockSize);
   std::memset(matrix_.resize(size), 0, size * sizeof(double));
 }
 
@@ -138,11 +138,11 @@ void LaneCholesky::clear_lane(const LanePattern& pattern, int lane) {
 }
 
 void LaneCholesky::fill_factor(const LanePattern& pattern, const std::uint8_t* fixed) {
-  const std::size_t size = at(pattern.num_factor_blocks() * kBlock);
+  const std::size_t size = at(pattern.num_factor_blocks() * kBlockSize);
   std::memset(factor_.resize(size), 0, size * sizeof(double));
   for (std::size_t b = 0; b < pattern.a_row_.size(); ++b) {
-    double* block = factor_.data() + at(pattern.a_slot_[b]) * kBlock;
-    std::memcpy(block, matrix_.data() + b * kBlock, kBlock * sizeof(double));
+    double* block = factor_.data() + at(pattern.a_slot_[b]) * kBlockSize;
+    std::memcpy(block, matrix_.data() + b * kBlockSize, kBlockSize * sizeof(double));
     const std::uint8_t* row = fixed + 3 * pattern.order_[at(pattern.a_row_[b])];
     const std::uint8_t* column = fixed + 3 * pattern.order_[at(pattern.a_column_[b])];
     if (!(row[0] | row[1] | row[2] | column[0] | column[1] | column[2])) continue;
@@ -174,22 +174,22 @@ NativeMask LaneCholesky::factor_column(const LanePattern& pattern, int j) {
                           std::sqrt(9.0 * static_cast<double>(pattern.place_.size()));
   Native floor[3];
   for (int i = 0; i < 3; ++i)
-    floor[i] = relative * load<Native>(L + begin * std::ptrdiff_t{kBlock} + 4 * i * kWidth);
+    floor[i] = relative * load<Native>(L + begin * std::ptrdiff_t{kBlockSize} + 4 * i * kWidth);
   for (int u = pattern.update_start_[at(j)]; u < pattern.update_start_[at(j + 1)]; ++u) {
     const auto [k, first] = pattern.update_[at(u)];
     Native b[9];
-    load_block(L + first * std::ptrdiff_t{kBlock}, b);
+    load_block(L + first * std::ptrdiff_t{kBlockSize}, b);
     for (int s = first; s < pattern.start_[at(k + 1)]; ++s)
-      subtract_product(L + s * std::ptrdiff_t{kBlock}, b,
-                       L + slot_of_row_[at(row[s])] * std::ptrdiff_t{kBlock});
+      subtract_product(L + s * std::ptrdiff_t{kBlockSize}, b,
+                       L + slot_of_row_[at(row[s])] * std::ptrdiff_t{kBlockSize});
   }
   Native a[9], inverse[9];
-  double* diagonal = L + begin * std::ptrdiff_t{kBlock};
+  double* diagonal = L + begin * std::ptrdiff_t{kBlockSize};
   load_block(diagonal, a);
   const NativeMask good = invert_factor(a, floor, inverse);
   for (int i = 0; i < 9; ++i) store(diagonal + i * kWidth, inverse[i]);
   for (int s = begin + 1; s < end; ++s) {  // L = C inverse^T, the inverse being lower triangular
-    double* block = L + s * std::ptrdiff_t{kBlock};
+    double* block = L + s * std::ptrdiff_t{kBlockSize};
     for (int i = 0; i < 3; ++i) {
       Native c[3];
       for (int k = 0; k < 3; ++k) c[k] = load<Native>(block + (3 * i + k) * kWidth);
@@ -222,13 +222,13 @@ void LaneCholesky::solve(const LanePattern& pattern, Columns& columns) const {
   for (int j = 0; j < n; ++j) {
     const int begin = pattern.start_[at(j)], end = pattern.start_[at(j + 1)];
     Native d[9], b[3], y[3];
-    load_block(L + begin * std::ptrdiff_t{kBlock}, d);
+    load_block(L + begin * std::ptrdiff_t{kBlockSize}, d);
     for (int i = 0; i < 3; ++i) b[i] = load<Native>(part(j) + i * kWidth);
     y[0] = d[0] * b[0], y[1] = d[3] * b[0] + d[4] * b[1];
     y[2] = d[6] * b[0] + d[7] * b[1] + d[8] * b[2];
     for (int i = 0; i < 3; ++i) store(part(j) + i * kWidth, y[i]);
     for (int s = begin + 1; s < end; ++s) {
-      const double* block = L + s * std::ptrdiff_t{kBlock};
+      const double* block = L + s * std::ptrdiff_t{kBlockSize};
       double* out = part(pattern.row_[at(s)]);
       for (int i = 0; i < 3; ++i) {
         Native sum = load<Native>(out + i * kWidth);
@@ -242,14 +242,14 @@ void LaneCholesky::solve(const LanePattern& pattern, Columns& columns) const {
     Native d[9], y[3];
     for (int i = 0; i < 3; ++i) y[i] = load<Native>(part(j) + i * kWidth);
     for (int s = begin + 1; s < end; ++s) {
-      const double* block = L + s * std::ptrdiff_t{kBlock};
+      const double* block = L + s * std::ptrdiff_t{kBlockSize};
       const double* in = part(pattern.row_[at(s)]);
       for (int i = 0; i < 3; ++i) {
         const Native v = load<Native>(in + i * kWidth);
         for (int k = 0; k < 3; ++k) y[k] -= load<Native>(block + (3 * i + k) * kWidth) * v;
       }
     }
-    load_block(L + begin * std::ptrdiff_t{kBlock}, d);
+    load_block(L + begin * std::ptrdiff_t{kBlockSize}, d);
     store(part(j), d[0] * y[0] + d[3] * y[1] + d[6] * y[2]);
     store(part(j) + kWidth, d[4] * y[1] + d[7] * y[2]);
     store(part(j) + 2 * kWidth, d[8] * y[2]);
@@ -267,7 +267,7 @@ void LaneCholesky::multiply(const LanePattern& pattern, const Columns& columns,
     const std::ptrdiff_t to = std::ptrdiff_t{3} * row * kWidth;
     const std::ptrdiff_t from = std::ptrdiff_t{3} * column * kWidth;
     Native a[9], v[3], w[3];
-    load_block(matrix_.data() + b * kBlock, a);
+    load_block(matrix_.data() + b * kBlockSize, a);
     for (int i = 0; i < 3; ++i) {
       v[i] = load<Native>(x + from + i * kWidth);
       w[i] = load<Native>(x + to + i * kWidth);

@@ -2,11 +2,12 @@
 
 #include <algorithm>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 // A level of this many nodes is factorized: 1,200 unknowns cost about 2 ms.
 constexpr Index kCoarsestNodes = 200;

@@ -3,14 +3,13 @@
 #include <cmath>
 
 #include "kernels/linalg/float_lanes.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
-constexpr int kBlock = 6 * kFloatLanes;
 // Chebyshev polynomials of this degree damp the upper part of the spectrum, down to this of its
 // largest eigenvalue.
 constexpr int kDegree = 2;
@@ -62,7 +61,7 @@ void multiply_blocks(const Pattern& pattern, const float* values, const float* x
     FloatLane even = {}, odd = {};
     for (Index e = pattern.begin(i); e < pattern.end(i); ++e) {
       const float* from = x + kFloatLanes * pattern[e];
-      const float* block = values + e * kBlock;
+      const float* block = values + e * kFloatBlock;
       for (int c = 0; c < 6; c += 2) {
         even += from[c] * load_floats(block + c * kFloatLanes);
         odd += from[c + 1] * load_floats(block + (c + 1) * kFloatLanes);
@@ -233,7 +232,7 @@ std::int64_t RigidMultigrid::bytes() const {
   std::int64_t floats = 0;
   for (int l = 0; l < hierarchy_->num_levels(); ++l) {
     floats += l == 0 && strip_start_ ? strip_start_[pattern(0).num_rows()]
-                                     : static_cast<Index>(pattern(l).column.size()) * kBlock;
+                                     : static_cast<Index>(pattern(l).column.size()) * kFloatBlock;
     if (l + 1 == hierarchy_->num_levels()) break;
     const RigidTransfer& t = hierarchy_->transfer(l);
     floats += static_cast<Index>(t.prolongation.column.size() + t.product.column.size()) *

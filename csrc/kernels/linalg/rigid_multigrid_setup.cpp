@@ -3,14 +3,13 @@
 
 #include "kernels/linalg/float_lanes.h"
 #include "kernels/linalg/rigid_multigrid.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
-constexpr int kBlock = 6 * kFloatLanes;  // floats of a block of a coarse level
 // Smoothing of the tentative prolongation, over the largest eigenvalue (Vanek et al. 1996).
 constexpr double kProlongationDamping = 4.0 / 3.0;
 // Power iterations, at first and on a matrix that has changed, and what they may have missed.
@@ -19,15 +18,15 @@ constexpr float kEigenvalueMargin = 1.1F;
 // Unknowns of a coarse level that nothing moves (an aggregate of one node does not turn) get this
 // of the largest entry beside them.
 constexpr float kLeastDiagonal = 1e-5F;
-constexpr Index kRowsPerTask = 512;
+constexpr Index kSetupRowsPerTask = 512;
 
 /// Calls f(row, local) for every row, with scratch of a task's own.
 template <typename Local, typename F>
 void for_rows(Index num_rows, ThreadPool& pool, Local&& make_local, F&& f) {
-  pool.run((num_rows + kRowsPerTask - 1) / kRowsPerTask, [&](Index task) {
+  pool.run((num_rows + kSetupRowsPerTask - 1) / kSetupRowsPerTask, [&](Index task) {
     auto local = make_local();
-    const Index last = std::min(num_rows, (task + 1) * kRowsPerTask);
-    for (Index i = task * kRowsPerTask; i < last; ++i) f(i, local);
+    const Index last = std::min(num_rows, (task + 1) * kSetupRowsPerTask);
+    for (Index i = task * kSetupRowsPerTask; i < last; ++i) f(i, local);
   });
 }
 
@@ -52,7 +51,7 @@ struct Entries<6> {
   const std::int64_t* strip_start;
   const Pattern& pattern;
   float operator()(Index, Index entry, int k, int m) const {
-    return values[entry * kBlock + m * kFloatLanes + k];
+    return values[entry * kFloatBlock + m * kFloatLanes + k];
   }
 };
 
@@ -316,12 +315,12 @@ void RigidMultigrid::make_coarse(int l, ThreadPool& pool) {
   Level& coarse = levels_[at(l + 1)];
   const RigidTransfer& t = hierarchy_->transfer(l);
   const Pattern& matrix = pattern(l + 1);
-  float* out = coarse.matrix.resize(matrix.column.size() * kBlock);
+  float* out = coarse.matrix.resize(matrix.column.size() * kFloatBlock);
   for_rows(
       matrix.num_rows(), pool, [&] { return std::vector<Index>(at(matrix.num_rows())); },
       [&](Index I, std::vector<Index>& place) {
         for (Index e = matrix.begin(I); e < matrix.end(I); ++e) place[at(matrix[e])] = e;
-        std::fill(out + matrix.begin(I) * kBlock, out + matrix.end(I) * kBlock, 0.0F);
+        std::fill(out + matrix.begin(I) * kFloatBlock, out + matrix.end(I) * kFloatBlock, 0.0F);
         for (Index r = t.restriction.begin(I); r < t.restriction.end(I); ++r) {
           const Index i = t.restriction[r];
           const float* P = level.prolongation.data() + t.restriction_entry[at(r)] * K * kFloatLanes;
@@ -331,7 +330,7 @@ void RigidMultigrid::make_coarse(int l, ThreadPool& pool) {
             const Index J = t.product[e];
             if (J < I) continue;
             const float* AP = level.product.data() + e * K * kFloatLanes;
-            float* to = out + place[at(J)] * kBlock;
+            float* to = out + place[at(J)] * kFloatBlock;
             for (int c = 0; c < 6; ++c) {
               FloatLane total = load_floats(to + c * kFloatLanes);
               for (int m = 0; m < K; ++m) total += AP[m * kFloatLanes + c] * rows[m];
@@ -358,10 +357,10 @@ void RigidMultigrid::mirror_coarse(int l, ThreadPool& pool) {
               std::lower_bound(first, last, static_cast<std::int32_t>(I)) - matrix.column.begin();
           for (int c = 0; c < 6; ++c)
             for (int k = 0; k < 6; ++k)
-              values[e * kBlock + c * kFloatLanes + k] =
-                  values[other * kBlock + k * kFloatLanes + c];
+              values[e * kFloatBlock + c * kFloatLanes + k] =
+                  values[other * kFloatBlock + k * kFloatLanes + c];
         }
-        float* diagonal = values + hierarchy_->diagonal(l, I) * kBlock;
+        float* diagonal = values + hierarchy_->diagonal(l, I) * kFloatBlock;
         float largest = 0.0F;
         for (int k = 0; k < 6; ++k)
           largest = std::max(largest, std::abs(diagonal[k * kFloatLanes + k]));
@@ -379,7 +378,7 @@ void RigidMultigrid::factorize_coarsest(ThreadPool& pool) {
     for (std::size_t k = 0; k < 6; ++k)
       for (std::size_t m = 0; m < 6; ++m)
         coarse_blocks_[36 * e + 6 * k + m] =
-            static_cast<double>(values[e * kBlock + m * kFloatLanes + k]);
+            static_cast<double>(values[e * kFloatBlock + m * kFloatLanes + k]);
   // Float32 leaves a softest mode that is 1e-6 of the stiffest undecided, and a tangent at a saddle
   // has negative ones: a share of the diagonal makes it definite, the least that does.
   for (double share = 1e-3;; share *= 10.0) {

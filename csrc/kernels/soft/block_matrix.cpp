@@ -1,12 +1,12 @@
 #include "kernels/soft/block_matrix.h"
 
 #include "kernels/linalg/lanes.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 constexpr Index kRowsPerTask = 128;
 
 template <typename F>

@@ -3,12 +3,12 @@
 #include <algorithm>
 
 #include "kernels/soft/soft_model.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 /// Faces of every chamber, each followed by its lids.
 void add_triangles(const ChamberTables& t, Index num_nodes, Chambers& out) {

@@ -3,12 +3,12 @@
 #include <limits>
 
 #include "kernels/linalg/cholesky_symbolic.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 /// Adds kappa_e grad_a . grad_b [N/m] of the samples of group g; `direction` restricts to a fiber.
 template <typename Group>

@@ -8,11 +8,11 @@
 #include "kernels/parallel.h"
 #include "kernels/soft/elasticity.h"
 #include "kernels/soft/material.h"
+#include "kernels/subscript.h"
 
 namespace diffsim::elements {
 
 using Index = std::int64_t;
-inline std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 /// Groups per task: small enough to share, large enough that a task costs microseconds.
 constexpr Index kTask = 16;

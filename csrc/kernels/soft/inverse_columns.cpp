@@ -1,14 +1,13 @@
 #include "kernels/soft/inverse_columns.h"
 
 #include "kernels/soft/constant_system.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 // Right-hand sides per pass over the factor: enough to reuse each tile from the cache.
 constexpr std::size_t kWidth = 24;
-
-std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 }  // namespace
 

@@ -2,11 +2,12 @@
 
 #include <algorithm>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 constexpr Index kNodesPerTask = 64;
 
 struct Vec3 {

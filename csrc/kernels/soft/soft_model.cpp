@@ -2,11 +2,12 @@
 
 #include <algorithm>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
 
 using Index = std::int64_t;
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 template <int kNodes>
 GroupShape<kNodes> lanes_of(const double* grad[kLanes], const double weight[kLanes]) {

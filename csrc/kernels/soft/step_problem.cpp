@@ -4,11 +4,10 @@
 
 #include "kernels/soft/elastic_second.h"
 #include "kernels/soft/pressure.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
-
-std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 double force_scale(const ConstantSystem& system, const StepInputs& in) {
   const std::int64_t n = system.model().num_nodes;

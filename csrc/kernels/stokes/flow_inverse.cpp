@@ -1,19 +1,14 @@
 #include "kernels/stokes/flow_inverse.h"
 
-#include <chrono>
+#include "kernels/seconds.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
-
-double seconds() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
 // Of a direct solve: corrections by the factor, and the relative residual that rounding leaves.
 constexpr int kMostCorrections = 5;
-constexpr double kRounding = 1e-12;
+constexpr double kRoundingOfSolve = 1e-12;
 
 /// Where the iterative path begins to be the faster one, by measurement: in two dimensions beyond
 /// what fits into memory.
@@ -183,7 +178,8 @@ void FlowInverse<D>::solve_direct(std::int64_t cases, double eta, const FlowResi
     }
     if (again && round < kMostCorrections) continue;
     for (std::int64_t k = 0; k < cases; ++k)
-      if (!(stats[k].residual <= std::max(options().rtol, kRounding))) stats[k].converged = 0.0;
+      if (!(stats[k].residual <= std::max(options().rtol, kRoundingOfSolve)))
+        stats[k].converged = 0.0;
     return;
   }
 }

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 template <int D>
 int stencil_bit(const int* from, const int* to) {

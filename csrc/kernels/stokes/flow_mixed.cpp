@@ -5,11 +5,10 @@
 
 #include "kernels/stokes/flexible_gmres.h"
 #include "kernels/stokes/row_chunks.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 // Weight gamma of C' M^-1 C, and its largest share of the bulk modulus, which keeps bulk - gamma
 // positive.

@@ -8,11 +8,10 @@
 #endif
 
 #include "kernels/stokes/row_chunks.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorized rather than coarsened
 constexpr int kMaxLevels = 12;

@@ -2,13 +2,9 @@
 
 #include <algorithm>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
-namespace {
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
-
-}  // namespace
-
 template <int D>
 FlowOperator<D>::FlowOperator(const StokesGrid<D>& grid, const double* phi, const bool* open,
                               const FlowOptions& options, ThreadPool& pool)

@@ -2,10 +2,10 @@
 
 #include <limits>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 namespace {
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 double dot(const std::vector<double>& a, const double* b) {
   double sum = 0.0;
@@ -16,7 +16,7 @@ double dot(const std::vector<double>& a, const double* b) {
 double square(double x) { return x * x; }
 
 // Of a cell's divergence, in units of the last place of its terms.
-constexpr double kRounding = 4.0;
+constexpr double kRoundingOfDivergence = 4.0;
 
 }  // namespace
 
@@ -47,8 +47,8 @@ void FlowPressures<D>::set_rounding(ThreadPool& pool) {
   for (std::int64_t cell = 0; cell < divergence_.size(); ++cell) {
     given_[u(cell)] = 0.0;
     for (int i = 0; i < (1 << D) * D; ++i)
-      given_[u(cell)] +=
-          kRounding * std::numeric_limits<double>::epsilon() * std::abs(divergence_.row(cell)[i]);
+      given_[u(cell)] += kRoundingOfDivergence * std::numeric_limits<double>::epsilon() *
+                         std::abs(divergence_.row(cell)[i]);
   }
   schur_->apply(given_.data(), found_.data(), pool);
   double sum = 0.0;

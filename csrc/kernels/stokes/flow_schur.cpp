@@ -3,14 +3,13 @@
 #include <Eigen/LU>
 
 #include "kernels/stokes/row_chunks.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
 
 // Added to the diagonal of Q' L Q, in parts of it.
 constexpr double kRegular = 1e-6;
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 }  // namespace
 

@@ -1,18 +1,12 @@
 #include "kernels/stokes/flow_system.h"
 
-#include <chrono>
-
+#include "kernels/seconds.h"
 #include "kernels/stokes/flow_inverse.h"
 #include "kernels/stokes/flow_tangent.h"
+#include "kernels/subscript.h"
 
 namespace diffsim {
 namespace {
-
-std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
-
-double seconds() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 const double* at_case(const double* field, std::int64_t stride, std::int64_t k) {
   return field ? field + stride * k : nullptr;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "kernels/subscript.h"
+
 namespace diffsim {
 
 struct ContactPreconditioner::Factor {
@@ -11,8 +13,6 @@ struct ContactPreconditioner::Factor {
 };
 
 namespace {
-
-std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 // Columns of A^-1 above this are not worth their memory.
 constexpr double kMaxColumnBytes = 1.5e9;

@@ -22,7 +22,7 @@ constexpr std::size_t kMaxRelaxed = 1500;
 // cycles that one does not resolve need more.
 constexpr int kDoublingsEachTime = 2, kMaxDoublings = 5;
 // Shortest step towards a relaxed solution, of the whole: ten trials.
-constexpr double kLeastStep = 1e-3;
+constexpr double kLeastLength = 1e-3;
 
 /// Nearest force in Coulomb's cone about n.
 Vec3 project_cone(const Vec3& force, const Vec3& n, double friction) {
@@ -64,7 +64,7 @@ void move_relaxed(StepProblem& objective, const ContactSpace& space, const Vecto
                   const Vector& limits, bool lowers_merit, ContactIterate& at) {
   const Vector start = at.x;
   const double before = merit(space, limits, at.x, at.value);
-  for (double length = 1.0; length > kLeastStep; length *= 0.5) {
+  for (double length = 1.0; length > kLeastLength; length *= 0.5) {
     at.move(objective, start, length, step);
     if (std::isfinite(at.value) &&
         (!lowers_merit || merit(space, limits, at.x, at.value) <= before))

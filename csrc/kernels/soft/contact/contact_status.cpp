@@ -7,7 +7,7 @@ namespace {
 // let go slides into the obstacle. From its second release in a step it is held, pulled or not.
 constexpr int kMaxReleases = 2;
 // Friction of the last step from this share of Coulomb's limit on was that of slip.
-constexpr double kConeEdge = 1.0 - 1e-6;
+constexpr double kSlipEdge = 1.0 - 1e-6;
 // Slip that a division needs [m].
 constexpr double kLeastSlip = 1e-300;
 
@@ -37,7 +37,7 @@ void ContactStatuses::guess(const Vector& x_free) {
       double along[3];
       for (int i = 0; i < 3; ++i) along[i] = before[i] - pressing * n[i];
       const double friction = norm3(along);
-      const bool slipped = friction >= kConeEdge * in.friction[k] * pressing;
+      const bool slipped = friction >= kSlipEdge * in.friction[k] * pressing;
       space_.status[k] = slipped ? ContactStatus::kSlip : ContactStatus::kStick;
     } else if (depth > 0.0) {
       space_.status[k] = first_touch(k, depth, slip);
