@@ -35,6 +35,15 @@ STABLE_ABI = (
 PYTHONS_OWN = ("-Wno-unused-result", "-fno-strict-overflow", "-fwrapv")
 # Scripts that the checkout keeps beside the package, and the wheel in it.
 SCRIPTS = ("examples", "rl")
+# Bindings convert arguments and compute nothing; -O3 makes them larger and slower to compile.
+BINDINGS_LEVEL = "-Os"
+# Kernels of these folders are compiled together, this many lines at a time: what they include is
+# then read once. Where a function is inlined, a product and a sum may become one instruction that
+# rounds once: a folder stands here if all reference numbers stay as they are. Those of
+# csrc/kernels/stokes do not. DIFFSIM_UNITY=0 compiles each file by itself.
+UNIT_FOLDERS = ("kernels/linalg", "kernels/soft", "kernels/soft/contact")
+UNIT_LINES = 800
+UNITY = os.environ.get("DIFFSIM_UNITY", "1") != "0"
 # name -> compiler flags; diffsim/core/compiled.py picks the best one the processor has.
 PREFIX = "diffsim._core_"
 # Sanitizers, say; tests/test_sanitizers.py builds with them.
@@ -119,16 +128,19 @@ def chosen(wanted: str, here: str) -> set[str]:
     """Names of the instruction sets to build.
 
     Args:
-        wanted: comma-separated names; ``native`` is this machine's best, ``all`` is all.
+        wanted: comma-separated names; ``native`` is this machine's best, ``all`` is all, ``none``
+            leaves the compiled core to another command.
         here: this machine's best.
     """
     names = {here if name == "native" else name for name in wanted.split(",") if name}
+    if names == {"none"}:
+        return set()
     if "all" in names:
         return set(INSTRUCTION_SETS)
     if unknown := names - set(INSTRUCTION_SETS):
         raise SystemExit(
             f"DIFFSIM_BUILD_ISA={wanted!r}: {sorted(unknown)} unknown; "
-            f"choose from native, all, {', '.join(INSTRUCTION_SETS)}"
+            f"choose from native, all, none, {', '.join(INSTRUCTION_SETS)}"
         )
     return names
 
@@ -151,10 +163,81 @@ def read(path: Path) -> str:
     return path.read_text() if path.is_file() else ""
 
 
+def includes_eigen(source: str) -> bool:
+    """Whether a file of csrc includes Eigen, itself or through our own headers."""
+    todo, seen = [source], {source}
+    while todo:
+        text = read(Path(todo.pop()))
+        if "#include <Eigen/" in text:
+            return True
+        found = {f"csrc/{name}" for name in re.findall(r'^#include "([^"]+)"', text, re.M)} - seen
+        seen |= found
+        todo += found
+    return False
+
+
+def even_shares(sources: list[str], limit: int) -> list[list[str]]:
+    """The sources in their order, cut into shares of about as many lines, at most ``limit``."""
+    lines = [read(Path(source)).count("\n") + 1 for source in sources]
+    count = -(-sum(lines) // limit)
+    shares: list[list[str]] = [[] for _ in range(count)]
+    before = 0
+    for source, own in zip(sources, lines, strict=True):
+        middle = before + own / 2
+        shares[int(middle * count / sum(lines))].append(source)
+        before += own
+    return [share for share in shares if share]
+
+
+def groups_of(sources: list[str]) -> dict[str, list[str]]:
+    """Name of each unit to compile, and its sources; every source is in one unit.
+
+    Those that include Eigen, which takes 1.2 s to read, stand together and apart from the others.
+    """
+    folders: dict[str, list[str]] = {}
+    units = {}
+    for source in sources:
+        folder = Path(source).parent.relative_to("csrc").as_posix()
+        if UNITY and folder in UNIT_FOLDERS:
+            name = folder.replace("/", "-") + "-eigen" * includes_eigen(source)
+            folders.setdefault(name, []).append(source)
+        else:
+            units[source] = [source]
+    for folder, members in folders.items():
+        for i, share in enumerate(even_shares(members, UNIT_LINES)):
+            name = share[0] if len(share) == 1 else f"build/units/{folder}-{i}.cpp"
+            units[name] = share
+    return units
+
+
+def unit_text(members: list[str]) -> str:
+    """A unit that includes its members; GCC takes what they define locally for a header's."""
+    includes = [f'#include "{name.removeprefix("csrc/")}"' for name in members]
+    guard = ["#if !defined(__clang__)", '#pragma GCC diagnostic ignored "-Wsubobject-linkage"']
+    return "\n".join([*guard, "#endif", *includes, ""])
+
+
+def write_units(units: dict[str, list[str]]) -> None:
+    """Write the units of several members where they do not stand already."""
+    for name, members in units.items():
+        path, text = Path(name), unit_text(members)
+        if [name] != members and read(path) != text:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+
+
+def is_kernel(unit: str) -> bool:
+    """Whether a unit knows nothing of Python: a kernel, or several."""
+    return unit.startswith(("csrc/kernels/", "build/units/"))
+
+
 def sources_of(rule: Path) -> list[Path]:
-    """Files of csrc that an object was made of, by the rule that the compiler wrote."""
+    """Files of csrc that an object was made of, by the rule that the compiler wrote.
+
+    The unit is one of them: who joins or leaves it changes the object.
+    """
     files = re.split(r"[\s\\]+", read(rule).partition(":")[2])
-    return [Path(name) for name in sorted(set(files)) if name.startswith("csrc/")]
+    return [Path(name) for name in sorted(set(files)) if name.startswith(("csrc/", "build/units/"))]
 
 
 def newest(rule: Path) -> float:
@@ -173,9 +256,9 @@ def content_hash(rule: Path) -> str:
 
 
 class BuildExt(build_ext):
-    """Compile every (instruction set, source) pair in parallel, and only what changed.
+    """Compile every (instruction set, unit) pair in parallel, and only what changed.
 
-    An object is current while the source and the headers it includes read as they did.
+    An object is current while its sources and the headers they include read as they did.
 
     Objects are kept in build/objects/<key> (pip's own build folder is gone after each run); the key
     holds all that changes an object besides the sources: compiler, flags and Eigen; for bindings
@@ -207,7 +290,7 @@ class BuildExt(build_ext):
         shared = [word for n in names for word in getattr(self.kernel_compiler, n)]
         self.kernels = folder_of([shared, eigen_version()])
         self.bindings = folder_of([compiler, eigen_version(), nanobind.__version__, sys.version])
-        jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
+        jobs = self._jobs()
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
             objects = list(pool.map(lambda job: self._compile(*job), jobs))
         for ext in self.extensions:
@@ -221,13 +304,29 @@ class BuildExt(build_ext):
                 target_lang="c++",
             )
 
+    def _jobs(self) -> list[tuple[Extension, str]]:
+        """What to compile: kernels first, for the linker takes the first of equal inline functions.
+
+        Those of most lines begin, so that no long one is left when the others are done.
+        """
+        jobs = []
+        for ext in self.extensions:
+            units = groups_of(ext.sources)
+            write_units(units)
+            lines = {n: sum(read(Path(p)).count("\n") for p in m) for n, m in units.items()}
+            order = sorted(units, key=lambda n: (not is_kernel(n), -lines[n], n))
+            jobs += [(ext, name) for name in order]
+        return jobs
+
     def _compile(self, ext: Extension, source: str) -> str:
-        flags = repr([ext.extra_compile_args, ext.define_macros])
-        is_kernel = source.startswith("csrc/kernels/")
-        folder = self.kernels if is_kernel else self.bindings
-        compiler = self.kernel_compiler if is_kernel else self.compiler
+        args = list(ext.extra_compile_args)
+        if not is_kernel(source):
+            args = [BINDINGS_LEVEL if flag == "-O3" else flag for flag in args]
+        flags = repr([args, ext.define_macros])
+        folder = self.kernels if is_kernel(source) else self.bindings
+        compiler = self.kernel_compiler if is_kernel(source) else self.compiler
         macros = list(ext.define_macros)
-        if STABLE_ABI and not is_kernel:
+        if STABLE_ABI and not is_kernel(source):
             macros.append(("Py_LIMITED_API", "0x030C0000"))
         out = folder / f"{ext.name}-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
         obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
@@ -242,7 +341,7 @@ class BuildExt(build_ext):
                 output_dir=str(out),
                 macros=macros,
                 include_dirs=ext.include_dirs,
-                extra_postargs=[*ext.extra_compile_args, "-MMD", "-MF", str(obj.with_suffix(".d"))],
+                extra_postargs=[*args, "-MMD", "-MF", str(obj.with_suffix(".d"))],
             )
             if newest(obj.with_suffix(".d")) < began:  # else one changed meanwhile: compile again
                 made_of.write_text(content_hash(obj.with_suffix(".d")))
