@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks.contact_scenes import VARIANTS
 from benchmarks.plot_style import (
@@ -20,6 +19,9 @@ from benchmarks.plot_style import (
 )
 from benchmarks.soft_plots import tolerance_axis
 from diffsim.viz.figures import SOFT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLORS = {
     "auto": "#1d2433",

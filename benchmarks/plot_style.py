@@ -5,15 +5,15 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from typing import TYPE_CHECKING, Any
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.viz.figures import INK, LINE, SOFT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 Rows = list[dict[str, Any]]
 
@@ -34,6 +34,8 @@ def style(ax: Axes, title: str, xlabel: str, ylabel: str = "") -> None:
 
 def new_figure(width: float, height: float) -> Figure:
     """A white figure whose parts keep out of each other's way."""
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
@@ -70,6 +72,8 @@ def select(rows: Rows, **wanted: Any) -> Rows:
 
 def number_in_steps_of_1_2_5(axis: Axis) -> None:
     """Plain numbers on a logarithmic axis."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
     axis.set_major_locator(FixedLocator([m * 10.0**k for k in range(-3, 9) for m in (1, 2, 5)]))
     axis.set_major_formatter(
         FuncFormatter(lambda x, _: f"{x:,.4g}" if x < 1e4 else f"{x / 1e3:,.4g}k")

@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import signal
 
 from diffsim.cli.diagnose_inputs import read_study
 from diffsim.core import interruptible
@@ -63,6 +62,8 @@ def joined(study: Study) -> dict[str, Run]:
 
 def motion(position: Array) -> tuple[Array, Array, Array]:
     """Filtered position, velocity and acceleration, (num_samples,) each."""
+    from scipy import signal
+
     b, a = signal.butter(4, CUT / (0.5 * RATE))
     q = signal.filtfilt(b, a, position)
     v = np.gradient(q) * RATE
@@ -111,6 +112,8 @@ def inverse_error(model: SimModel, run: Run) -> tuple[float, float]:
 
 def force_error(off: Array, force: Array) -> tuple[float, float]:
     """Error of a force (num_samples,) by the published rule: relative [%], and rms [N]."""
+    from scipy import signal
+
     inside = slice(EDGE, -EDGE)
     left, whole = (signal.decimate(x[inside], DECIMATION, zero_phase=True) for x in (off, force))
     return 100.0 * float(np.linalg.norm(left) / np.linalg.norm(whole)), float(left.std())

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from benchmarks.plot_style import (
     Rows,
@@ -23,6 +21,10 @@ from benchmarks.soft_explicit import COMPARED
 from benchmarks.soft_plots_studies import accuracy, compared, explicit
 from benchmarks.soft_scaling import measured
 from diffsim.viz.figures import INK, SOFT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLORS = {
     "auto": "#1d2433",

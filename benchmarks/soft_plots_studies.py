@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from benchmarks.plot_style import (
     Rows,
@@ -18,6 +16,10 @@ from benchmarks.plot_style import (
 )
 from benchmarks.soft_explicit import COMPARED, EXPLICIT
 from diffsim.viz.figures import INK, SOFT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLORS = {"implicit_euler": "#0b6e75", EXPLICIT: "#c2571a"}
 LABELS = {"implicit_euler": "implicit Euler", EXPLICIT: "explicit"}

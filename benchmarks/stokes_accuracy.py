@@ -15,10 +15,9 @@ import math
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from matplotlib.figure import Figure
 
 from benchmarks.harness import timed
 from benchmarks.machine import machine
@@ -37,6 +36,9 @@ from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.viz.figures import INK
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CELLS = (16, 32, 64, 128)
 RATIOS = (0.45, 0.49, 0.499, 0.4999)

@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.stats import t
 
 from diffsim import soft
 from diffsim.core import interruptible
@@ -52,6 +51,7 @@ GRID = tuple(itertools.product(PERIODS_S, LOWS_M, CLOSED))
 
 def strokes() -> list[Command]:
     """The commands of ``GRID``."""
+
     return [open_close(period_s=t, low_m=low, closed=c, limits=LIMITS) for t, low, c in GRID]
 
 
@@ -118,6 +118,8 @@ def identified(chain: Path, name: str) -> dict[str, float]:
 
 def table(kept: Kept) -> str:
     """What every model says of the strokes, means over chains, in Markdown."""
+    from scipy.stats import t
+
     real = np.array(kept["laboratory"][""])
     lines = [
         "| model | correlation with the laboratory | error, rms | right sign | its best stroke | "
@@ -156,6 +158,7 @@ def _named(k: int) -> str:
 
 def draw(kept: Kept, path: Path) -> None:
     """Speeds in the laboratory over those that models promise; of the first chain."""
+
     import matplotlib.pyplot as plt
 
     names = [name for name in kept if name != "laboratory"]

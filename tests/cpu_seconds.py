@@ -17,6 +17,8 @@ import pytest
 
 from tests import warm
 
+BEGAN = time.time()
+"""When this process began to look for tests."""
 LIMIT_S = 5.0
 """CPU seconds that a test may take without a mark that says otherwise."""
 REFERENCE_S = 0.060

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
-import trimesh
 
 from diffsim import contact, copter, linalg, mesh, ode, soft, stokes
 
@@ -73,6 +72,8 @@ def flight_state() -> copter.FlightState:
 
 
 def _box() -> Arguments:
+    import trimesh
+
     return {"surface": trimesh.creation.box((1.0, 1.0, 1.0)), "spacing": 0.5}
 
 

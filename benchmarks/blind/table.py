@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from diffsim.data.labs.sealed import KINDS
 
@@ -140,6 +139,8 @@ def _wrong(s: Score) -> str:
 
 
 def _row(what: str, goal: str, of: Sequence[Any], hits: Sequence[bool]) -> dict[str, Any]:
+    from scipy import stats
+
     if not of:
         return {"what": what, "goal": goal, "value": None, "n": 0}
     k, n = int(sum(hits)), len(of)

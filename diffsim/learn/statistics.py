@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -20,6 +19,8 @@ Row = dict[str, Any]
 
 def interquartile_mean(values: Array, axis: int = 0) -> Array:
     """Mean without the lowest and the highest quarter (rounded down) of the values."""
+    from scipy import stats
+
     out: Array = np.asarray(stats.trim_mean(values, 0.25, axis=axis))
     return out
 
@@ -37,6 +38,8 @@ def bootstrap_interval(
     Returns:
         Low and high, (...); both the value itself where there is but one run.
     """
+    from scipy import stats
+
     values = np.asarray(values, dtype=np.float64)
     if len(values) < 2:
         return values[0], values[0]

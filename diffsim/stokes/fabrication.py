@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -21,6 +21,9 @@ from diffsim.stokes.cells import cut_cells
 from diffsim.stokes.grid import Grid
 from diffsim.stokes.isosurface import negative_part, wall
 from diffsim.stokes.printing import FabricationReport, fabrication_report
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -72,6 +75,8 @@ def fabrication_mesh(
         UserWarning: loose parts (islands) and closed cavities, with count and volume; a shape that
             is thinner than a cell.
     """
+    import trimesh
+
     phi = require("phi", phi.detach() if isinstance(phi, Tensor) else phi, grid.node_shape)
     values = phi.numpy()
     _check_two_phases(values)
@@ -135,6 +140,8 @@ def channel_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> tri
     Raises:
         TypeError, ValueError: wrong shapes, no fluid at all.
     """
+    import trimesh
+
     phi = require("phi", phi.detach() if isinstance(phi, Tensor) else phi, grid.node_shape)
     values = phi.numpy()
     if not (values > 0.0).any():
@@ -147,6 +154,8 @@ def channel_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> tri
 
 def wall_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> trimesh.Trimesh:
     """The wall phi = 0 alone, an open surface for pictures; arguments as for ``channel_mesh``."""
+    import trimesh
+
     phi = require("phi", phi.detach() if isinstance(phi, Tensor) else phi, grid.node_shape)
     values = phi.numpy()
     height = _check_height(grid, height, 0.0, 0.0)
@@ -284,6 +293,8 @@ def _shell(coords: list[Array], values: Array, thickness: float) -> Array:
 
     Next to the fluid it is phi (the channel's wall does not move), elsewhere distance - thickness.
     """
+    import trimesh
+
     fluid = values > 0.0
     near = ndimage.binary_dilation(fluid, np.ones((3, 3, 3)))
     vertices, faces = wall(coords, values)

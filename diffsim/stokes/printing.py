@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from scipy import sparse
 
 from diffsim.core.check import require_choice
 from diffsim.core.errors import MeshError
 from diffsim.core.files import write_bytes_atomic
+
+if TYPE_CHECKING:
+    import trimesh
 
 UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
 """Units of an STL file per meter; the format itself has none, slicers take millimeters."""
@@ -49,6 +52,8 @@ class FabricationReport:
 
 def fabrication_report(mesh: trimesh.Trimesh) -> FabricationReport:
     """Is a surface closed, and how many parts and cavities does it have?"""
+    import trimesh
+
     if not isinstance(mesh, trimesh.Trimesh):
         raise TypeError(f"mesh must be a trimesh.Trimesh, got {type(mesh).__name__}")
     faces, count = mesh.faces, len(mesh.vertices)
@@ -79,6 +84,8 @@ def write_stl(path: str | Path, mesh: trimesh.Trimesh, *, unit: str = "mm") -> P
     Raises:
         MeshError: the surface has holes.
     """
+    import trimesh
+
     path = Path(path)
     if path.suffix.lower() != ".stl":
         raise ValueError(f"path must end in .stl, got {path.name!r}")

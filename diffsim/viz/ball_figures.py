@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from diffsim.viz import scene
@@ -18,6 +16,7 @@ from diffsim.viz.ball_video import outline, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from diffsim.systems.balls.soft import SoftBallModel
 
@@ -92,6 +91,8 @@ def overlay(
         held_out_from: Frame from which squares are hollow: not fitted.
         every: Step between the frames that show a whole ball.
     """
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(4.6 * len(rows), 3.2), layout="constrained")
     for ax, row in zip(np.atleast_1d(figure.subplots(1, len(rows))), rows, strict=True):
         _frame(ax, size_px, _around(seen))
@@ -122,6 +123,8 @@ def strip(
         frames: Indices of the samples that are shown.
         first: Number of the first sample's video frame.
     """
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(1.9 * len(frames), 1.5 * len(rows) + 0.3), layout="constrained")
     axes = figure.subplots(len(rows), len(frames), squeeze=False)
     for row, line in zip(rows, axes, strict=True):
@@ -139,6 +142,8 @@ def strip(
 
 def misfits(rows: Sequence[Shown], seen: Array, first: int, held_out_from: int) -> Figure:
     """Distance of simulated from tracked centers over the frames; arguments as above."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(8, 3), layout="constrained")
     ax = figure.subplots()
     frames = first + np.arange(len(seen))
@@ -170,4 +175,6 @@ def _frame(ax: Axes, size_px: tuple[float, float], window: tuple[Array, Array]) 
 
 
 def _ball(ax: Axes, edge: Array, k: int, alpha: float) -> None:
+    from matplotlib.patches import Polygon
+
     ax.add_patch(Polygon(edge, facecolor=COLORS[k], edgecolor="none", alpha=alpha * 0.5))

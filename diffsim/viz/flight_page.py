@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +18,9 @@ from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, CYCLE
 from diffsim.viz.flight_shapes import FlightShapes, shapes_of
 from diffsim.viz.moving import Line, Moving, Rigid
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -120,6 +122,8 @@ def _angles(log: FlightLog, shapes: FlightShapes) -> Array:
 
 def _parts(shapes: FlightShapes, body: Array, places: Array, angles: Array) -> list[Rigid]:
     """The frame as one part, and each propeller."""
+    import trimesh
+
     hubs, axes = shapes.vehicle.positions.numpy(), shapes.vehicle.directions.numpy()
     frame, out = [], []
     for name, mesh in shapes.meshes.items():

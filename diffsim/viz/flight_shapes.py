@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from diffsim.copter.design import Design
@@ -13,6 +13,9 @@ from diffsim.copter.rotor import RotorModel
 from diffsim.copter.simulator import flight_rotors
 from diffsim.copter.vehicle import Multicopter
 from diffsim.copter.vehicle_record import FlyingVehicle
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -58,6 +61,8 @@ def shapes_of(design: Design | FlyingVehicle) -> FlightShapes:
 
 def _stand_ins(vehicle: Multicopter, names: tuple[str, ...]) -> dict[str, trimesh.Trimesh]:
     """A body, and an arm and a two-bladed propeller per rotor, about the center of mass."""
+    import trimesh
+
     hubs, axes = vehicle.positions.numpy(), vehicle.directions.numpy()
     radii = vehicle.radii.numpy()
     size = _HUB * float(np.linalg.norm(hubs, axis=1).mean())

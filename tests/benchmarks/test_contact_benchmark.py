@@ -7,10 +7,12 @@ import json
 
 import pytest
 
-pytest.importorskip("matplotlib", reason="the benchmark draws figures")
-
 from benchmarks import contact, contact_napkin, contact_rolling
 from benchmarks.contact_scenes import VARIANTS, about, voxel_sphere
+from tests.optional import needs
+
+needs("matplotlib", reason="the benchmark draws figures")
+
 
 TINY = contact.Plan(
     rolling=contact_rolling.Plan(

@@ -7,10 +7,12 @@ import json
 
 import pytest
 
-pytest.importorskip("matplotlib", reason="the benchmark draws figures")
-
 from benchmarks import soft, soft_accuracy, soft_cantilever, soft_explicit, soft_scaling
 from benchmarks.harness import Part, Store
+from tests.optional import needs
+
+needs("matplotlib", reason="the benchmark draws figures")
+
 
 TINY = soft.Plan(
     cantilever=soft_cantilever.Plan(

@@ -6,9 +6,11 @@ import json
 
 import pytest
 
-pytest.importorskip("matplotlib", reason="the benchmark draws figures")
-
 from benchmarks import stokes, stokes_tables
+from tests.optional import needs
+
+needs("matplotlib", reason="the benchmark draws figures")
+
 
 TINY = stokes.Plan(
     devices=stokes.DevicePlan(

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-import trimesh
 
 from diffsim import contact, soft
 from diffsim.contact.handles import shape_of
@@ -321,13 +320,19 @@ def terrain() -> contact.HeightField:
     return contact.HeightField(heights, 0.5, (-2.0, -2.0, -0.15))
 
 
+def slab() -> contact.MeshShape:
+    import trimesh
+
+    return contact.MeshShape(trimesh.creation.box((6.0, 6.0, 0.2)))
+
+
 SHAPES = {  # each with its place below a body whose lower face is at z = 0
     "ball": (lambda: contact.Sphere(3.0), (1.0, 0.5, -3.0)),
     "container": (lambda: contact.Sphere(3.0, inside_out=True), (1.0, 0.5, 2.7)),
     "trough": (lambda: contact.Trough(3.0, 3.0, start=(1.0, 0.0, 0.0)), (1.0, 0.0, 2.7)),
     "sheet that a step would jump": (lambda: contact.Box((6.0, 6.0, 0.004)), (1.0, 0.5, -0.1)),
     "terrain": (terrain, (0.0, 0.0, 0.0)),
-    "surface": (lambda: contact.MeshShape(trimesh.creation.box((6.0, 6.0, 0.2))), (1.0, 0.5, -0.1)),
+    "surface": (slab, (1.0, 0.5, -0.1)),
 }
 
 

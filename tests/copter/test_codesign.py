@@ -25,9 +25,11 @@ from diffsim.copter.codesign.spin_condition import spin_conditions
 from diffsim.copter.codesign.task import Task
 from diffsim.core import open_executor
 from tests.copter.codesign_designs import arm_copter, reference_design
+from tests.optional import needs
 
-pytest.importorskip("cvxpy")
-pytest.importorskip("unopy")
+needs("cvxpy")
+needs("unopy")
+
 
 FLAT = 4 * 11.672  # [N], of the flat pentacopter: its fifth rotor finds no torque to balance it
 ALL_ROTORS = 5 * 11.672

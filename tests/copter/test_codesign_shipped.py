@@ -10,8 +10,9 @@ from diffsim.copter.codesign import Demands, Limits, SearchOptions, codesign
 from diffsim.copter.codesign.solve import solve_local
 from diffsim.copter.codesign.space import ShapeModel
 from diffsim.copter.codesign.task import Task
+from tests.optional import needs
 
-pytest.importorskip("cvxpy")
+needs("cvxpy")
 
 
 @pytest.mark.reference

@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 import torch
-import trimesh
 import yaml
 from scipy.optimize import linprog
 
@@ -156,6 +155,8 @@ def test_small_design():
 
 
 def test_mesh_files_are_found_from_the_saved_design(tmp_path):
+    import trimesh
+
     (tmp_path / "a").mkdir()
     trimesh.creation.box((0.3, 0.2, 0.02)).export(tmp_path / "a" / "frame.stl")
     text = """

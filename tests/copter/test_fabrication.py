@@ -8,9 +8,7 @@ import math
 import numpy as np
 import pytest
 import torch
-import trimesh
 import yaml
-from trimesh.exchange.stl import export_stl
 
 from diffsim import cli
 from diffsim.copter import import_xml, load_design, shipped_designs
@@ -209,12 +207,14 @@ def test_screw_holes_are_square_to_the_motor():
 @pytest.mark.parametrize("name", ["pentacopter", "quadcopter", "x_quadcopter", "y6_hexacopter"])
 def test_clips_give_the_motors_their_directions(name):
     """From the STL file, through the clip's place in the design, to the direction asked for."""
+    import trimesh
+
     design, directions = tilted(name)
     found = plan(design, directions=directions, printer=LARGE)
     parts = {p.name: p for p in found.design.parts}
     prints = {p.file: p.mesh for p in found.printed}
     for motor, wanted in zip(found.motors, directions.numpy(), strict=True):
-        stl = io.BytesIO(export_stl(prints[f"clip_motor_{motor.number}.stl"]))
+        stl = io.BytesIO(trimesh.exchange.stl.export_stl(prints[f"clip_motor_{motor.number}.stl"]))
         mesh = trimesh.load(stl, file_type="stl")
         assert mesh.is_watertight
         normal = parts[motor.clip].rotation @ (np.diag([1.0, -1.0, -1.0]) @ top_normal(mesh))
@@ -260,6 +260,8 @@ def test_spins_and_numbers(plans):
 
 
 def test_files(tmp_path):
+    import trimesh
+
     found = plan(load_design("pentacopter_payload"))
     page = write_fabrication(found, tmp_path / "deep" / "plan").read_text(encoding="utf-8")
     folder = tmp_path / "deep" / "plan"
@@ -329,6 +331,8 @@ def test_thinnest_wall_of_a_tube():
 
 
 def test_what_cannot_be_printed_is_said():
+    import trimesh
+
     box = trimesh.creation.box((10.0, 300.0, 20.0))
     assert check_print(box, Printer(bed=(320.0, 50.0, 50.0))).problems == ()  # turned by 90 degrees
     assert "10 x 300 x 20 mm do not fit" in check_print(box, Printer()).problems[0]

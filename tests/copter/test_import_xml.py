@@ -7,7 +7,6 @@ import shutil
 import numpy as np
 import pytest
 import torch
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter import GRAVITY, import_xml, load_design
@@ -299,6 +298,8 @@ def placed(moves):
 
 def mass_by_meshes(folder):
     """Mass, center and inertia about it, from the triangles alone; place and axis of motors."""
+    import trimesh
+
     total, first, second, rotors = 0.0, np.zeros(3), np.zeros((3, 3)), []
     for tag, instances in VTAIL.items():
         file, density, _ = TAGS[tag]

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 import torch
-import trimesh
 
 from diffsim.copter import rotor_model
 from diffsim.copter.geometry import fan_prism, rotation_about, rotation_rpy
@@ -24,6 +23,8 @@ BUILT_IN = [k for k in PART_KINDS if not k.startswith(("imported", "mesh"))]
 
 
 def part_mesh(part, values=None):
+    import trimesh
+
     vertices = part.mesh.vertices.at(part.values if values is None else np.asarray(values))
     return trimesh.Trimesh(vertices, part.mesh.faces, process=False)
 
@@ -81,6 +82,8 @@ def test_mass_given_is_mass_had(kind, mass):
 @pytest.mark.parametrize("kind", [k for k in BUILT_IN if make_part(k, OPTIONS.get(k)).parameters])
 def test_patches_stay_on_the_surface_as_parameters_change(kind):
     """A flat patch's center lies on the mesh, its normal points away from it."""
+    import trimesh
+
     part = make_part(kind, OPTIONS.get(kind))
     for values in (part.values, 1.3 * part.values):
         mesh = part_mesh(part, values)
@@ -214,6 +217,8 @@ def test_options_of_the_wrong_type(kind, options, message):
 
 
 def test_frame_from_a_mesh(tmp_path):
+    import trimesh
+
     mesh = trimesh.creation.box((0.2, 0.1, 0.02))
     mesh.export(tmp_path / "frame.stl")
     mounts = {"nose": {"center": [0.1, 0.0, 0.0], "normal": [2.0, 0.0, 0.0]}}

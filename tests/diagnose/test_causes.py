@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy import stats
 
 from diffsim.data.study import Study
 from diffsim.diagnose import Report, assemble, diagnose
@@ -96,6 +95,8 @@ def test_sizes_hold_the_truth_and_nothing_named_is_invisible(shared):
 
 
 def test_quantiles_are_those_of_the_mixture():
+    from scipy import stats
+
     weights, mean, sd = np.array([0.3, 0.7]), np.array([1.0, 3.0]), np.array([0.2, 0.5])
     found = _interval(weights, mean, sd, PUSH)
     for q, p in ((found.low, 0.05), (found.high, 0.95)):

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate, optimize, stats
+from scipy import integrate, optimize
 
 from diffsim.data.study import Study
 from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, LaplaceEvidence, unrealized
@@ -156,6 +156,8 @@ def moved(mass=0.0, gain=0.0):
 def test_a_bound_against_a_brute_force_integral(beyond, side):
     """Over mass by quadrature, over the others analytically; the optimum lies ``beyond`` posterior
     standard deviations beyond the bound."""
+    from scipy import stats
+
     runs = moved(mass=4.0 * side)
     y, a = linear.matrices((), runs)
     inverse = np.linalg.inv(a.T @ a + np.eye(2))
@@ -198,6 +200,8 @@ def test_the_optimum_within_several_bounds(limits):
 @pytest.mark.parametrize("beyond", [(1.5, 2.5), (0.0, 0.0), (-1.0, 3.0)])
 def test_two_bounds_against_the_normal_beyond_them(beyond):
     """Two are not exact: within a quarter of a nat here."""
+    from scipy import stats
+
     runs = moved(4.0, 4.0)
     y, a = linear.matrices((), runs)
     inverse = np.linalg.inv(a.T @ a + np.eye(2))

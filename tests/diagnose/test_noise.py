@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from diffsim.data.rounding import step_of
 from diffsim.data.study import Channel, Run
@@ -21,6 +20,8 @@ def make_run(measured, name="r", group="g"):
 
 def covariance(a, n, sd):
     """From the impulse response of x_t = a1 x_{t-1} + ... + e_t, normalized to sd."""
+    from scipy.signal import lfilter
+
     response = lfilter([1.0], [1.0, *-a], np.eye(1, 2000)[0])
     rho = np.array([response[: 2000 - k] @ response[k:] for k in range(n)])
     idx = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
@@ -50,6 +51,8 @@ def test_gaps_start_afresh():
 
 
 def colored(seed, n, a=A):
+    from scipy.signal import lfilter
+
     rng = np.random.default_rng(seed)
     return lfilter([1.0], [1.0, *-a], rng.normal(size=n + 200))[200:]
 

@@ -4,8 +4,6 @@ import types
 
 import numpy as np
 import pytest
-from scipy import stats
-from scipy.signal import lfilter
 
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.whiteness import ljung_box
@@ -24,6 +22,9 @@ def fit_of(records):
 
 
 def test_white_noise_gives_uniform_probabilities_and_colored_noise_none():
+    from scipy import stats
+    from scipy.signal import lfilter
+
     rng = np.random.default_rng(0)
     found = np.array(
         [
@@ -39,6 +40,8 @@ def test_white_noise_gives_uniform_probabilities_and_colored_noise_none():
 
 
 def test_statistic_by_hand_and_missing_samples():
+    from scipy import stats
+
     y = np.column_stack([np.tile([1.0, -1.0], 10), np.full(20, np.nan)])
     # alternating: r_k = (-1)^k (n - k) / n, so that Q = (n + 2) / n sum (n - k), k = 1 .. n / 5
     expected = stats.chi2.sf(22 / 20 * (19 + 18 + 17 + 16), 4)

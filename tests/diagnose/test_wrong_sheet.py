@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
@@ -33,6 +32,8 @@ def tug(own: float):
 
 def test_a_wide_prior_weighs_as_one_of_that_width():
     """Against ln N(y; 0, 1 + B B'), the column of the parameter ten times as long."""
+    from scipy import stats
+
     problem = linear.problem()
     y, columns = linear.matrices()
     for wide in ({}, {0: 10.0}, {1: 3.0}):

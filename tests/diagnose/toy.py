@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import torch
 from scipy import integrate
-from scipy.signal import lfilter
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Effect, Numerics, Parameter, SimModel
@@ -284,6 +283,8 @@ def _prior(rng) -> float:
 
 
 def _noise(rng, color, tails):
+    from scipy.signal import lfilter
+
     white = (
         rng.standard_t(3, (len(TIME) + 50, 2)) / np.sqrt(3)
         if tails

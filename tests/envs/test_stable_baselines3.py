@@ -6,21 +6,24 @@ import numpy as np
 import pytest
 
 pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
-sb3 = pytest.importorskip("stable_baselines3", reason="the adapter needs the extra 'rl'")
 
-from stable_baselines3.common.env_checker import check_env  # noqa: E402
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
+import diffsim.envs as envs
+from tests.envs.cases import OPTIONS, STEPS
+from tests.optional import needs
 
-import diffsim.envs as envs  # noqa: E402
-from tests.envs.cases import OPTIONS, STEPS  # noqa: E402
+needs("stable_baselines3", reason="the adapter needs the extra 'rl'")
 
 
 @pytest.mark.parametrize("name", ["CopterHover", "SharkSwim"])
 def test_single_environments_pass_its_checker(name: str) -> None:
+    from stable_baselines3.common.env_checker import check_env
+
     check_env(envs.TaskEnv(envs.make_task(name, **OPTIONS[name])))
 
 
 def test_truncated_episodes_are_marked_and_counted() -> None:
+    from stable_baselines3.common.vec_env import VecMonitor
+
     inner = envs.make_vector("SharkSwim", 2, **OPTIONS["SharkSwim"])
     env = VecMonitor(envs.Sb3VecEnv(inner))
     env.seed(1)
@@ -50,9 +53,12 @@ def test_failed_episodes_are_not_truncated() -> None:
 
 
 def test_ppo_learns_something_runnable() -> None:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
     inner = envs.make_vector("CopterHover", 4, **OPTIONS["CopterHover"])
     env = VecNormalize(VecMonitor(envs.Sb3VecEnv(inner)))
-    model = sb3.PPO("MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
     model.learn(64)
     action, _ = model.predict(env.reset(), deterministic=True)
     assert action.shape == (4, 4)

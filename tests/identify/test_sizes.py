@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy import integrate, stats
+from scipy import integrate
 
 from diffsim.identify import fit
 from diffsim.identify.sizes import coordinate_of, precision_at, scaled_at, stretch_at
@@ -25,6 +25,8 @@ def test_coordinate_and_size_are_inverse_and_monotone():
 @pytest.mark.reference
 def test_ten_times_the_typical_size_costs_two_nats():
     """And the density of sizes is one: the change of variables is complete."""
+    from scipy import stats
+
     effect = linear.line("push", typical=0.4)
     problem = linear.problem((effect,))
     x = float(coordinate_of(np.array(10.0 / 1.5)))

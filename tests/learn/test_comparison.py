@@ -13,10 +13,6 @@ import pytest
 import torch
 
 pytest.importorskip("gymnasium", reason="environments need gymnasium: pip install '.[rl]'")
-pytest.importorskip("stable_baselines3", reason="PPO is stable-baselines3's: pip install '.[rl]'")
-pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
-pytest.importorskip("matplotlib", reason="the comparison draws a figure")
-pytest.importorskip("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
 from diffsim.core import open_executor
 from diffsim.envs.registry import make_task
@@ -33,6 +29,12 @@ from diffsim.learn.statistics import (
     interquartile_mean,
 )
 from rl import compare
+from tests.optional import needs
+
+needs("stable_baselines3", reason="PPO is stable-baselines3's: pip install '.[rl]'")
+needs("tensorboard", reason="training writes a TensorBoard log")
+needs("matplotlib", reason="the comparison draws a figure")
+needs("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
 
 def rows(rewards: list[float]) -> list[comparison.Row]:

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 pytest.importorskip("gymnasium", reason="environments need gymnasium: pip install '.[rl]'")
-pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
 if not torch.distributed.is_available():
     pytest.skip("this PyTorch is built without torch.distributed", allow_module_level=True)
 
@@ -19,6 +18,9 @@ from diffsim.learn import options, parallel
 from diffsim.learn.run import read_rows, train
 from rl import train_mixed
 from tests.learn import parallel_for_workers as work
+from tests.optional import needs
+
+needs("tensorboard", reason="training writes a TensorBoard log")
 
 
 @pytest.fixture(scope="module")

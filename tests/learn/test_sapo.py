@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 pytest.importorskip("gymnasium", reason="environments need gymnasium: pip install '.[rl]'")
-pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
 
 from diffsim.control import MLPController
 from diffsim.learn.critics import Critics
@@ -27,6 +26,10 @@ from diffsim.learn.sapo import (
 )
 from diffsim.learn.setup import Setup, evaluate, first_controller
 from diffsim.learn.short_horizon import Window
+from tests.optional import needs
+
+needs("tensorboard", reason="training writes a TensorBoard log")
+
 
 TINY = Setup("CopterHover", {"seconds": 0.2}, warm_up=5)
 SMALL: dict[str, Any] = {"batch": 2, "window": 2, "discount": 0.9}

@@ -1,6 +1,5 @@
 """What is written is read back, node order included; bad files are refused by name."""
 
-import meshio
 import numpy as np
 import pytest
 import torch
@@ -38,6 +37,8 @@ def test_surfaces(mesh, suffix, tmp_path):
 
 
 def test_vtk_order_is_the_standard_one(tmp_path):
+    import meshio
+
     m.save(m.hex_box((1, 1, 1)), tmp_path / "a.vtk")
     raw = meshio.read(tmp_path / "a.vtk")
     walk = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]  # VTK file formats, cell type 12
@@ -46,6 +47,8 @@ def test_vtk_order_is_the_standard_one(tmp_path):
 
 
 def test_data_and_positions(mesh, tmp_path):
+    import meshio
+
     x = mesh.x_rest + 1.0
     path = tmp_path / "a.vtu"
     volume = m.element_volumes(mesh)
@@ -72,6 +75,8 @@ def test_names(mesh, tmp_path):
 
 
 def test_contents(tmp_path):
+    import meshio
+
     hexes, tets = m.hex_box((1, 1, 1)), m.tet_box((1, 1, 1))
     x = hexes.x_rest.numpy()
     cells = {"hexahedron": hexes.hexes.numpy()[:, m.VTK_FROM_HEX], "tetra": tets.tets.numpy()}

@@ -6,7 +6,6 @@ import warnings
 import numpy as np
 import pytest
 import torch
-import trimesh
 
 from diffsim import mesh as m
 from diffsim.core.errors import MeshError
@@ -14,10 +13,14 @@ from diffsim.mesh.inside import grid_inside
 
 
 def ball():
+    import trimesh
+
     return trimesh.creation.icosphere(subdivisions=2, radius=0.1)
 
 
 def test_distance_to_a_box_is_the_closed_form():
+    import trimesh
+
     p = np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3))
     surface = trimesh.creation.box((0.3, 0.1, 0.2))
     q = np.abs(p) - np.array([0.15, 0.05, 0.1])
@@ -27,12 +30,16 @@ def test_distance_to_a_box_is_the_closed_form():
 
 
 def test_voxels_of_a_box_are_exact():
+    import trimesh
+
     mesh = m.voxelize(trimesh.creation.box((0.3, 0.1, 0.2)), 0.05)
     assert mesh.num_elements == 6 * 2 * 4
     assert m.total_volume(mesh) == pytest.approx(0.3 * 0.1 * 0.2, rel=1e-12)
 
 
 def test_voxels_agree_with_the_distance():
+    import trimesh
+
     surface = trimesh.creation.torus(0.1, 0.04, major_sections=24, minor_sections=16)
     low, high = surface.bounds
     counts = np.ceil((high - low) / 0.013).astype(np.int64)
@@ -45,7 +52,13 @@ def test_voxels_agree_with_the_distance():
     assert 0.95 * inside.sum() < whole.num_elements <= inside.sum()
 
 
-@pytest.mark.parametrize("make", [ball, lambda: trimesh.creation.box((0.2, 0.1, 0.1))])
+def block():
+    import trimesh
+
+    return trimesh.creation.box((0.2, 0.1, 0.1))
+
+
+@pytest.mark.parametrize("make", [ball, block])
 def test_stuffing(make):
     surface = make()
     mesh = m.tetrahedralize(surface, 0.03, method="stuffing")
@@ -56,6 +69,8 @@ def test_stuffing(make):
 
 
 def test_ftetwild(tmp_path, monkeypatch):
+    import trimesh
+
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("pytetwild", reason="pip install pytetwild")
     surface = trimesh.creation.box((0.2, 0.1, 0.1))
@@ -77,6 +92,8 @@ def test_without_ftetwild(monkeypatch):
 
 
 def test_open_and_broken_surfaces():
+    import trimesh
+
     s = ball()
     with pytest.raises(MeshError, match=r"not watertight: 3 open edges of .*fill_holes") as e:
         m.voxelize(trimesh.Trimesh(s.vertices, s.faces[1:], process=False), 0.02)
@@ -95,6 +112,8 @@ def test_open_and_broken_surfaces():
 
 
 def test_triangle_soup_and_inside_out_surfaces_are_taken():
+    import trimesh
+
     s = ball()
     soup = trimesh.Trimesh(
         s.vertices[s.faces].reshape(-1, 3),

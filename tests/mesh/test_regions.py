@@ -1,6 +1,5 @@
 """Regions of material from GMSH, VTK, Abaqus and USD: the right elements under the right name."""
 
-import meshio
 import numpy as np
 import pytest
 import torch
@@ -104,6 +103,8 @@ def test_gmsh_groups(tmp_path):
 
 
 def test_gmsh_2_and_unnamed_groups(tmp_path):
+    import meshio
+
     box = m.tet_box((2, 1, 1))
     tag = np.where(box.x_rest[box.elements].mean(1)[:, 0].numpy() < 0.5, 7, 3)
     triangle = np.array([[0, 1, 2]])
@@ -139,6 +140,8 @@ def test_cell_data(tmp_path):
 
 
 def test_abaqus_sets(tmp_path):
+    import meshio
+
     box = m.hex_box((3, 1, 1))
     raw = meshio.Mesh(box.x_rest.numpy(), [("hexahedron", box.elements.numpy())])
     raw.cell_sets = {"tip": [np.array([2])]}

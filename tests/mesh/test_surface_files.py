@@ -2,19 +2,26 @@
 
 import numpy as np
 import pytest
-import trimesh
 
 from diffsim import mesh
 from diffsim.core import MeshError
 
-BOX = trimesh.creation.box((1.0, 1.0, 1.0))
+
+def box():
+    import trimesh
+
+    return trimesh.creation.box((1.0, 1.0, 1.0))
+
+
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.9, 0.999])
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
 def test_a_truncated_stl_says_so(tmp_path, kind, share):
-    whole = trimesh.exchange.export.export_mesh(BOX, None, file_type=kind)
+    import trimesh
+
+    whole = trimesh.exchange.export.export_mesh(box(), None, file_type=kind)
     whole = whole.encode() if isinstance(whole, str) else whole
     path = tmp_path / "box.stl"
     path.write_bytes(whole)
@@ -26,7 +33,7 @@ def test_a_truncated_stl_says_so(tmp_path, kind, share):
 
 def test_counts_of_a_binary_stl_are_told(tmp_path):
     path = tmp_path / "box.stl"
-    path.write_bytes(BOX.export(file_type="stl")[:400])
+    path.write_bytes(box().export(file_type="stl")[:400])
     with pytest.raises(MeshError, match="12 triangles, 684 bytes, but there are 6, 400 bytes"):
         mesh.load_surface(path)
 
@@ -51,6 +58,8 @@ def test_damaged_files(tmp_path, name, text, message):
 @pytest.mark.parametrize("wrong", [9, -1])
 def test_wrong_face_indices_of_a_trimesh_are_named(wrong):
     """-1 was the last vertex, without a word; 9 an IndexError."""
+    import trimesh
+
     x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, wrong], [0, 3, 2], [1, 2, 3]])
     surface = trimesh.Trimesh(x, faces, process=False)

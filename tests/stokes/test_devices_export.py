@@ -7,15 +7,15 @@ import warnings
 import numpy as np
 import pytest
 import torch
-import trimesh
 
 from diffsim.cli.devices import main
 from diffsim.stokes import devices
+from tests.optional import needs
 from tests.stokes.test_devices import some_design
 from tests.stokes.test_export import _read_image
 
-pytest.importorskip("matplotlib")
-pytest.importorskip("rerun")
+needs("matplotlib")
+needs("rerun")
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +44,8 @@ def fluid(device, x):
 
 
 def test_amplifier_has_a_floor_and_a_depth(tmp_path, export):
+    import trimesh
+
     device = devices.make("amplifier", 0.5)
     x = torch.tensor([0.4, 0.125, 0.9, 0.25, 0.3], dtype=torch.float64)
     files = export(device, x, tmp_path / "new", size=0.08)
@@ -70,6 +72,8 @@ def test_amplifier_has_a_floor_and_a_depth(tmp_path, export):
     ("name", "resolution"), [("averager", 0.25), ("funnel", 0.25), ("gate", 0.25)]
 )
 def test_devices_of_two_inlets(tmp_path, export, name, resolution):
+    import trimesh
+
     device = devices.make(name, resolution)
     x = some_design(device)
     files = export(device, x, tmp_path)
@@ -90,6 +94,8 @@ def test_devices_of_two_inlets(tmp_path, export, name, resolution):
 
 
 def test_twister_holds_its_tunnel(tmp_path, export):
+    import trimesh
+
     device = devices.make("twister", 0.25)
     x = some_design(device)
     solid = trimesh.load(export(device, x, tmp_path, size=1.0)[0])
@@ -101,6 +107,8 @@ def test_twister_holds_its_tunnel(tmp_path, export):
 
 
 def test_switch_has_a_solid_for_each_position(tmp_path, export):
+    import trimesh
+
     device = devices.make("switch", 0.25)
     names = {f.name for f in export(device, some_design(device), tmp_path)}
     assert names == {f"switch_{p}.{e}" for p in ("on", "off") for e in ("stl", "vti", "rrd", "png")}

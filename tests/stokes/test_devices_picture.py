@@ -8,9 +8,12 @@ import torch
 
 from diffsim.stokes import devices
 from diffsim.viz.device_evolution import draw_shapes, milestones
+from tests.optional import needs
 from tests.stokes.test_devices import made_up, some_design
 
-pytest.importorskip("matplotlib")
+needs("matplotlib")
+
+
 F64 = torch.float64
 
 

@@ -8,7 +8,6 @@ import meshio
 import numpy as np
 import pytest
 import torch
-import trimesh
 
 from diffsim.core.errors import MeshError
 from diffsim.stokes.boundary import Boundary, Inlet, Open
@@ -67,6 +66,8 @@ def channel_field(n=16, dim=2):
 
 @pytest.mark.property
 def test_both_sides_of_any_level_set_close_and_fill_the_box():
+    import trimesh
+
     rng = np.random.default_rng(0)
     coords = [np.cumsum(rng.uniform(0.1, 1.0, n)) for n in (5, 6, 4)]
     level = rng.normal(size=(5, 6, 4))
@@ -80,6 +81,8 @@ def test_both_sides_of_any_level_set_close_and_fill_the_box():
 
 
 def test_nodes_on_the_wall_leave_no_gap():
+    import trimesh
+
     level = np.zeros((4, 4, 4))
     level[2:] = 1.0
     mesh = trimesh.Trimesh(*negative_part([np.arange(4.0)] * 3, level), process=False)
@@ -143,6 +146,8 @@ def test_closed_faces_get_a_wall():
 @pytest.mark.parametrize("seed", range(6))
 def test_rough_designs_close(tmp_path, seed):
     """Random level sets with random openings, as read back from single precision."""
+    import trimesh
+
     generator = torch.Generator().manual_seed(seed)
     shape = [8, 9, 7][: 2 + seed % 2]
     grid = Grid(shape, spacing=[0.1, 0.13, 0.11][: len(shape)])
@@ -178,6 +183,8 @@ def test_inlet_in_a_part_of_a_face():
 
 
 def test_flat_channel_with_floor_is_one_part(tmp_path):
+    import trimesh
+
     grid, phi = narrowing()
     with pytest.warns(UserWarning, match=r"1 of 2 solid parts are loose.*floor="):
         fabrication_mesh(grid, phi, height=0.2e-3)

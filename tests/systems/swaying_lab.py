@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import linalg
-from scipy.signal import lsim
 
 from diffsim.data.study import Channel, Run, Study
 
@@ -54,6 +53,8 @@ def clamp(time, amplitude_m):
 
 def swing(time, places, start_m):
     """Height of the tip over where the bar would be straight, seen from the room [m]."""
+    from scipy.signal import lsim
+
     mass, stiff = beam_matrices()
     squared, modes = linalg.eigh(stiff, mass, subset_by_index=[0, NUM_MODES - 1])
     x = np.linspace(0.0, LENGTH, NUM_ELEMENTS + 1)[1:]

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import trimesh
 
 from diffsim.data import load_study
 from diffsim.systems.registry import setup_of
@@ -31,6 +30,8 @@ def arm(**changed):
 
 def balls_of(shape):
     """Centers over time of the balls of a shape, (num_samples, num_balls, 3)."""
+    import trimesh
+
     parts = trimesh.graph.connected_component_labels(
         trimesh.Trimesh(shape.nodes_m[0], shape.triangles, process=False).edges
     )
@@ -38,6 +39,8 @@ def balls_of(shape):
 
 
 def test_a_rod_without_loads_is_drawn_as_its_stations_say():
+    import trimesh
+
     model, run, _ = arm(gravity=[0, 0, 0])
     straight = replace(run, command={name: np.zeros(1) for name in run.command})
     shape = model.shape_at(straight, model.at_prior())
@@ -50,6 +53,8 @@ def test_a_rod_without_loads_is_drawn_as_its_stations_say():
 
 
 def test_measured_markers_lie_on_the_simulated_rod():
+    import trimesh
+
     model, run, study = arm()
     shape = model.shape_at(run, model.at_prior())
     dots = model.shape_of(run, torch.from_numpy(run.measured))

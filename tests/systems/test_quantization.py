@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scipy.signal import lfilter
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
@@ -106,6 +105,8 @@ COMMANDS = {
 
 def motor(folder, drive=lambda u: u, recorded=lambda u: u, seed=0):
     """Recordings of the motor in a folder, as a stranger has them: files and ``study.yaml``."""
+    from scipy.signal import lfilter
+
     rng, decay = np.random.default_rng(seed), np.exp(-DT / TAU)
     runs = []
     for order, (name, (u, use)) in enumerate(COMMANDS.items()):

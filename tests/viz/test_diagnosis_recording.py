@@ -3,12 +3,12 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from diffsim.data.study import Channel, Run
 from diffsim.viz import diagnosis_recording
+from tests.optional import needs
 
-pytest.importorskip("rerun", reason="recordings need pip install -e '.[viz]'")
+needs("rerun", reason="recordings need pip install -e '.[viz]'")
 
 
 def test_names_with_spaces_and_slashes_are_one_part_of_a_path(tmp_path, monkeypatch, capfd):

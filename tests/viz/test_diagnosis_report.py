@@ -9,10 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-pytest.importorskip("matplotlib", reason="reports need pip install -e '.[viz]'")
-pytest.importorskip("plotly", reason="reports need pip install -e '.[viz]'")
-pytest.importorskip("jinja2", reason="reports need pip install -e '.[viz]'")
-
 from diffsim import mesh
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import EffectRow, ForceMap, Gain, GateResult, NextRun, Report
@@ -28,6 +24,12 @@ from diffsim.viz import report as page
 from diffsim.viz.diagnosis_motion import moving_runs
 from diffsim.viz.diagnosis_series import PredictedRun
 from tests.browser import CHROMIUM, Browser
+from tests.optional import needs
+
+needs("matplotlib", reason="reports need pip install -e '.[viz]'")
+needs("plotly", reason="reports need pip install -e '.[viz]'")
+needs("jinja2", reason="reports need pip install -e '.[viz]'")
+
 
 CHANNELS = (
     Channel(name="tip_z_m", unit="m", kind="", sd=1e-4),

@@ -6,28 +6,32 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("plotly", reason="pages need pip install -e '.[viz]'")
-pytest.importorskip("jinja2", reason="pages need pip install -e '.[viz]'")
-
 from diffsim.copter import load_design
 from diffsim.copter.simulator import load_mission
 from diffsim.copter.simulator.flight_simulator import FlightSimulator
 from diffsim.viz.flight_page import flight_page, moving_vehicle, write_flight_page
 from diffsim.viz.moving import Line
 from tests.browser import CHROMIUM, Browser
+from tests.optional import needs
 
-DESIGN = load_design("pentacopter")
+needs("plotly", reason="pages need pip install -e '.[viz]'")
+needs("jinja2", reason="pages need pip install -e '.[viz]'")
 
 
 @pytest.fixture(scope="module")
-def log():
-    simulator = FlightSimulator(DESIGN)
+def design():
+    return load_design("pentacopter")
+
+
+@pytest.fixture(scope="module")
+def log(design):
+    simulator = FlightSimulator(design)
     simulator.run(load_mission("there_and_back"), seconds=3.0)
     return simulator.log
 
 
-def test_parts_stand_where_the_log_says(log):
-    view = moving_vehicle(log, DESIGN)
+def test_parts_stand_where_the_log_says(log, design):
+    view = moving_vehicle(log, design)
     frame, *propellers = [part for part in view.parts if not isinstance(part, Line)]
     assert frame.name == "frame" and len(propellers) == 5
     at = int(np.argmin(np.abs(log.series("time") - view.time_s[40])))
@@ -36,7 +40,7 @@ def test_parts_stand_where_the_log_says(log):
     body = up @ Rotation.from_quat(sample.quaternion[[1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(frame.turns[40], body, atol=1e-12)
     np.testing.assert_allclose(frame.places_m[40], up @ sample.position, atol=1e-12)
-    vehicle = DESIGN.multicopter().detach()
+    vehicle = design.multicopter().detach()
     for k, part in enumerate(propellers):
         hub = up @ sample.position + body @ vehicle.positions[k].numpy()
         np.testing.assert_allclose(part.places_m[40], hub, atol=1e-12)
@@ -47,10 +51,10 @@ def test_parts_stand_where_the_log_says(log):
         assert np.sign(between.as_rotvec() @ axis) == -np.sign(float(vehicle.spins[k]))
 
 
-def test_the_page(log, tmp_path):
-    shown = flight_page(log, DESIGN, payload=0.5)
+def test_the_page(log, design, tmp_path):
+    shown = flight_page(log, design, payload=0.5)
     assert shown.subtitle.endswith("with 0.5 kg") and "RMS" in shown.verdict[0]
-    path = write_flight_page(tmp_path / "flight.html", log, DESIGN)
+    path = write_flight_page(tmp_path / "flight.html", log, design)
     assert path.stat().st_size < 3_000_000
     if CHROMIUM is None:
         pytest.skip("no chromium here")

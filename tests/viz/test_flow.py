@@ -7,8 +7,9 @@ from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 from diffsim.viz import flow
 from diffsim.viz.flow_scene import write_rerun
+from tests.optional import needs
 
-pytest.importorskip("matplotlib")
+needs("matplotlib")
 
 
 def channel(dim, size=2.0):

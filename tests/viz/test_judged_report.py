@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.gain import Gain
@@ -13,9 +12,11 @@ from diffsim.diagnose.headline import judged_headline
 from diffsim.diagnose.records import ErrorRow, OutsideRow
 from diffsim.diagnose.unseen import Unseen
 from diffsim.identify.model_file import SavedModel
-
-pytest.importorskip("plotly")
 from diffsim.viz.judged_report import judgment_page, write_judgment
+from tests.optional import needs
+
+needs("plotly")
+
 
 TIME = np.linspace(0.0, 1.0, 40)
 CHANNELS = (Channel(name="place", unit="m", kind="position", sd=0.002, shown_unit="mm"),)

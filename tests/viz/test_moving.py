@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("plotly", reason="pages need pip install -e '.[viz]'")
-pytest.importorskip("jinja2", reason="pages need pip install -e '.[viz]'")
-
 from diffsim import mesh
 from diffsim.viz import charts, report
 from diffsim.viz.frames import triangles
 from diffsim.viz.moving import MAX_BYTES, Deforming, Line, Moving, Rigid
 from tests.browser import CHROMIUM, Browser
+from tests.optional import needs
+
+needs("plotly", reason="pages need pip install -e '.[viz]'")
+needs("jinja2", reason="pages need pip install -e '.[viz]'")
 
 
 def bar(frames: int = 5) -> tuple[np.ndarray, np.ndarray]:

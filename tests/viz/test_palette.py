@@ -1,15 +1,16 @@
 """Small PNGs."""
 
-import pytest
+from tests.optional import needs
 
-pytest.importorskip("matplotlib")
-from matplotlib import pyplot as plt
-from PIL import Image
-
-from diffsim.viz.palette import save
+needs("matplotlib")
 
 
 def test_png_has_a_palette_replaces_the_old_one_and_closes_the_figure(tmp_path):
+    from matplotlib import pyplot as plt
+    from PIL import Image
+
+    from diffsim.viz.palette import save
+
     path = tmp_path / "made" / "line.png"
     for _ in range(2):
         figure, axes = plt.subplots(figsize=(2, 1))

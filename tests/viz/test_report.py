@@ -9,11 +9,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="reports need pip install -e '.[viz]'")
-pytest.importorskip("jinja2", reason="reports need pip install -e '.[viz]'")
-
 from diffsim.viz import figures
 from diffsim.viz import report as rp
+from tests.optional import needs
+
+needs("matplotlib", reason="reports need pip install -e '.[viz]'")
+needs("jinja2", reason="reports need pip install -e '.[viz]'")
 
 
 def example(**changes) -> rp.Report:

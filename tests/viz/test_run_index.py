@@ -10,10 +10,11 @@ from contextlib import contextmanager
 
 import pytest
 
-pytest.importorskip("jinja2", reason="the index of runs needs jinja2")
-
 from diffsim.viz.run_folders import run_folders
 from diffsim.viz.run_index import make_server
+from tests.optional import needs
+
+needs("jinja2", reason="the index of runs needs jinja2")
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from trimesh.exchange.stl import export_stl
 
 from diffsim.copter.fabrication.planner import FabricationPlan
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
@@ -28,9 +27,11 @@ def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
     Returns:
         The folder.
     """
+    import trimesh
+
     folder = Path(folder)
     for part in plan.printed:
-        write_bytes_atomic(folder / "stl" / part.file, export_stl(part.mesh))
+        write_bytes_atomic(folder / "stl" / part.file, trimesh.exchange.stl.export_stl(part.mesh))
     for name, rows in tables(plan).items():
         write_text_atomic(folder / f"{name}.csv", _csv(rows))
     text = yaml.safe_dump(to_plain(summary(plan)), sort_keys=False, width=100)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from diffsim.copter.geometry import Array
 from diffsim.mesh.distance import SurfaceDistance
+
+if TYPE_CHECKING:
+    import trimesh
 
 LEAST_DEPTH = 5e-4
 """Parts that go less into each other touch: saw and printer are no more precise [m]."""

@@ -7,9 +7,9 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from torch import Tensor
 
 from diffsim.copter.clearance import disc_clearances
@@ -24,6 +24,9 @@ from diffsim.copter.fabrication.rods import RodCut, StockBar, pack, rod_cuts
 from diffsim.copter.geometry import Array
 from diffsim.copter.placement import PlacedPart
 from diffsim.core.errors import DiffsimError
+
+if TYPE_CHECKING:
+    import trimesh
 
 _MASS_TOLERANCE = 1e-9  # the bill against the design, relative: only the order of sums differs
 _SHEETS = ("plate", "circular_plate")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from diffsim.copter.geometry import Array
 from diffsim.core.check import require_number
+
+if TYPE_CHECKING:
+    import trimesh
 
 _OPPOSITE = 0.5  # cosine: two faces make a wall if their normals oppose within 60 degrees
 

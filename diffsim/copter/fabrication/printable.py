@@ -7,14 +7,17 @@ posts, clips and frames have screw holes. The print's volume is therefore a litt
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from diffsim.copter.design import Design
 from diffsim.copter.fabrication.prism import circle, perforated_prism, refined
 from diffsim.copter.geometry import Array
 from diffsim.copter.placement import PlacedPart
+
+if TYPE_CHECKING:
+    import trimesh
 
 MM = 1e3
 CLEARANCE = 0.15  # of a bore around its rod, in radius [mm]
@@ -35,6 +38,8 @@ def print_mesh(placed: PlacedPart, values: Array, design: Design) -> trimesh.Tri
         values: Shape parameters of the part [m].
         design: The design, which says what is screwed onto a frame.
     """
+    import trimesh
+
     maker = _MAKERS.get(placed.part.kind)
     if maker is not None:
         return maker(placed, values, design)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from diffsim.copter.geometry import Array
 from diffsim.core.errors import MeshError
+
+if TYPE_CHECKING:
+    import trimesh
 
 IntArray = NDArray[np.int64]
 _FLAT = 1e-9  # height over length of triangles between three points of one straight side: rounding
@@ -55,6 +58,8 @@ def perforated_prism(
     Raises:
         MeshError: holes leave the outline, meet, or have sides too long for their distance.
     """
+    import trimesh
+
     outline = outline if _area(outline) > 0.0 else outline[::-1]
     flip = [h if _area(h) < 0.0 else h[::-1] for h in holes]
     below = holes if holes_below is None else holes_below

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from diffsim.core.check import require_choice
 from diffsim.data.study import Channel, Run, Study
@@ -192,6 +191,8 @@ class Lab(ABC):
         return given + (0.0,) * (effect.components - len(given))
 
     def _noise(self, rng: np.random.Generator, n: int, decoys: Sequence[str]) -> Array:
+        from scipy.signal import lfilter
+
         color = 0.7 if "colored_noise" in decoys else NOISE_COLOR
         columns = []
         for channel in self.channels:

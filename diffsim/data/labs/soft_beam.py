@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from scipy import linalg
-from scipy.signal import chirp
 
 from diffsim.data.labs.beam_modes import Array, BeamModes, BeamShape, beam_modes
 from diffsim.data.labs.common import Base, Lab, LabEffect, Plan, delayed, size_of
@@ -73,6 +72,8 @@ class SoftBeamLab(Lab):
         self.shape = BeamShape() if shape is None else shape
 
     def plans(self, rng: np.random.Generator) -> list[Plan]:
+        from scipy.signal import chirp
+
         t = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ
         commands = {
             "release": 1.6 * (_rise(t, 0.0, 0.3) - _rise(t, 0.5, 0.1)),

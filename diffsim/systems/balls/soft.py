@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
@@ -124,6 +123,8 @@ class SoftBalls:
 
 def ball_mesh(radius: float, subdivisions: int) -> mesh.TetMesh:
     """An icosphere and its center, one tetrahedron per facet."""
+    import trimesh
+
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
     points = torch.from_numpy(np.array(sphere.vertices))
     faces = torch.from_numpy(np.array(sphere.faces, dtype=np.int64))

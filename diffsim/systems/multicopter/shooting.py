@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from scipy.signal import savgol_filter
 from torch import Tensor
 
 from diffsim.copter import FlightState
@@ -54,6 +53,8 @@ def guess_states(position: Tensor, rpy: Tensor, rates: Tensor | None, dt: float)
 
 def slope(values: Tensor, dt: float) -> Tensor:
     """Change per second of noisy records (num_samples, width), by quadratics over 0.15 s."""
+    from scipy.signal import savgol_filter
+
     count = values.shape[0]
     width = min(max(5, 2 * round(0.5 * _SMOOTH_S / dt) + 1), (count - 1) // 2 * 2 + 1)
     if width < 5:

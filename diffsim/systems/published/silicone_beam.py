@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import butter, filtfilt
 
 from diffsim.data.beam import TIP_MARKERS, BeamGeometry
 from diffsim.data.study import Channel, Run, Study
@@ -183,6 +182,8 @@ def _smooth(run: Run, values: np.ndarray) -> np.ndarray:
 
     The support's acceleration is what acts; differences would be all noise.
     """
+    from scipy.signal import butter, filtfilt
+
     rate_Hz = 1.0 / float(np.median(np.diff(run.time_s)))
     return np.asarray(filtfilt(*butter(4, SUPPORT_HZ, fs=rate_Hz), values))
 

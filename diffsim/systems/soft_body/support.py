@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, filtfilt
 from torch import Tensor
 
 from diffsim.identify.effect import Effect
@@ -51,6 +50,8 @@ def _places(run: Run, names: tuple[str, str], faster_hz: float | None) -> np.nda
 
     The support's acceleration is what acts; differences of a noisy record would be all noise.
     """
+    from scipy.signal import butter, filtfilt
+
     places = np.column_stack([run.command[name] for name in names])
     rate_hz = 1.0 / float(np.median(np.diff(run.time_s)))
     if faster_hz is None or 2.0 * faster_hz >= rate_hz:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from scipy.signal import find_peaks
 
 import diffsim.data.labs.soft_beam as soft_beam
 from diffsim.data.labs import SoftBeamLab
@@ -43,6 +42,8 @@ def released(num=300):
 
 
 def peaks(tip):
+    from scipy.signal import find_peaks
+
     at = find_peaks(np.abs(tip[11:]))[0] + 11
     return np.abs(tip[at])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from diffsim.diagnose.faults.evidence import positive_quadrant
 from diffsim.diagnose.faults.given import given_by
@@ -46,6 +45,8 @@ def test_slopes_along_spreads_are_those_of_differences():
 @pytest.mark.parametrize("correlation", [-0.99, -0.3, 0.0, 0.8])
 @pytest.mark.parametrize("mean", [(0.0, 0.0), (1.3, -0.4), (-2.0, -3.0), (4.0, 0.0), (0.0, -1.0)])
 def test_the_share_of_a_quadrant_is_that_of_numerical_integration(mean, correlation):
+    from scipy.stats import multivariate_normal
+
     covariance = np.array([[1.0, correlation], [correlation, 1.0]])
     share = multivariate_normal(cov=covariance, seed=0).cdf(np.array(mean))
     assert positive_quadrant(np.array(mean), correlation) == pytest.approx(share, abs=2e-8)
@@ -53,6 +54,8 @@ def test_the_share_of_a_quadrant_is_that_of_numerical_integration(mean, correlat
 
 def test_what_is_integrated_out_leaves_the_marginal_of_each_draw():
     """Against the normal density of samples y = A z + B x + noise, z ~ N(mean, covariance)."""
+    from scipy.stats import multivariate_normal
+
     rng = np.random.default_rng(1)
     a, b, y = rng.normal(size=(9, 3)), rng.normal(size=(9, 2)), rng.normal(size=9)
     means = rng.normal(size=(2, 3))

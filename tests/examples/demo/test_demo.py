@@ -12,14 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
-pytest.importorskip("jinja2", reason="the demo's page needs the extra viz")
-
 from diffsim import cli
 from diffsim.data import find_dataset
 from examples import demo
 from examples.demo.numerics import euler_damping_ratio
 from tests.examples.demo.conftest import TINY
+from tests.optional import needs
+
+needs("matplotlib", reason="the demo's page needs the extra viz")
+needs("jinja2", reason="the demo's page needs the extra viz")
+
 
 pytestmark = pytest.mark.example
 

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from scipy.signal import csd, welch
 from scipy.spatial.transform import Rotation
 
 from benchmarks.nano_drone import MODEL, scores, whole_flights
@@ -30,6 +29,8 @@ def flight(name):
 
 def response(name, signs, axis, low, high):
     """Angular acceleration over the signed sum of squared speeds [rad/s^2 per 1e6 rad^2/s^2]."""
+    from scipy.signal import csd, welch
+
     measured, speeds = flight(name)
     pull, rate = 1e-6 * speeds**2 @ signs, measured[:, 10 + axis]
     f, cross = csd(pull, rate, fs=1 / DT, nperseg=256)

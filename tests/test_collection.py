@@ -1,0 +1,48 @@
+"""Collecting all tests is paid by every run, each worker and each ``-k``: it stays cheap."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from math import inf
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import COLLECTION_S
+from tests.cpu_seconds import BEGAN, slowness
+
+TESTS = Path(__file__).parent
+LIMIT_S = 8.0
+"""CPU seconds of a process up to its first test; 5 were measured, 1.4 of them PyTorch's."""
+COMPILING_S = 12.0
+"""More of them where files of tests are compiled first, their assertions rewritten; 8 measured."""
+
+
+def test_collecting_all_tests_takes_few_seconds(request: pytest.FixtureRequest) -> None:
+    """Where this fails: a test module loads at its top what one of its tests needs.
+
+    ``python -X importtime -m pytest --collect-only -q -s`` shows which.
+    """
+    files = {item.path for item in request.session.items}
+    if len(files) < 0.8 * len(list(TESTS.rglob("test_*.py"))):  # files of slow tests are not here
+        pytest.skip("holds where all tests are collected")
+    limit = LIMIT_S + COMPILING_S * share_compiled(files)
+    assert request.config.stash[COLLECTION_S] <= limit * slowness()
+
+
+def share_compiled(files: set[Path]) -> float:
+    """Share of test modules that this run compiled, having found nothing of an earlier one."""
+    if sys.dont_write_bytecode:
+        return 1.0
+    kept = [max(map(written, compiled(path)), default=inf) for path in files]
+    return sum(when > BEGAN for when in kept) / len(kept)
+
+
+def compiled(path: Path) -> Iterable[Path]:
+    """What pytest keeps of a module, by Python and pytest that wrote it."""
+    return (path.parent / "__pycache__").glob(f"{path.stem}.*-pytest-*.pyc")
+
+
+def written(path: Path) -> float:
+    return path.stat().st_mtime
