@@ -1,9 +1,13 @@
 """Listing and running examples by name."""
 
+import subprocess
+import sys
+
 import pytest
 
 from diffsim import cli
 from diffsim.applications import catalog
+from tests import warm
 
 
 def test_every_example_opens_with_a_question():
@@ -40,14 +44,28 @@ def test_folder_without_examples_says_how_to_mend_it(tmp_path):
         catalog.examples(tmp_path / "none")
 
 
+@pytest.fixture
+def warmly(monkeypatch):
+    """Scripts run in the warm process, and say what they would have said."""
+
+    def run(command, **options):
+        assert command[0] == sys.executable and options == {"check": False}
+        done = warm.python(*command[1:])
+        sys.stdout.write(done.stdout)
+        sys.stderr.write(done.stderr)
+        return done
+
+    monkeypatch.setattr(subprocess, "run", run)
+
+
 @pytest.mark.example
-def test_run_is_the_script(tmp_path, capfd):
+def test_run_is_the_script(tmp_path, capsys, warmly):
     options = ["--", "--out", str(tmp_path), "--evaluations", "2", "--no-pictures"]
     assert cli.main(["examples", "run", "routing_tendon", "--quick", *options]) == 0
-    assert "distance mm, optimized" in capfd.readouterr().out
+    assert "distance mm, optimized" in capsys.readouterr().out
     assert (tmp_path / "result_projective_dynamics_quick.json").is_file()
     record = tmp_path / "projective_dynamics_quick.jsonl"
     record.write_text('{"values": [1.0], "with_gradient": true}\n')  # as earlier versions kept
     assert cli.main(["examples", "run", "routing_tendon", "--quick", *options]) != 0
-    assert "older version" in capfd.readouterr().err
+    assert "older version" in capsys.readouterr().err
     assert cli.main(["examples", "run", "routing_tendon", "--quick", *options, "--fresh"]) == 0

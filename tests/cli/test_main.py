@@ -10,6 +10,7 @@ import pytest
 from diffsim import __version__, cli
 from diffsim.core import compiled
 from diffsim.core.errors import ConvergenceError, Mistakes
+from tests import warm
 
 
 @pytest.fixture
@@ -118,9 +119,7 @@ def test_info_names_versions_core_and_data(capsys, monkeypatch, tmp_path):
 
 
 def test_runs_as_a_module():
-    done = subprocess.run(
-        [sys.executable, "-m", "diffsim", "--version"], capture_output=True, text=True, check=True
-    )
+    done = warm.python("-m", "diffsim", "--version", check=True)
     assert done.stdout.strip() == f"diffsim {__version__}"
 
 
@@ -209,6 +208,6 @@ def test_a_stop_by_a_queue_says_how_to_go_on():
         "sys.argv = ['diffsim', 'diagnose', 'explain', 'my rig']\n"
         "sys.exit(main())\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = warm.python("-c", code)
     assert done.returncode == 130
     assert "go on with: diffsim diagnose explain 'my rig'" in done.stderr

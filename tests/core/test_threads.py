@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import threading
 
 import numpy as np
@@ -14,14 +13,13 @@ import torch
 from diffsim import copter, linalg, mesh, soft, stokes
 from diffsim.core.check_options import MAX_THREADS
 from diffsim.core.threads import one_thread
+from tests import warm
 
 TOO_MANY = MAX_THREADS + 1
 
 
 def run(code: str, seconds: float = 60.0) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=seconds
-    )
+    return warm.python("-c", code, timeout=seconds)
 
 
 def test_threads_that_the_system_refuses_raise():

@@ -23,15 +23,25 @@ PAGES = (
     "docs/stokes.md",
     "docs/transformations.md",
 )
+SHORTER = {
+    "docs/copter.md": {
+        'load_mission("carry"))': 'load_mission("carry"), seconds=0.5)',
+        "num_starts=8": "num_starts=1",
+        "Budget(50)": "Budget(3)",
+        'design, "payload", limits=Limits(clearance=0.01))': (
+            'design, "payload", limits=Limits(clearance=0.01), search=SearchOptions(num_starts=1))'
+        ),
+        "plan(design, best.s, best.directions, best.spins)": "plan(load_design('quadcopter'))",
+    },
+}
+"""What a plain run replaces in dear pages: shorter flights, fewer starts; the same calls."""
+LONG = ("diffsim diagnose explain", "diffsim diagnose judge", "diffsim diagnose next")
 LINKED = ("README.md", "examples/*.md", "docs/**/*.md")
 
 
-@pytest.mark.example
-@pytest.mark.parametrize("page", PAGES)
-def test_its_python_runs(page, tmp_path, monkeypatch):
+def run(text, page):
     """Block after block, as a reader would paste them."""
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
+    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
     names = {"__name__": "__main__"}
     for i, code in enumerate(blocks):
         exec(compile(code, f"{page}, block {i + 1}", "exec"), names)
@@ -39,8 +49,32 @@ def test_its_python_runs(page, tmp_path, monkeypatch):
 
 
 @pytest.mark.example
-def test_a_diagnosis_from_the_page_alone(tmp_path, monkeypatch, capsys):
-    """Python, ``study.yaml`` and commands in the order of the page, in an empty folder."""
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, marks=[pytest.mark.story] * (p in SHORTER)) for p in PAGES]
+)
+def test_its_python_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run((ROOT / page).read_text(encoding="utf-8"), page)
+
+
+@pytest.mark.example
+@pytest.mark.parametrize("page", SHORTER)
+def test_its_python_runs_in_short(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for long, short in SHORTER[page].items():
+        assert long in text
+        text = text.replace(long, short)
+    run(text, page)
+
+
+@pytest.mark.example
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.story)])
+def test_a_diagnosis_from_the_page_alone(whole, tmp_path, monkeypatch, capsys):
+    """Python, ``study.yaml`` and commands in the order of the page, in an empty folder.
+
+    In short: all but the commands that simulate.
+    """
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs/diagnose.md").read_text(encoding="utf-8")
     names = {"__name__": "__main__"}
@@ -51,15 +85,19 @@ def test_a_diagnosis_from_the_page_alone(tmp_path, monkeypatch, capsys):
             Path("cart/study.yaml").write_text(text)
         elif kind == "sh":
             for line in text.strip().splitlines():
+                if not whole and line.startswith(LONG):
+                    continue
                 assert main(shlex.split(line.removeprefix("diffsim "), comments=True)) == 0
+    certain = {c.name for c in names["report"].causes if c.status == "certain"}
+    assert certain == {"dry_friction"}
+    if not whole:
+        return
     said = _words(capsys.readouterr().out)
     shown = re.search(r"after ten seconds:(.*?)## Recordings in other formats", page, re.S).group(1)
     blocks = re.findall(r"```text\n(.*?)```", shown, re.S)
     assert len(blocks) == 3  # of explain, judge and next
     for line in "".join(blocks).splitlines():
         assert _words(line) in said  # the page shows what is printed
-    certain = {c.name for c in names["report"].causes if c.status == "certain"}
-    assert certain == {"dry_friction"}
 
 
 def _words(text: str) -> str:

@@ -16,26 +16,64 @@ def cells(name):
     return [(c["cell_type"], "".join(c["source"])) for c in notebook["cells"]]
 
 
-def run(name, folder, monkeypatch):
-    """Names that the code cells leave; lines with ``!diffsim`` are commands."""
+def run(name, folder, monkeypatch, shorter=None, until=None):
+    """Names that the code cells leave; lines with ``!diffsim`` are commands.
+
+    ``shorter`` has texts to replace, each of which must be there; ``until`` begins the first cell
+    that is not run.
+    """
     monkeypatch.chdir(folder)
-    names = {"__name__": "__main__"}
+    names, replaced = {"__name__": "__main__"}, set()
     for k, (kind, text) in enumerate(cells(name)):
         if kind != "code":
             continue
+        if until is not None and text.startswith(until):
+            break
+        for long, short in (shorter or {}).items():
+            if long in text:
+                replaced.add(long)
+                text = text.replace(long, short)
         if text.startswith("!diffsim "):
             assert main(shlex.split(text.removeprefix("!diffsim "))) == 0, text
         else:
             exec(compile(text, f"{name}, cell {k}", "exec"), names)
+    assert replaced == set(shorter or {})
     return names
 
 
+@pytest.mark.example
+def test_own_shape_in_short(tmp_path, monkeypatch):
+    shorter = {"spacing=0.009": "spacing=0.015", "rest_state(), 30": "rest_state(), 10"}
+    names = run("1_own_shape.ipynb", tmp_path, monkeypatch, shorter)
+    assert abs(float(names["miss"])) < 1e-3  # [m]; a third of the time is no fall of 8 mm
+
+
+@pytest.mark.example
+def test_own_quadrotor_in_short(tmp_path, monkeypatch):
+    shorter = {
+        'load_mission("there_and_back"))': 'load_mission("there_and_back"), seconds=0.5)',
+        "expand(1, 300, 4)": "expand(1, 30, 4)",
+    }
+    names = run("2_own_quadrotor.ipynb", tmp_path, monkeypatch, shorter)
+    assert names["log"].series("time")[-1] == pytest.approx(0.5, abs=0.02)
+    assert (tmp_path / "flight" / "flight.csv").is_file()
+
+
+@pytest.mark.example
+def test_own_recording_in_short(tmp_path, monkeypatch, capsys):
+    """Recorded, described and checked; not diagnosed."""
+    run("3_own_recording.ipynb", tmp_path, monkeypatch, until="!diffsim diagnose explain")
+    assert "ready for a diagnosis" in capsys.readouterr().out
+
+
+@pytest.mark.story
 @pytest.mark.example
 def test_own_shape(tmp_path, monkeypatch):
     names = run("1_own_shape.ipynb", tmp_path, monkeypatch)
     assert abs(float(names["miss"])) < 1e-5  # the tip ends where it was wanted [m]
 
 
+@pytest.mark.story
 @pytest.mark.example
 def test_own_quadrotor(tmp_path, monkeypatch):
     names = run("2_own_quadrotor.ipynb", tmp_path, monkeypatch)
@@ -43,6 +81,7 @@ def test_own_quadrotor(tmp_path, monkeypatch):
     assert (tmp_path / "flight" / "flight.csv").is_file()
 
 
+@pytest.mark.story
 @pytest.mark.example
 def test_own_recording(tmp_path, monkeypatch, capsys):
     names = run("3_own_recording.ipynb", tmp_path, monkeypatch)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -13,6 +10,7 @@ pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
 
 from diffsim.copter import flight, load_design
 from diffsim.envs import make_task
+from tests import warm
 
 
 def started(task, batch=2):
@@ -99,7 +97,5 @@ envs.close()
 
 
 def test_forked_workers_of_gymnasium():
-    done = subprocess.run(
-        [sys.executable, "-c", FORKED_WORKERS], capture_output=True, text=True, timeout=90
-    )
+    done = warm.python("-c", FORKED_WORKERS, timeout=90)
     assert done.stdout.split("\n")[0] == "(2, 22)", done.stderr
