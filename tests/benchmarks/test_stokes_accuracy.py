@@ -53,7 +53,7 @@ def test_exact_flows_meet_their_wall(exact: Exact):
 
 
 def test_report_and_figure(tmp_path):
-    stokes_accuracy.main(["--cells", "16", "24", "--ratios", "0.3", "0.49", "--out", str(tmp_path)])
+    stokes_accuracy.main(["--cells", "12", "16", "--ratios", "0.3", "0.49", "--out", str(tmp_path)])
     results = json.loads((tmp_path / "results.json").read_text())
     assert len(results["rows"]) == 5 * (2 + 3) * 2  # flows, formulations and ratios, grids
     assert all(0.0 < row["error"] < 1.0 for row in results["rows"])

@@ -22,6 +22,17 @@ def meaning(application, values):
     return application.numbers(np.array(values), application.motion(np.array(values)))
 
 
+@pytest.mark.parametrize(("name", "steps"), [("torus", None), ("quadruped", 80)])
+def test_a_search_goes_on_from_its_best_random_signal(name, steps):
+    application = dataclasses.replace(quick(name, steps=steps), num_starts=2)
+    found = minimize(application, max_evaluations=2)
+    assert found.num_starts == 2
+    start = found.evaluations[2]
+    assert start.loss == min(e.loss for e in found.evaluations[:2])
+    assert found.best.loss < start.loss
+
+
+@pytest.mark.story
 def test_torus_learns_to_roll():
     application = quick("torus")
     found = minimize(application, max_evaluations=8)
@@ -37,6 +48,7 @@ def test_torus_learns_to_roll():
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
+@pytest.mark.story
 def test_quadruped_goes_further_than_its_best_random_signal():
     application = dataclasses.replace(quick("quadruped", steps=160), num_starts=3)
     found = minimize(application, max_evaluations=3)
@@ -47,6 +59,7 @@ def test_quadruped_goes_further_than_its_best_random_signal():
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
+@pytest.mark.story
 def test_quadruped_goes_as_far_with_half_the_time_step():
     command = (0.855, 0.081, 6.94)  # where the search over whole gaits ends
     one, half = (meaning(quick("quadruped", refine=k), command) for k in (1, 2))

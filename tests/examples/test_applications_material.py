@@ -39,6 +39,7 @@ def test_loss_falls_in_few_evaluations(name, fall):
     assert found.best.loss < found.evaluations[0].loss / fall
 
 
+@pytest.mark.story
 def test_a_bunny_that_flies_the_wrong_way_turns_round():
     found = minimize(built("bunny"), max_evaluations=6)
     assert found.best.loss < 0.25 * found.evaluations[0].loss

@@ -32,6 +32,14 @@ def test_picture_and_fabrication(tmp_path):
     assert (tmp_path / "x_quadcopter_fabrication" / "stl" / "frame.stl").is_file()
 
 
+def test_table_3_1_from_one_start():
+    pytest.importorskip("cvxpy")
+    numbers = load_story("copter/table31.py").main(1)
+    assert 20.0 < numbers["gain [%]"] < 25.0
+    assert numbers["gain of tilt alone [%]"] < numbers["gain [%]"]
+
+
+@pytest.mark.story
 def test_table_3_1(tmp_path, capsys):
     pytest.importorskip("cvxpy")
     numbers = load_story("copter/table31.py").main(2, out=str(tmp_path))

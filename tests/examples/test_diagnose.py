@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from diffsim.data import load_study
+from diffsim.systems import setup_of
 from tests.examples.stories import load_story
 
 pytestmark = pytest.mark.example
@@ -16,6 +19,29 @@ def found(story: str, folder, name: str) -> tuple[float, float]:
     return report.best.values[name], report.best.sd[name]
 
 
+def test_a_simulator_of_my_own_is_read_and_misses_what_rubs(tmp_path):
+    """Without the diagnosis: the folder is written, read, and simulated with the true values."""
+    truth = {"mass": 1.25, "spring": 38.0, "damping": 1.1}
+    story = load_story("diagnose/own_simulator.py")
+    left = []
+    for friction in (0.0, 0.3):
+        folder = tmp_path / str(friction)
+        folder.mkdir()
+        story.record(folder, friction)
+        (folder / "my_cart.py").write_text(story.SIMULATOR)
+        (folder / "study.yaml").write_text(story.STUDY)
+        study = load_study(folder)
+        model = setup_of(study).model
+        q = model.at_prior().clone()
+        for k, parameter in enumerate(model.base):
+            if parameter.name in truth:
+                q[k] = parameter.coordinate_of(truth[parameter.name])
+        errors = [model.predict(run, q).numpy() - run.measured for run in study.runs]
+        left.append(float(np.sqrt(np.mean(np.square(np.concatenate(errors))))))
+    assert left[0] < 4e-3 < 1e-2 < left[1]  # [m]; Euler's steps alone cost 2.7 mm
+
+
+@pytest.mark.story
 def test_a_simulator_of_my_own_lacks_friction(tmp_path):
     size, sd = found("own_simulator", tmp_path, "dry_friction_at_rail")
     assert abs(size - 0.3) < 3.0 * sd < 0.03

@@ -15,12 +15,22 @@ def test_a_layer_in_somebody_elses_module_learns() -> None:
 
 
 @pytest.mark.example
+@pytest.mark.parametrize("story", ["ppo_in_ten_lines", "ppo_on_the_batch"])
+def test_ppo_runs_in_short(story: str) -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    found = load_story(f"learning/{story}.py").main(steps=4096, num_envs=32)
+    assert all(0.0 < value < 1000.0 for value in found.values())  # steps in the air
+
+
+@pytest.mark.story
+@pytest.mark.example
 def test_ppo_keeps_the_quadcopter_in_the_air() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     found = load_story("learning/ppo_in_ten_lines.py").main(steps=24_576, num_envs=32)
     assert found["after"] > found["before"] + 15.0
 
 
+@pytest.mark.story
 @pytest.mark.example
 def test_a_loop_written_out_learns_on_gymnasiums_wrappers() -> None:
     """Quadcopters stay longer in the air; at half the steps of the example."""

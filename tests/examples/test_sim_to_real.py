@@ -7,6 +7,7 @@ from tests.examples.stories import load_story
 pytestmark = pytest.mark.example
 
 
+@pytest.mark.story
 def test_starfish_loop_runs_and_resumes(tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra viz")
     story, out = load_story("sim_to_real/starfish_loop.py"), tmp_path / "loop"

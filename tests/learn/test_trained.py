@@ -62,7 +62,13 @@ def test_what_is_shipped_is_small_and_belongs_to_its_task(name: str) -> None:
     assert "rl/train" in kept.made_by
 
 
-@pytest.mark.parametrize("name", trained.trained_names())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.story] * (not name.startswith("Copter")))
+        for name in trained.trained_names()
+    ],
+)
 def test_what_is_shipped_earns_what_was_recorded(name: str) -> None:
     """On any instruction set; rewards differ by what chaos makes of rounding."""
     kept = trained.load_trained(name)

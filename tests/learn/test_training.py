@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import json
 import math
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +72,10 @@ def learner(method: str, setup: Setup = TINY) -> Learner:
 
 @pytest.mark.parametrize(
     "script",
-    ["gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma"],
+    [
+        pytest.param(name, marks=[pytest.mark.story] * (name not in ("gradient", "ppo", "cma")))
+        for name in ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma")
+    ],
 )
 def test_quick_runs_write_results_a_checkpoint_and_a_log(script: str, tmp_path: Path) -> None:
     importlib.import_module(f"rl.train_{script}").main(["--quick", "--out", str(tmp_path)])
@@ -154,10 +159,17 @@ class Interrupted:
         return getattr(self.inner, name)
 
 
+@cache
+def trained_straight(method: str) -> tuple[Learner, Any]:
+    """A whole run without an interruption: the learner at its end, and the run."""
+    whole = learner(method)
+    with tempfile.TemporaryDirectory() as folder:
+        return whole, train(TINY, whole, Path(folder), show=False)
+
+
 @pytest.mark.parametrize("method", ["gradient", "shac", "sapo", "mixed", "cma"])
 def test_an_interrupted_run_continues_bit_for_bit(method: str, tmp_path: Path) -> None:
-    whole = learner(method)
-    straight = train(TINY, whole, tmp_path / "a", show=False)
+    whole, straight = trained_straight(method)
     cut: Any = Interrupted(learner(method), at=3)
     with pytest.raises(KeyboardInterrupt):
         train(TINY, cut, tmp_path / "b", show=False)
@@ -176,8 +188,7 @@ def test_killed_at_any_file_it_continues_bit_for_bit(
     last: int, before: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A kill between checkpoint and ratings must not make a run of an older state 'finished'."""
-    whole = learner("gradient")
-    straight = train(TINY, whole, tmp_path / "a", show=False)
+    whole, straight = trained_straight("gradient")
     with pytest.raises(Killed), monkeypatch.context() as patch:
         patch.setattr("diffsim.core.files.os.replace", killing_replace(last, before=before))
         train(TINY, learner("gradient"), tmp_path / "b", show=False)

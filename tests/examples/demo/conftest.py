@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +23,35 @@ TINY = Plan(
 )
 
 
+#: For what does not look at numbers: all stages, pages and files, a fit of two simulations.
+SHORT = replace(
+    TINY,
+    cells=(4, 1, 1),
+    dt_s=1e-2,
+    fit_s=0.3,
+    max_evaluations=2,
+    mesh_cells=((4, 1, 1), (6, 2, 2)),
+)
+
+
+@pytest.fixture(scope="session")
+def short_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    return run_of(SHORT, tmp_path_factory)
+
+
 @pytest.fixture(scope="session")
 def virtual_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    return run_of(TINY, tmp_path_factory)
+
+
+def run_of(plan: Plan, factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Folder and results of a demo without measured data."""
     pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
     pytest.importorskip("jinja2", reason="the demo's page needs the extra viz")
     from examples import demo
 
-    out = tmp_path_factory.mktemp("demo") / "run"
+    out = factory.mktemp("demo") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("examples.demo.story.find_dataset", lambda *_: None)
-        results = demo.run(out=out, plan=TINY, threads=2)
+        results = demo.run(out=out, plan=plan, threads=2)
     return out, results

@@ -16,7 +16,7 @@ from diffsim import cli
 from diffsim.data import find_dataset
 from examples import demo
 from examples.demo.numerics import euler_damping_ratio
-from tests.examples.demo.conftest import TINY
+from tests.examples.demo.conftest import SHORT
 from tests.optional import needs
 
 needs("matplotlib", reason="the demo's page needs the extra viz")
@@ -26,8 +26,9 @@ needs("jinja2", reason="the demo's page needs the extra viz")
 pytestmark = pytest.mark.example
 
 
-def test_virtual_data_are_announced_on_the_page_and_in_the_picture(virtual_run):
-    out, results = virtual_run
+@pytest.mark.cpu(9)  # the whole demo in short; its page alone takes 3 s to draw
+def test_virtual_data_are_announced_on_the_page_and_in_the_picture(short_run):
+    out, results = short_run
     assert results["is_virtual"]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("VIRTUAL DATA") == 2
@@ -35,8 +36,8 @@ def test_virtual_data_are_announced_on_the_page_and_in_the_picture(virtual_run):
     assert (out / "figures" / "beam.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_page_and_json_hold_the_numbers(virtual_run):
-    out, results = virtual_run
+def test_page_and_json_hold_the_numbers(short_run):
+    out, results = short_run
     kept = json.loads((out / "results.json").read_text())
     assert kept["verdict"] == results["verdict"] and len(kept["verdict"]) == 5
     trials = {"gravity_a", "gravity_b", "load52_a", "load52_b"}
@@ -57,6 +58,7 @@ def test_page_and_json_hold_the_numbers(virtual_run):
     assert "skipped" in kept["diagnosis"] and "virtual laboratory" in page
 
 
+@pytest.mark.story
 def test_recovers_the_truth_of_the_virtual_laboratory(virtual_run):
     """The laboratory is a Timoshenko beam, so its modulus is compared through beam theory.
 
@@ -76,6 +78,7 @@ def test_recovers_the_truth_of_the_virtual_laboratory(virtual_run):
     assert run["damping_ratio"] == pytest.approx(measured["damping_ratio"], rel=0.4)
 
 
+@pytest.mark.story
 def test_the_argument_of_the_page_holds(virtual_run):
     _, results = virtual_run
     runs, left = results["simulated"], results["remaining"]
@@ -104,9 +107,9 @@ def test_the_argument_of_the_page_holds(virtual_run):
     )
 
 
-def test_recording_for_rerun(virtual_run):
+def test_recording_for_rerun(short_run):
     pytest.importorskip("rerun", reason="the .rrd recording needs rerun-sdk")
-    out, results = virtual_run
+    out, results = short_run
     assert results["files"]["rerun"] == str(out / "beam.rrd")
     assert (out / "beam.rrd").read_bytes()[:4] == b"RRF2"
     rerun = Path(sys.executable).with_name("rerun")
@@ -117,23 +120,24 @@ def test_recording_for_rerun(virtual_run):
         assert told.returncode == 0, told.stderr
 
 
-def test_resume_reuses_every_stage_and_gives_the_same_numbers(virtual_run, monkeypatch):
-    out, first = virtual_run
+def test_resume_reuses_every_stage_and_gives_the_same_numbers(short_run, monkeypatch):
+    out, first = short_run
     monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: out / "virtual_beam")
 
     def forbidden(*_, **__):
         raise AssertionError("a finished stage was computed again")
 
+    monkeypatch.setattr("examples.demo.story._write_page", lambda *_: None)  # seconds of pictures
     monkeypatch.setattr("examples.demo.ladder.simulate", forbidden)
     monkeypatch.setattr("examples.demo.fitting.fit_motion", forbidden)
-    again = demo.run(out=out, plan=TINY, resume=True, threads=1)
+    again = demo.run(out=out, plan=SHORT, resume=True, threads=1)
     assert again["verdict"] == first["verdict"]
     with pytest.raises(AssertionError, match="computed again"):  # another plan is another key
-        demo.run(out=out, plan=replace(TINY, dt_s=4e-3), resume=True, threads=1)
+        demo.run(out=out, plan=replace(SHORT, dt_s=4e-3), resume=True, threads=1)
 
 
-def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys):
-    folder = virtual_run[0] / "virtual_beam"
+def test_ctrl_c_keeps_finished_stages(short_run, tmp_path, monkeypatch, capsys):
+    folder = short_run[0] / "virtual_beam"
     monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: folder)
 
     def interrupted(*_, **__):
@@ -151,8 +155,8 @@ def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys
     assert not (tmp_path / "run" / "report.html").exists()
 
 
-def test_command_prints_the_verdict(virtual_run, monkeypatch, capsys):
-    out, results = virtual_run
+def test_command_prints_the_verdict(short_run, monkeypatch, capsys):
+    out, results = short_run
     monkeypatch.setattr("examples.demo.story.run", lambda **_: results)
     demo.main(quick=True)
     told = capsys.readouterr().out
