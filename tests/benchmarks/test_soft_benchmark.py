@@ -46,6 +46,7 @@ def results(out):
     return json.loads((out / "results.json").read_text())
 
 
+@pytest.mark.cpu(9)  # the whole benchmark at its smallest, its figures drawn
 def test_all_stages_report(out, results):
     assert set(results) == {"machine", "plan", *soft.BENCHMARK.stages}
     assert {"cpu", "cores", "commit", "instruction_set", "date"} <= set(results["machine"])

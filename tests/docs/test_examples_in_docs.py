@@ -24,6 +24,7 @@ PAGES = (
     "docs/transformations.md",
 )
 SHORTER = {
+    "README.md": {"rest_state(), 400": "rest_state(), 40"},
     "docs/copter.md": {
         'load_mission("carry"))': 'load_mission("carry"), seconds=0.5)',
         "num_starts=8": "num_starts=1",

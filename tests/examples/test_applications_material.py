@@ -32,7 +32,10 @@ def test_gradient_is_the_central_difference_along_a_direction(name):
 
 @pytest.mark.parametrize(
     "name, fall",
-    [pytest.param("plant", 1e3, marks=pytest.mark.slow), ("bouncing_ball", 1e2)],
+    [
+        pytest.param("plant", 1e3, marks=pytest.mark.slow),
+        pytest.param("bouncing_ball", 1e2, marks=pytest.mark.story),
+    ],
 )
 def test_loss_falls_in_few_evaluations(name, fall):
     found = minimize(built(name), max_evaluations=5)

@@ -7,16 +7,6 @@ from tests.examples.stories import load_story
 pytestmark = pytest.mark.example
 
 
-def test_rectangular_quadcopter_needs_less_current_at_once():
-    numbers = load_story("copter/hover_endurance.py").main(seconds=4)
-    currents = [
-        numbers[f"{name}: last current [A]"] for name in ("quadcopter", "quadcopter_flight_time")
-    ]
-    assert currents[1] < currents[0] - 0.5
-    assert numbers["endurance gain"] == pytest.approx(0.107, abs=0.01)
-
-
-@pytest.mark.story
 def test_rectangular_quadcopter_needs_less_current_and_keeps_more_voltage(tmp_path):
     pytest.importorskip("matplotlib")
     numbers = load_story("copter/hover_endurance.py").main(out=str(tmp_path))

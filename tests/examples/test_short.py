@@ -39,7 +39,7 @@ def test_a_step_against_the_gradient_lowers_the_thrust_as_predicted():
 
 
 def test_a_payload_costs_current_not_place():
-    found = load_story("copter/mission.py").main(seconds=2.0)
+    found = load_story("copter/mission.py").main(seconds=1.0)
     assert found["loaded, current A"] > found["bare, current A"] + 1.0
     assert max(found["bare, error cm"], found["loaded, error cm"]) < 5.0
 

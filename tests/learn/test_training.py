@@ -71,11 +71,7 @@ def learner(method: str, setup: Setup = TINY) -> Learner:
 
 
 @pytest.mark.parametrize(
-    "script",
-    [
-        pytest.param(name, marks=[pytest.mark.story] * (name not in ("gradient", "ppo", "cma")))
-        for name in ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma")
-    ],
+    "script", ["gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma"]
 )
 def test_quick_runs_write_results_a_checkpoint_and_a_log(script: str, tmp_path: Path) -> None:
     importlib.import_module(f"rl.train_{script}").main(["--quick", "--out", str(tmp_path)])
