@@ -8,12 +8,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tests.gradients import check_directions
+
 
 def check_layer(
     layer: Callable[..., Tensor],
     args: Sequence[Any],
     *,
     ops: Sequence[tuple[Any, ...]],
+    fast_mode: bool = False,
     **gradcheck_options: Any,
 ) -> None:
     """Check a layer's ops, that its gradient is not zero and is right, and that it compiles.
@@ -23,6 +26,7 @@ def check_layer(
         args: Its arguments; those to be checked require gradients.
         ops: The custom ops behind it with arguments for each, ``(op, op_args)`` or
             ``(op, op_args, op_kwargs)``.
+        fast_mode: Differences along random directions in place of the full Jacobian.
         **gradcheck_options: Passed to ``torch.autograd.gradcheck`` (``eps``, ``atol``, ...).
     """
     for op, *given in ops:  # schema, fake kernel, aliasing
@@ -34,8 +38,13 @@ def check_layer(
     assert inputs, "no argument requires a gradient"
     grads = torch.autograd.grad(out, inputs, cotangent)
     assert all(g.abs().max() > 0 for g in grads)  # or gradcheck proves nothing
+    again = torch.autograd.grad(layer(*args), inputs, cotangent)
+    assert all(torch.equal(one, other) for one, other in zip(grads, again, strict=True))
     options = {"check_forward_ad": True, **gradcheck_options}
-    assert torch.autograd.gradcheck(layer, args, **options)
+    if fast_mode:
+        check_directions(layer, args, seeds=(0, 1), **options)
+    else:
+        assert torch.autograd.gradcheck(layer, args, **options)
     whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
     compiled = whole(*args)
     torch.testing.assert_close(compiled, out)

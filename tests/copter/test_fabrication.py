@@ -169,9 +169,9 @@ def test_connectors_are_where_the_meshes_meet(plans, name):
         assert place.from_start == pytest.approx(distance, abs=1e-9)
 
 
-def test_turn_of_a_connector():
+def test_turn_of_a_connector(plans):
     """By hand: the pentacopter's front cross rod hangs in connectors that face down."""
-    places = {p.connector: p for p in plan(load_design("pentacopter")).places}
+    places = {p.connector: p for p in plans["pentacopter"].places}
     assert places["rail_left__cross_front"].roll == pytest.approx(180.0)
     assert places["cross_rear__rail_left"].roll == pytest.approx(0.0)
 
@@ -259,10 +259,10 @@ def test_spins_and_numbers(plans):
     assert all(m.clip is None and m.tilt < 1e-6 for m in pentacopter)
 
 
-def test_files(tmp_path):
+def test_files(plans, tmp_path):
     import trimesh
 
-    found = plan(load_design("pentacopter_payload"))
+    found = plans["pentacopter_payload"]
     page = write_fabrication(found, tmp_path / "deep" / "plan").read_text(encoding="utf-8")
     folder = tmp_path / "deep" / "plan"
     assert page.count("data:image/") == 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,14 @@ def flights():
     return {name: quadcopter(controller=name).run(SHORT) for name in ("lqr", "pid")}
 
 
+@pytest.fixture(scope="module")
+def hovered():
+    """A simulator that flew the short mission without noise; copy it to fly on."""
+    simulator = quadcopter(sensors=None)
+    simulator.run(SHORT)
+    return simulator
+
+
 @pytest.mark.parametrize("name", ["lqr", "pid"])
 def test_hovers_with_noise(flights, name):
     """Position noise of 2 cm is filtered; the place is held to 3 cm over the last three seconds."""
@@ -81,7 +90,7 @@ def test_estimate_beats_the_reading(flights):
 def test_any_heading_and_a_far_place(name):
     mission = mission_from_text(
         "name: turned\nsteps:\n  - take_off: {height: 1}\n  - yaw: {degrees: 150, rate: 90}\n"
-        "  - fly_to: {north: 2, east: -1, speed: 2}\n  - hover: {seconds: 3}"
+        "  - fly_to: {north: 2, east: -1, speed: 2}\n  - hover: {seconds: 2}"
     )
     log = FlightSimulator(load_design("x_quadcopter"), controller=name, sensors=None).run(mission)
     np.testing.assert_allclose(log.series("position")[-1], [2.0, -1.0, -1.0], atol=0.06)
@@ -135,18 +144,17 @@ def test_follows_accelerating_and_turning_targets():
     assert np.abs(log.series("rpy")[:, 2] - log.series("target_yaw")).max() < 0.3
 
 
-def test_pulses_make_up_for_the_voltage():
+def test_pulses_make_up_for_the_voltage(hovered):
     """Thrusts settled in hover are the bench's at the pulses and the voltage recorded."""
-    sample = quadcopter(sensors=None).run(SHORT).samples[-1]
+    sample = hovered.log.samples[-1]
     assert abs(sample.voltage - float(PACK.nominal_voltage)) > 0.5
     expected = TEN_INCH[0].thrust(TEN_INCH[0].speed_at(tensor(sample.pwm), sample.voltage))
     np.testing.assert_allclose(sample.thrusts, expected, rtol=2e-3)  # lag of a slow change
 
 
-def test_attitude_targets_tilt_and_let_go():
+def test_attitude_targets_tilt_and_let_go(hovered):
     """10 degrees nose down push forward; nothing holds the place, only the height."""
-    simulator = quadcopter(sensors=None)
-    simulator.run(SHORT)
+    simulator = copy.deepcopy(hovered)
     for _ in range(150):
         simulator.step(Setpoint(position=(0, 0, -1), pitch=-np.radians(10), hold_attitude=True))
     sample = simulator.log.samples[-1]
@@ -161,8 +169,8 @@ def test_attitude_targets_tilt_and_let_go():
 
 def test_same_seed_same_flight(flights):
     again, other = (quadcopter(seed=seed) for seed in (0, 1))
-    one = flights["lqr"].series("position")[:150]
-    same, different = (s.run(SHORT, seconds=1.49).series("position") for s in (again, other))
+    one = flights["lqr"].series("position")[:80]
+    same, different = (s.run(SHORT, seconds=0.79).series("position") for s in (again, other))
     assert np.array_equal(one, same)
     assert not np.array_equal(one, different)
 
@@ -214,9 +222,9 @@ def test_pulses_and_thrusts_are_inverse_up_to_the_clamp():
     assert float(strongest[2]) == pytest.approx(5.4, abs=0.3)
 
 
-def test_saturation_is_counted():
+def test_saturation_is_counted(hovered):
     """A clamp little above the hover's pulses is met on the way up."""
-    hovering = quadcopter(sensors=None).run(SHORT)
+    hovering = hovered.log
     pwm = float(hovering.series("pwm")[-1].max())
     log = quadcopter(sensors=None, pwm_max=pwm + 25.0).run(SHORT)
     assert 0.05 < log.saturated_share.min() <= log.saturated_share.max() < 0.5
@@ -280,9 +288,8 @@ def test_empty_battery_ends_the_flight():
         quadcopter(battery=small, sensors=None).run(SHORT)
 
 
-def test_falling_from_the_sky_is_a_crash():
-    simulator = quadcopter(sensors=None)
-    simulator.run(SHORT)
+def test_falling_from_the_sky_is_a_crash(hovered):
+    simulator = copy.deepcopy(hovered)
     with pytest.raises(FlightError, match=r"crashed in step \d+: hit the ground at 4\.\d+ m/s"):
         for _ in range(200):  # 1 m of free fall: 4.4 m/s
             simulator.step(Setpoint(position=(0, 0, -1), motors_on=False))

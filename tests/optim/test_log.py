@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -42,11 +43,14 @@ def assert_same(a, b):
             assert one.gradient.tobytes() == two.gradient.tobytes()
 
 
-WHOLE = minimize(Objective(), START, BOUNDS, OPTIONS)
+@lru_cache
+def whole():
+    """The search that nothing interrupts."""
+    return minimize(Objective(), START, BOUNDS, OPTIONS)
 
 
 def test_the_search_meets_the_wall_on_its_way():
-    assert 0 < WHOLE.num_failed < WHOLE.num_evaluations == 14
+    assert 0 < whole().num_failed < whole().num_evaluations == 14
 
 
 @pytest.mark.parametrize("calls", range(15))
@@ -66,7 +70,7 @@ def test_interrupted_anywhere_it_goes_on_with_the_same_bits(tmp_path, calls):
         log=Log(path),
         callback=lambda p: replayed.append(p.replayed),
     )
-    assert_same(again, WHOLE)
+    assert_same(again, whole())
     assert rest.calls == 14 - calls
     assert replayed == [True] * calls + [False] * (14 - calls)
     assert len(path.read_text().splitlines()) == 1 + 14
@@ -100,7 +104,7 @@ def test_longer_budget_goes_on_from_a_shorter_one(tmp_path):
     path = tmp_path / "run.jsonl"
     minimize(Objective(), START, BOUNDS, Options(Budget(5)), log=Log(path))
     rest = Objective()
-    assert_same(minimize(rest, START, BOUNDS, OPTIONS, log=Log(path)), WHOLE)
+    assert_same(minimize(rest, START, BOUNDS, OPTIONS, log=Log(path)), whole())
     assert rest.calls == 9
 
 
@@ -110,7 +114,7 @@ def test_lists_of_a_log_do_not_mix(tmp_path):
     second = minimize(Objective(), other, BOUNDS, OPTIONS, log=log, name="two")
     assert_same(second, minimize(Objective(), other, BOUNDS, OPTIONS))
     rest = Objective(0)
-    assert_same(minimize(rest, START, BOUNDS, OPTIONS, log=Log(log.path), name="one"), WHOLE)
+    assert_same(minimize(rest, START, BOUNDS, OPTIONS, log=Log(log.path), name="one"), whole())
 
 
 @pytest.mark.parametrize("calls", [0, 3, 8, 9, 20])
@@ -133,7 +137,7 @@ def test_failed_start_is_tried_again(tmp_path):
     log = Log(tmp_path / "run.jsonl")
     log.append("evaluations", {"x": START, "value": None, "gradient": None, "failure": "bug"})
     objective = Objective()
-    assert_same(minimize(objective, START, BOUNDS, OPTIONS, log=log), WHOLE)
+    assert_same(minimize(objective, START, BOUNDS, OPTIONS, log=log), whole())
 
 
 def test_screened_points_are_not_evaluated_again(tmp_path):
@@ -187,4 +191,4 @@ def test_damaged_line_is_named(tmp_path):
 def test_a_log_without_a_file_is_kept_in_memory():
     log = Log()
     minimize(Objective(), START, BOUNDS, OPTIONS, log=log)
-    assert_same(minimize(Objective(0), START, BOUNDS, OPTIONS, log=log), WHOLE)
+    assert_same(minimize(Objective(0), START, BOUNDS, OPTIONS, log=log), whole())

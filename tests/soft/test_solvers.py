@@ -18,6 +18,7 @@ from diffsim.core.errors import (
 )
 from diffsim.soft import _context, _ops_step
 from diffsim.soft._arrays import StepArrays
+from tests.covering import covering
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
 pytestmark = pytest.mark.reference
@@ -63,9 +64,7 @@ def step_and_gradients(body, state=None, physics=None):
     return [end.x, end.v, *torch.autograd.grad(loss, (x, v, youngs_modulus))]
 
 
-@pytest.mark.parametrize("rtol", [1e-4, 1e-9])
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-@pytest.mark.parametrize("method", METHODS)
+@covering(method=METHODS, kind=["hex", "tet"], rtol=[1e-4, 1e-9])
 def test_methods_agree(method, kind, rtol):
     exact = step_and_gradients(bar(kind, solver=options("newton_cholesky")))
     body = bar(kind, solver=options(method, rtol=rtol, adjoint_rtol=rtol))
@@ -126,9 +125,7 @@ STARTS = {
 }
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("start", STARTS)
+@covering(start=STARTS, method=METHODS, kind=["hex", "tet"])
 def test_terrible_starts_recover(start, method, kind):
     """Implicit Euler over long steps from nonsense: each step meets its tolerance (else it
     raises)."""
