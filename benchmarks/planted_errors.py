@@ -1,0 +1,567 @@
+"""Are mistakes seen? Plants errors, one at a time, and runs the tests that should see each.
+
+``planted_errors.yaml`` holds mistakes as a developer makes them, over all rooms of the package and
+the kernels: a sign in an adjoint, a unit, a window off by one, a frame the wrong way round, an
+option that is ignored, test runs that leak into a fit. Each names its file, the text that is
+replaced, and the tests that should fail. Every error is planted in a copy of the tree of its own;
+an error in ``csrc`` is compiled there. One that no test sees is missed, and is a finding: it stays
+in the plan. A suite that became shorter should catch as many as before::
+
+    python -m benchmarks.planted_errors                       # all, kept one by one
+    python -m benchmarks.planted_errors --only svd-gap-sign --fresh
+    python -m benchmarks.planted_errors --against v0.1        # the same errors in another commit
+    python -m benchmarks.planted_errors --table docs/planted_errors.json runs/planted_errors.json
+
+What is done is kept until the error, the file it is planted in, or a test of its selection
+changes; what a change elsewhere does is seen with ``--fresh``. Errors in ``csrc`` need nanobind and
+cmeel-eigen in the running Python (see CONTRIBUTING.md); without them they are left out, and said
+so. CPU seconds are those of pytest and of all that it starts, to the first failure.
+
+Why not mutmut or cosmic-ray: both change Python alone, and a third of what can go wrong is C++.
+Their operators swap ``+`` and ``-`` or a constant, everywhere: thousands of mutants, a run of tests
+of 5 to 15 CPU seconds for each, so that one numerical module takes hours. Many of them are no
+mistakes, for a tolerance, a preconditioner, a first guess or a cache may be changed and every
+answer stays right; someone has to read which. What hurts this package are mistakes of meaning
+(another frame, another clock, a test run among those that were fitted), which are not one token.
+For a module of pure decisions, such as ``diffsim/diagnose/judge.py``, mutmut would do; it was not
+needed to compare two states of one suite.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib.util
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from threading import Lock
+from typing import Any, NamedTuple
+
+import yaml
+
+from benchmarks.machine import machine
+from diffsim.core import interruptible
+from diffsim.core.files import write_json_atomic
+
+ROOT = Path(__file__).resolve().parents[1]
+PLAN = Path(__file__).with_suffix(".yaml")
+KEPT = Path("docs/planted_errors.json")
+OBJECTS = ROOT / "build" / "planted_errors"  # objects of the kernels, as setup.py keeps them
+LIMIT_S = 600.0  # wall time of one run of tests
+NEEDED = {"nanobind": "nanobind", "cmeel": "cmeel-eigen"}  # module: package, to compile
+CAUGHT, MISSED = "caught", "missed"
+# Of a run of tests, or of the plan itself.
+UNFIT, UNBUILT, RED = "error of the plan", "not compiled", "tests fail without it"
+
+
+class PlanError(ValueError):
+    """The plan does not fit the tree: an error to be mended in the plan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planted:
+    """One mistake and where it should be seen.
+
+    Attributes:
+        name: Short name, another one for each.
+        file: File of the tree.
+        old: Text that occurs once in it.
+        new: Text that stands there with the mistake.
+        means: The mistake in words.
+        tests: Files or folders of tests that should see it.
+        only: pytest's ``-k``; empty: all of them.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    means: str
+    tests: tuple[str, ...]
+    only: str = ""
+
+    @property
+    def room(self) -> str:
+        """Folder of the package, or of the kernels with "csrc/" before it."""
+        parts = Path(self.file).parts
+        return f"csrc/{parts[2]}" if parts[0] == "csrc" else parts[1]
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the kernels have to be built for it."""
+        return self.file.startswith("csrc/")
+
+    @property
+    def selection(self) -> tuple[str, ...]:
+        """Arguments of pytest."""
+        return (*self.tests, *(("-k", self.only) if self.only else ()))
+
+
+def read_plan(path: Path = PLAN) -> tuple[Planted, ...]:
+    """All errors of the plan.
+
+    Raises:
+        PlanError: two errors of one name, or one that changes nothing.
+    """
+    rows = yaml.safe_load(path.read_text(encoding="utf-8"))
+    plan = tuple(Planted(**{**row, "tests": tuple(row["tests"])}) for row in rows)
+    names = [error.name for error in plan]
+    if doubled := {name for name in names if names.count(name) > 1}:
+        raise PlanError(f"{path}: names must differ, got {sorted(doubled)} more than once")
+    if idle := [error.name for error in plan if error.old == error.new]:
+        raise PlanError(f"{path}: {idle} change nothing")
+    return plan
+
+
+def planted_text(error: Planted, tree: Path) -> str:
+    """The file with the mistake in it.
+
+    Raises:
+        PlanError: no such file, or its text does not hold the old one exactly once.
+    """
+    path = tree / error.file
+    if not path.is_file():
+        raise PlanError(f"{error.name}: no file {error.file}; mend the plan")
+    text = path.read_text(encoding="utf-8")
+    if (count := text.count(error.old)) != 1:
+        raise PlanError(
+            f"{error.name}: {error.file} must hold its old text once, found {count} times; mend "
+            "the plan"
+        )
+    return text.replace(error.old, error.new)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of a run of tests.
+
+    Attributes:
+        state: "caught" or "missed"; or why neither is known.
+        cpu_s: CPU seconds of the tests, to the first failure [s].
+        by: The first test that failed, or what else was seen.
+        key: What it depends on.
+    """
+
+    state: str
+    cpu_s: float = 0.0
+    by: str = ""
+    key: str = ""
+
+
+class Ended(NamedTuple):
+    """A process that has ended: exit status (negative: signal), output, CPU time [s]."""
+
+    status: int
+    output: str
+    cpu_s: float
+    is_late: bool
+
+
+def run_limited(
+    command: Sequence[str], folder: Path, env: Mapping[str, str], limit: float
+) -> Ended:
+    """Run a command in a session of its own, all of which ends with it or with its time."""
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(
+            command, cwd=folder, env=env, stdout=output, stderr=output, start_new_session=True
+        )
+        until, is_late = time.monotonic() + limit, False
+        try:
+            while True:
+                done, status, usage = os.wait4(process.pid, os.WNOHANG)
+                if done:
+                    break
+                if time.monotonic() > until and not is_late:
+                    is_late = True
+                    os.killpg(process.pid, signal.SIGKILL)
+                time.sleep(0.05)
+        except BaseException:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
+        process.returncode = os.waitstatus_to_exitcode(status)
+        output.seek(0)
+        text = output.read().decode("utf-8", "replace")
+    return Ended(process.returncode, text, usage.ru_utime + usage.ru_stime, is_late)
+
+
+def environment_of(tree: Path) -> dict[str, str]:
+    """Variables under which a copy imports itself, on one thread."""
+    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return {
+        **os.environ,
+        **one,
+        "PYTHONPATH": str(tree),
+        # objects one by one: an error changes one of them
+        "DIFFSIM_UNITY": "0",
+        "DIFFSIM_BUILD_ISA": "native",
+    }
+
+
+def pytest_outcome(tree: Path, selection: Sequence[str], limit: float) -> Outcome:
+    """Run tests until one fails."""
+    # as one process, where pytest-xdist is there and the project's options ask for more
+    serial = ["-n0"] if importlib.util.find_spec("xdist") else []
+    command = [sys.executable, "-m", "pytest", *selection, *serial]
+    command += ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-rfE"]
+    ended = run_limited(command, tree, environment_of(tree), limit)
+    if ended.is_late:
+        return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"not over after {limit:g} s")
+    if ended.status < 0:
+        name = signal.Signals(-ended.status).name
+        return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"ended by {name}")
+    if ended.status in (1, 2):
+        found = re.search(r"^(?:FAILED|ERROR) (\S+)", ended.output, re.MULTILINE)
+        by = found[1] if found else ended.output.strip().splitlines()[-1]
+        return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=by)
+    if ended.status == 0:
+        return Outcome(state=MISSED, cpu_s=ended.cpu_s)
+    return Outcome(state=UNFIT, by=f"pytest: {ended.output.strip().splitlines()[-1]}")
+
+
+def build(tree: Path) -> str:
+    """Compile what changed in a copy; empty, or the compiler's last words."""
+    command = [sys.executable, "setup.py", "build_ext", "--inplace"]
+    ended = run_limited(command, tree, environment_of(tree), 3600.0)
+    if ended.status == 0:
+        return ""
+    lines = ended.output.strip().splitlines()
+    return next((line for line in lines if "error" in line), lines[-1] if lines else "no output")
+
+
+def lacking() -> list[str]:
+    """Packages that compiling needs and the running Python lacks."""
+    return [pack for module, pack in NEEDED.items() if not importlib.util.find_spec(module)]
+
+
+def copy_of_checkout(target: Path) -> None:
+    """The working tree: what git tracks or would, and the compiled cores."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+    )
+    names = [name for name in listed.stdout.decode().split("\0") if name]
+    cores = [str(p.relative_to(ROOT)) for p in (ROOT / "diffsim").glob("_core_*.so")]
+    for name in (*names, *cores):
+        if not (ROOT / name).is_file():
+            continue  # deleted, and not yet committed
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, target / name)
+
+
+def copy_of_commit(reference: str, target: Path) -> None:
+    """The tree of a commit; its cores are compiled."""
+    packed = subprocess.run(
+        ["git", "archive", "--format=tar", reference], cwd=ROOT, capture_output=True, check=True
+    )
+    with tarfile.open(fileobj=io.BytesIO(packed.stdout)) as archive:
+        if hasattr(tarfile, "data_filter"):
+            archive.extraction_filter = tarfile.data_filter
+        archive.extractall(target)
+
+
+def share_objects(tree: Path, *, apart: bool) -> None:
+    """Give a copy the objects that are compiled already; ``apart``: files of its own."""
+    known = ROOT / "build" / "objects"
+    if not OBJECTS.is_dir():
+        shutil.copytree(known, OBJECTS) if known.is_dir() else OBJECTS.mkdir(parents=True)
+    place = tree / "build" / "objects"
+    place.parent.mkdir(exist_ok=True)
+    if apart:
+        shutil.copytree(OBJECTS, place)
+    else:
+        place.symlink_to(OBJECTS)
+
+
+def untouched_tree(folder: Path, reference: str | None, *, compiles: bool) -> Path:
+    """A copy without mistakes, which copies with one are made of.
+
+    Raises:
+        PlanError: the package that is imported there is another one.
+        RuntimeError: it does not compile.
+    """
+    tree = folder / "untouched"
+    tree.mkdir()
+    if reference is None:
+        copy_of_checkout(tree)
+    else:
+        copy_of_commit(reference, tree)
+    if compiles:
+        share_objects(tree, apart=False)
+        if failed := build(tree):
+            raise RuntimeError(f"the tree does not compile without a mistake: {failed}")
+        shutil.rmtree(tree / "build", ignore_errors=True)
+    asked = [sys.executable, "-c", "import diffsim.core.compiled as c; print(c.core.__file__)"]
+    ended = run_limited(asked, tree, environment_of(tree), 120.0)
+    if ended.status or str(tree) not in ended.output:
+        raise PlanError(f"the copy does not import its own package: {ended.output.strip()}")
+    return tree
+
+
+@contextmanager
+def copy_with(error: Planted, untouched: Path, folder: Path) -> Iterator[Path]:
+    """A copy of the tree with one mistake in it."""
+    text = planted_text(error, untouched)
+    tree = folder / error.name
+    shutil.copytree(untouched, tree, symlinks=True)
+    try:
+        (tree / error.file).write_text(text, encoding="utf-8")
+        # a cached file of the same second and size would pass for current
+        for cached in (tree / error.file).parent.glob(f"__pycache__/{Path(error.file).stem}.*"):
+            cached.unlink()
+        yield tree
+    finally:
+        shutil.rmtree(tree, ignore_errors=True)
+
+
+def try_one(error: Planted, untouched: Path, folder: Path, limit: float) -> Outcome:
+    """Plant one error and run its tests."""
+    try:
+        with copy_with(error, untouched, folder) as tree:
+            if error.is_compiled:
+                share_objects(tree, apart=True)
+                if failed := build(tree):
+                    return Outcome(state=UNFIT, by=f"does not compile: {failed}")
+            return pytest_outcome(tree, error.selection, limit)
+    except PlanError as mistake:
+        return Outcome(state=UNFIT, by=str(mistake))
+
+
+def digest(*parts: object) -> str:
+    """What tells contents apart."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+def texts_of(tree: Path, names: Sequence[str]) -> list[str]:
+    """Contents of files and of the Python files in folders; of "tests/x.py::test" those of x."""
+    out = []
+    for name in names:
+        path = tree / name.partition("::")[0]
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        out += [p.read_text(encoding="utf-8") for p in files if p.is_file()]
+    return out
+
+
+def key_of(error: Planted, tree: Path) -> str:
+    """What a kept outcome depends on: the error, its file, its tests."""
+    return digest(asdict(error), texts_of(tree, [error.file, *error.tests]))
+
+
+@dataclass
+class Record:
+    """Outcomes by error, and of the tests without one, kept in a file as they come.
+
+    Attributes:
+        path: The file.
+        about: What was run, and where.
+        errors: Outcomes by name of the error, with its room and meaning.
+        clean: Outcomes of selections without a mistake, by their arguments.
+    """
+
+    path: Path
+    about: dict[str, Any]
+    errors: dict[str, dict[str, Any]] = field(default_factory=dict)
+    clean: dict[str, dict[str, Any]] = field(default_factory=dict)
+    lock: Lock = field(default_factory=Lock)
+
+    @classmethod
+    def at(cls, path: Path, about: dict[str, Any], *, fresh: bool) -> Record:
+        """The record of an earlier run, or an empty one."""
+        kept = json.loads(path.read_text()) if path.is_file() and not fresh else {}
+        return cls(path, about, kept.get("errors", {}), kept.get("clean", {}))
+
+    def save(self) -> None:
+        """Write what is there."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_json_atomic(
+            self.path, {"about": self.about, "errors": self.errors, "clean": self.clean}
+        )
+
+    def add(self, error: Planted, outcome: Outcome) -> None:
+        """Keep the outcome of an error."""
+        with self.lock:
+            self.errors[error.name] = {
+                "room": error.room, "means": error.means, **asdict(outcome)
+            }  # fmt: skip
+            self.save()
+
+    def is_known(self, error: Planted, key: str) -> bool:
+        """Whether an error was tried with these contents."""
+        kept = self.errors.get(error.name, {})
+        return kept.get("key") == key and kept["state"] in (CAUGHT, MISSED)
+
+    def clean_outcome(self, error: Planted, tree: Path, limit: float) -> Outcome:
+        """What the tests of an error say without it, once for each selection."""
+        name, key = " ".join(error.selection), digest(texts_of(tree, error.tests))
+        with self.lock:
+            kept = self.clean.get(name)
+            if kept is None or kept["key"] != key or kept["state"] != MISSED:
+                kept = asdict(replace(pytest_outcome(tree, error.selection, limit), key=key))
+                self.clean[name] = kept
+                self.save()
+        return Outcome(**kept)
+
+
+def outcome_of(
+    error: Planted, record: Record, untouched: Path, folder: Path, limit: float
+) -> Outcome:
+    """The outcome of an error, after its tests were seen to pass without it."""
+    if error.is_compiled and (missing := lacking()):
+        how = f"pip install -c constraints.txt {' '.join(missing)}"
+        return Outcome(state=UNBUILT, by=how)
+    clean = record.clean_outcome(error, untouched, limit)
+    if clean.state != MISSED:
+        return Outcome(state=UNFIT if clean.state == UNFIT else RED, by=clean.by)
+    return try_one(error, untouched, folder, limit)
+
+
+def run_plan(
+    plan: Sequence[Planted], record: Record, reference: str | None, *, jobs: int, limit: float
+) -> None:
+    """Try all errors that the record does not know yet."""
+    compiles = reference is not None or any(e.is_compiled for e in plan)
+    if compiles and lacking() and reference is None:
+        compiles = False
+    with tempfile.TemporaryDirectory(prefix="planted_errors_") as temporary:
+        folder = Path(temporary)
+        untouched = untouched_tree(folder, reference, compiles=compiles)
+        keys = {error.name: key_of(error, untouched) for error in plan}
+        left = [error for error in plan if not record.is_known(error, keys[error.name])]
+        print(f"{len(plan)} errors, {len(plan) - len(left)} known from before", flush=True)
+
+        def do(error: Planted) -> None:
+            outcome = outcome_of(error, record, untouched, folder, limit)
+            record.add(error, replace(outcome, key=keys[error.name]))
+            said = f"{error.name}: {outcome.state}, {outcome.cpu_s:.1f} CPU s  {outcome.by}"
+            print(said.rstrip(), flush=True)
+
+        if jobs == 1:
+            for error in left:
+                do(error)
+            return
+        with ThreadPoolExecutor(max_workers=jobs) as pool:
+            try:
+                for done in [pool.submit(do, error) for error in left]:
+                    done.result()
+            except BaseException:  # what is under way is ended, and kept
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def table(records: Mapping[str, Mapping[str, Any]]) -> str:
+    """By room: errors planted, and how many each record has caught; Markdown.
+
+    Args:
+        records: Contents of records by the name that heads their column.
+    """
+    rooms: dict[str, set[str]] = {}
+    for record in records.values():
+        for name, row in record["errors"].items():
+            rooms.setdefault(row["room"], set()).add(name)
+    heads = ["room", "planted", *(f"caught, {label}" for label in records)]
+    lines = [heads, ["---", *["---:"] * (len(heads) - 1)]]
+    everything = {name for names in rooms.values() for name in names}
+    for room, names in [*sorted(rooms.items()), ("**all**", everything)]:
+        counts = [_num_caught(record, names) for record in records.values()]
+        lines.append([room, str(len(names)), *counts])
+    missed = [f"Missed, {label}: {_missed(record)}." for label, record in records.items()]
+    return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", *missed])
+
+
+def _num_caught(record: Mapping[str, Any], names: set[str]) -> str:
+    """How many of some errors a record has caught; "-" where it tried none."""
+    states = [record["errors"][name]["state"] for name in names if name in record["errors"]]
+    return str(states.count(CAUGHT)) if states else "-"
+
+
+def _missed(record: Mapping[str, Any]) -> str:
+    """Names of what was not caught."""
+    rows = record["errors"].items()
+    names = [f"`{n}` ({r['means']})" for n, r in sorted(rows) if r["state"] == MISSED]
+    other = [f"`{n}` ({r['state']})" for n, r in sorted(rows) if r["state"] not in (CAUGHT, MISSED)]
+    return ", ".join([*names, *other]) or "none"
+
+
+def read_records(paths: Sequence[Path]) -> dict[str, Any]:
+    """Records by their commits, or by their files where two are of one commit."""
+    read = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    commits = [record["about"]["commit"] for record in read]
+    if len(set(commits)) < len(commits):
+        commits = [path.stem for path in paths]
+    return dict(zip(commits, read, strict=True))
+
+
+def commit_of(reference: str | None) -> str:
+    """Short name of a commit; of the working tree, that it has changes."""
+    if reference is None:
+        return str(machine()["commit"])
+    asked = ["git", "rev-parse", "--short=12", f"{reference}^{{commit}}"]
+    done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise PlanError(f"--against: git knows no commit {reference!r}")
+    return done.stdout.strip()
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    """Run the plan, or show a table of what was run; 1 if the plan has errors of its own."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.planted_errors", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="errors of the plan; a room")
+    parser.add_argument("--jobs", type=int, default=1, help="errors at a time (default: 1)")
+    parser.add_argument("--limit", type=float, default=LIMIT_S, help="of one run of tests [s]")
+    parser.add_argument("--against", metavar="REF", help="plant them in the tree of a commit")
+    parser.add_argument("--fresh", action="store_true", help="run again what is kept")
+    parser.add_argument("--out", type=Path, default=Path("runs/planted_errors.json"))
+    parser.add_argument(
+        "--table",
+        nargs="*",
+        type=Path,
+        metavar="FILE",
+        help=f"print the table of records (default: {KEPT}) and run nothing",
+    )
+    args = parser.parse_args(given)
+    if args.table is not None:
+        print(table(read_records(args.table or [ROOT / KEPT])))
+        return 0
+    try:
+        plan = read_plan()
+        if args.only:
+            known = {e.name for e in plan} | {e.room for e in plan}
+            if unknown := set(args.only) - known:
+                raise PlanError(f"--only: no errors or rooms {sorted(unknown)} in {PLAN.name}")
+            plan = tuple(e for e in plan if e.name in args.only or e.room in args.only)
+        about = {**machine(), "commit": commit_of(args.against)}
+        record = Record.at(args.out, about, fresh=args.fresh)
+        run_plan(plan, record, args.against, jobs=args.jobs, limit=args.limit)
+    except PlanError as error:
+        print(error, file=sys.stderr)
+        return 1
+    record.save()
+    print(f"\n{table({about['commit']: asdict_of(record)})}\n\nwritten to {args.out}")
+    return int(any(record.errors[e.name]["state"] == UNFIT for e in plan))
+
+
+def asdict_of(record: Record) -> dict[str, Any]:
+    """A record as its file holds it."""
+    return {"about": record.about, "errors": record.errors, "clean": record.clean}
+
+
+if __name__ == "__main__":
+    with interruptible():
+        sys.exit(main())
