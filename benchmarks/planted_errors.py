@@ -10,7 +10,7 @@ in the plan. A suite that became shorter should catch as many as before::
     python -m benchmarks.planted_errors                       # all, kept one by one
     python -m benchmarks.planted_errors --only svd-gap-sign --fresh
     python -m benchmarks.planted_errors --against v0.1        # the same errors in another commit
-    python -m benchmarks.planted_errors --table docs/planted_errors.json runs/planted_errors.json
+    python -m benchmarks.planted_errors --table               # of what docs/planted_errors holds
 
 What is done is kept until the error, the file it is planted in, or a test of its selection
 changes; what a change elsewhere does is seen with ``--fresh``. Errors in ``csrc`` need nanobind and
@@ -59,7 +59,7 @@ from diffsim.core.files import write_json_atomic
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = Path(__file__).with_suffix(".yaml")
-KEPT = Path("docs/planted_errors.json")
+KEPT = ROOT / "docs" / "planted_errors"  # records of suites: NAME.json heads a column "NAME"
 OBJECTS = ROOT / "build" / "planted_errors"  # objects of the kernels, as setup.py keeps them
 LIMIT_S = 600.0  # wall time of one run of tests
 NEEDED = {"nanobind": "nanobind", "cmeel": "cmeel-eigen"}  # module: package, to compile
@@ -388,9 +388,14 @@ class Record:
     def save(self) -> None:
         """Write what is there."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_json_atomic(
-            self.path, {"about": self.about, "errors": self.errors, "clean": self.clean}
-        )
+        ordered = {k: dict(sorted(getattr(self, k).items())) for k in ("errors", "clean")}
+        write_json_atomic(self.path, {"about": self.about, **ordered})
+
+    def keep(self, plan: Sequence[Planted]) -> None:
+        """Drop what is not in the plan any more."""
+        names, selections = {e.name for e in plan}, {" ".join(e.selection) for e in plan}
+        self.errors = {n: row for n, row in self.errors.items() if n in names}
+        self.clean = {n: row for n, row in self.clean.items() if n in selections}
 
     def add(self, error: Planted, outcome: Outcome) -> None:
         """Keep the outcome of an error."""
@@ -498,12 +503,9 @@ def _missed(record: Mapping[str, Any]) -> str:
 
 
 def read_records(paths: Sequence[Path]) -> dict[str, Any]:
-    """Records by their commits, or by their files where two are of one commit."""
-    read = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-    commits = [record["about"]["commit"] for record in read]
-    if len(set(commits)) < len(commits):
-        commits = [path.stem for path in paths]
-    return dict(zip(commits, read, strict=True))
+    """Records by the names of their files, the oldest first."""
+    read = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in paths}
+    return dict(sorted(read.items(), key=lambda item: item[1]["about"]["date"]))
 
 
 def commit_of(reference: str | None) -> str:
@@ -533,11 +535,11 @@ def main(given: Sequence[str] | None = None) -> int:
         nargs="*",
         type=Path,
         metavar="FILE",
-        help=f"print the table of records (default: {KEPT}) and run nothing",
+        help="print the table of records (default: docs/planted_errors/*.json), run nothing",
     )
     args = parser.parse_args(given)
     if args.table is not None:
-        print(table(read_records(args.table or [ROOT / KEPT])))
+        print(table(read_records(args.table or sorted(KEPT.glob("*.json")))))
         return 0
     try:
         plan = read_plan()
@@ -548,18 +550,15 @@ def main(given: Sequence[str] | None = None) -> int:
             plan = tuple(e for e in plan if e.name in args.only or e.room in args.only)
         about = {**machine(), "commit": commit_of(args.against)}
         record = Record.at(args.out, about, fresh=args.fresh)
+        if not args.only:
+            record.keep(plan)
         run_plan(plan, record, args.against, jobs=args.jobs, limit=args.limit)
     except PlanError as error:
         print(error, file=sys.stderr)
         return 1
     record.save()
-    print(f"\n{table({about['commit']: asdict_of(record)})}\n\nwritten to {args.out}")
+    print(f"\n{table({args.out.stem: {'errors': record.errors}})}\n\nwritten to {args.out}")
     return int(any(record.errors[e.name]["state"] == UNFIT for e in plan))
-
-
-def asdict_of(record: Record) -> dict[str, Any]:
-    """A record as its file holds it."""
-    return {"about": record.about, "errors": record.errors, "clean": record.clean}
 
 
 if __name__ == "__main__":

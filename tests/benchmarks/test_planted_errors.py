@@ -1,0 +1,159 @@
+"""benchmarks/planted_errors.py: the plan fits the tree; what is planted is seen, or said."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import planted_errors
+from benchmarks.planted_errors import (
+    CAUGHT,
+    KEPT,
+    MISSED,
+    ROOT,
+    UNFIT,
+    PlanError,
+    Planted,
+    Record,
+    copy_with,
+    planted_text,
+    read_plan,
+    read_records,
+    run_limited,
+    table,
+    try_one,
+)
+
+AREA = "def area(a, b):\n    return a * b\n"
+TEST = "from plane.area import area\n\n\ndef test_area():\n    assert area(2, 3) == 6\n"
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Path:
+    """A tree of one function and its test."""
+    tree = tmp_path / "tree"
+    (tree / "plane").mkdir(parents=True)
+    (tree / "plane" / "area.py").write_text(AREA)
+    (tree / "test_area.py").write_text(TEST)
+    return tree
+
+
+def error(new: str, **other: object) -> Planted:
+    given = {"name": "e", "file": "plane/area.py", "old": "a * b", "new": new, "means": "m"}
+    return Planted(**{**given, "tests": ("test_area.py",), **other})  # type: ignore[arg-type]
+
+
+def test_every_old_text_stands_once_in_the_tree():
+    plan = read_plan()
+    for planted in plan:
+        assert planted_text(planted, ROOT) != (ROOT / planted.file).read_text("utf-8")
+    assert len(plan) >= 60
+    assert sum(planted.is_compiled for planted in plan) >= 12
+
+
+def test_every_room_has_errors_and_their_tests_are_there():
+    plan = read_plan()
+    rooms = {p.name for p in (ROOT / "diffsim").iterdir() if (p / "__init__.py").is_file()}
+    kernels = {f"csrc/{p.name}" for p in (ROOT / "csrc/kernels").iterdir() if p.is_dir()}
+    assert {planted.room for planted in plan} == rooms | kernels
+    for planted in plan:
+        for test in planted.tests:
+            assert (ROOT / test.partition("::")[0]).exists(), (planted.name, test)
+
+
+@pytest.mark.parametrize(
+    ("planted", "message"),
+    [
+        (error("a", old="c"), "once, found 0 times"),
+        (error("a", old="a"), "once, found 4 times"),
+        (error("a", file="b.py"), "no file b.py"),
+    ],
+)
+def test_a_plan_that_does_not_fit_is_said(toy: Path, planted: Planted, message: str):
+    with pytest.raises(PlanError, match=f"e: .*{message}.*; mend the plan"):
+        planted_text(planted, toy)
+    assert try_one(planted, toy, toy.parent, 60.0).state == UNFIT
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([("a", "x", "y"), ("a", "x", "z")], "names must differ"),
+        ([("a", "x", "x")], "change nothing"),
+    ],
+)
+def test_a_plan_of_mistakes_is_refused(tmp_path: Path, rows: list, message: str):
+    names = ("name", "old", "new")
+    rest = {"file": "f", "means": "m", "tests": ["t"]}
+    path = tmp_path / "plan.yaml"
+    path.write_text(json.dumps([dict(zip(names, row, strict=True)) | rest for row in rows]))
+    with pytest.raises(PlanError, match=message):
+        read_plan(path)
+
+
+def test_an_error_is_caught_and_a_change_of_nothing_missed(toy: Path):
+    caught = try_one(error("a + b"), toy, toy.parent, 60.0)
+    assert (caught.state, caught.by) == (CAUGHT, "test_area.py::test_area")
+    assert caught.cpu_s > 0.0
+    assert try_one(error("b * a"), toy, toy.parent, 60.0).state == MISSED
+    assert (toy / "plane" / "area.py").read_text() == AREA  # the tree itself is left alone
+    nothing = try_one(error("a + b", only="volume"), toy, toy.parent, 60.0)
+    assert nothing.state == UNFIT and "deselected" in nothing.by
+
+
+def test_a_cached_module_does_not_hide_an_error(toy: Path):
+    run = [sys.executable, "-c", "from plane.area import area; print(area(2, 3))"]
+    assert subprocess.check_output(run, cwd=toy) == b"6\n"
+    # as long as the old text, and as likely as not in the same second
+    with copy_with(error("a + b"), toy, toy.parent) as tree:
+        assert subprocess.check_output(run, cwd=tree) == b"5\n"
+    assert not tree.exists()
+
+
+def test_what_hangs_is_ended(tmp_path: Path):
+    ended = run_limited([sys.executable, "-c", "while True: pass"], tmp_path, {}, 0.5)
+    assert ended.is_late and ended.status < 0 and ended.cpu_s < 30.0
+
+
+def test_outcomes_are_kept_until_what_they_depend_on_changes(toy: Path, tmp_path: Path):
+    planted, path = error("a + b"), tmp_path / "record.json"
+    key = planted_errors.key_of(planted, toy)
+    record = Record.at(path, {"commit": "c"}, fresh=False)
+    record.add(planted, planted_errors.Outcome(state=CAUGHT, key=key))
+    again = Record.at(path, {"commit": "c"}, fresh=False)
+    assert again.is_known(planted, planted_errors.key_of(planted, toy))
+    (toy / "test_area.py").write_text(TEST.replace("6", "6.0"))
+    assert not again.is_known(planted, planted_errors.key_of(planted, toy))
+    assert not Record.at(path, {"commit": "c"}, fresh=True).errors
+
+
+def test_the_table_counts_by_room_and_names_what_was_missed():
+    rows = {
+        "u": {"room": "core", "means": "a unit", "state": CAUGHT},
+        "v": {"room": "core", "means": "a sign", "state": MISSED},
+        "w": {"room": "mesh", "means": "an axis", "state": CAUGHT},
+    }
+    less = {name: {**row, "state": MISSED} for name, row in rows.items() if name != "w"}
+    lines = table({"before": {"errors": rows}, "after": {"errors": less}}).splitlines()
+    assert lines[0] == "| room | planted | caught, before | caught, after |"
+    assert lines[2:5] == ["| core | 2 | 1 | 0 |", "| mesh | 1 | 1 | - |", "| **all** | 3 | 2 | 0 |"]
+    assert lines[-2:] == [
+        "Missed, before: `v` (a sign).",
+        "Missed, after: `u` (a unit), `v` (a sign).",
+    ]
+
+
+def test_contributing_shows_the_record_of_the_plan():
+    records = read_records(sorted(KEPT.glob("*.json")))
+    *_, latest = records.values()
+    assert set(latest["errors"]) == {planted.name for planted in read_plan()}
+    assert table(records) in (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+
+
+def test_unknown_names_are_refused(capsys: pytest.CaptureFixture[str]):
+    assert planted_errors.main(["--only", "corre"]) == 1
+    assert "no errors or rooms ['corre']" in capsys.readouterr().err
