@@ -36,6 +36,7 @@ import io
 import json
 import os
 import re
+import select
 import shutil
 import signal
 import subprocess
@@ -48,6 +49,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from queue import SimpleQueue
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -63,6 +65,8 @@ KEPT = ROOT / "docs" / "planted_errors"  # records of suites: NAME.json heads a 
 OBJECTS = ROOT / "build" / "planted_errors"  # objects of the kernels, as setup.py keeps them
 LIMIT_S = 600.0  # wall time of one run of tests
 NEEDED = {"nanobind": "nanobind", "cmeel": "cmeel-eigen"}  # module: package, to compile
+SLOW_IMPORTS = ("torch", "scipy.optimize", "scipy.sparse.linalg", "trimesh", "pydantic", "pytest")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 CAUGHT, MISSED = "caught", "missed"
 # Of a run of tests, or of the plan itself.
 UNFIT, UNBUILT, RED = "error of the plan", "not compiled", "tests fail without it"
@@ -200,10 +204,9 @@ def run_limited(
 
 def environment_of(tree: Path) -> dict[str, str]:
     """Variables under which a copy imports itself, on one thread."""
-    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return {
         **os.environ,
-        **one,
+        **ONE_THREAD,
         "PYTHONPATH": str(tree),
         # objects one by one: an error changes one of them
         "DIFFSIM_UNITY": "0",
@@ -211,25 +214,64 @@ def environment_of(tree: Path) -> dict[str, str]:
     }
 
 
-def pytest_outcome(tree: Path, selection: Sequence[str], limit: float) -> Outcome:
-    """Run tests until one fails."""
-    # as one process, where pytest-xdist is there and the project's options ask for more
-    serial = ["-n0"] if importlib.util.find_spec("xdist") else []
-    command = [sys.executable, "-m", "pytest", *selection, *serial]
-    command += ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-rfE"]
-    ended = run_limited(command, tree, environment_of(tree), limit)
-    if ended.is_late:
-        return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"not over after {limit:g} s")
-    if ended.status < 0:
-        name = signal.Signals(-ended.status).name
-        return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"ended by {name}")
-    if ended.status in (1, 2):
-        found = re.search(r"^(?:FAILED|ERROR) (\S+)", ended.output, re.MULTILINE)
-        by = found[1] if found else ended.output.strip().splitlines()[-1]
-        return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=by)
-    if ended.status == 0:
-        return Outcome(state=MISSED, cpu_s=ended.cpu_s)
-    return Outcome(state=UNFIT, by=f"pytest: {ended.output.strip().splitlines()[-1]}")
+class WarmTests:
+    """Runs tests in forks of a process that has imported torch (``warm_pytest``).
+
+    Args:
+        folder: Where outputs go.
+        warm: Modules that are imported once.
+    """
+
+    def __init__(self, folder: Path, warm: Sequence[str] = SLOW_IMPORTS):
+        self._output = folder / f"output_{id(self)}.txt"
+        self._server = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("warm_pytest.py")), *warm],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **ONE_THREAD},
+            start_new_session=True,
+            bufsize=0,  # what is read ahead would hide from select
+        )
+
+    def outcome(self, tree: Path, selection: Sequence[str], limit: float) -> Outcome:
+        """Run tests in a copy until one fails."""
+        # in one process, where pytest-xdist is there and the project's options ask for more
+        serial = ["-n0"] if importlib.util.find_spec("xdist") else []
+        ways = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-rfE"]
+        ended = self._run(tree, [*selection, *serial, *ways], limit)
+        if ended.is_late:
+            return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"not over after {limit:g} s")
+        if ended.status < 0:
+            name = signal.Signals(-ended.status).name
+            return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"ended by {name}")
+        last = ended.output.strip().rpartition("\n")[2]
+        if ended.status in (1, 2):
+            found = re.search(r"^(?:FAILED|ERROR) (\S+)", ended.output, re.MULTILINE)
+            return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=found[1] if found else last)
+        if ended.status == 0:
+            return Outcome(state=MISSED, cpu_s=ended.cpu_s)
+        return Outcome(state=UNFIT, by=f"pytest: {last}")
+
+    def _run(self, tree: Path, arguments: Sequence[str], limit: float) -> Ended:
+        job = {
+            "tree": str(tree),
+            "arguments": list(arguments),
+            "environment": environment_of(tree),
+            "output": str(self._output),
+        }
+        assert self._server.stdin is not None and self._server.stdout is not None  # both are pipes
+        self._server.stdin.write(json.dumps(job).encode() + b"\n")
+        process = json.loads(self._server.stdout.readline())["process"]
+        is_late = not select.select([self._server.stdout], [], [], limit)[0]
+        if is_late:
+            os.killpg(process, signal.SIGKILL)
+        ended = json.loads(self._server.stdout.readline())
+        text = self._output.read_text("utf-8", "replace") if self._output.is_file() else ""
+        return Ended(ended["status"], text, ended["cpu_s"], is_late)
+
+    def end(self) -> None:
+        """End the process."""
+        self._server.communicate()
 
 
 def build(tree: Path) -> str:
@@ -329,7 +371,9 @@ def copy_with(error: Planted, untouched: Path, folder: Path) -> Iterator[Path]:
         shutil.rmtree(tree, ignore_errors=True)
 
 
-def try_one(error: Planted, untouched: Path, folder: Path, limit: float) -> Outcome:
+def try_one(
+    error: Planted, untouched: Path, folder: Path, tests: WarmTests, limit: float
+) -> Outcome:
     """Plant one error and run its tests."""
     try:
         with copy_with(error, untouched, folder) as tree:
@@ -337,9 +381,15 @@ def try_one(error: Planted, untouched: Path, folder: Path, limit: float) -> Outc
                 share_objects(tree, apart=True)
                 if failed := build(tree):
                     return Outcome(state=UNFIT, by=f"does not compile: {failed}")
-            return pytest_outcome(tree, error.selection, limit)
+            return tests.outcome(tree, error.selection, limit)
     except PlanError as mistake:
         return Outcome(state=UNFIT, by=str(mistake))
+
+
+def with_tests_of(error: Planted, tree: Path) -> Planted:
+    """The error without tests that another commit does not have; as it is where it has none."""
+    there = tuple(t for t in error.tests if (tree / t.partition("::")[0]).exists())
+    return replace(error, tests=there or error.tests)
 
 
 def digest(*parts: object) -> str:
@@ -410,29 +460,34 @@ class Record:
         kept = self.errors.get(error.name, {})
         return kept.get("key") == key and kept["state"] in (CAUGHT, MISSED)
 
-    def clean_outcome(self, error: Planted, tree: Path, limit: float) -> Outcome:
+    def clean_outcome(self, error: Planted, tree: Path, tests: WarmTests, limit: float) -> Outcome:
         """What the tests of an error say without it, once for each selection."""
         name, key = " ".join(error.selection), digest(texts_of(tree, error.tests))
         with self.lock:
             kept = self.clean.get(name)
             if kept is None or kept["key"] != key or kept["state"] != MISSED:
-                kept = asdict(replace(pytest_outcome(tree, error.selection, limit), key=key))
+                kept = asdict(replace(tests.outcome(tree, error.selection, limit), key=key))
                 self.clean[name] = kept
                 self.save()
         return Outcome(**kept)
 
 
 def outcome_of(
-    error: Planted, record: Record, untouched: Path, folder: Path, limit: float
+    error: Planted,
+    record: Record,
+    untouched: Path,
+    folder: Path,
+    tests: WarmTests,
+    limit: float,
 ) -> Outcome:
     """The outcome of an error, after its tests were seen to pass without it."""
     if error.is_compiled and (missing := lacking()):
         how = f"pip install -c constraints.txt {' '.join(missing)}"
         return Outcome(state=UNBUILT, by=how)
-    clean = record.clean_outcome(error, untouched, limit)
+    clean = record.clean_outcome(error, untouched, tests, limit)
     if clean.state != MISSED:
         return Outcome(state=UNFIT if clean.state == UNFIT else RED, by=clean.by)
-    return try_one(error, untouched, folder, limit)
+    return try_one(error, untouched, folder, tests, limit)
 
 
 def run_plan(
@@ -445,27 +500,37 @@ def run_plan(
     with tempfile.TemporaryDirectory(prefix="planted_errors_") as temporary:
         folder = Path(temporary)
         untouched = untouched_tree(folder, reference, compiles=compiles)
+        if reference is not None:
+            plan = [with_tests_of(error, untouched) for error in plan]
         keys = {error.name: key_of(error, untouched) for error in plan}
         left = [error for error in plan if not record.is_known(error, keys[error.name])]
         print(f"{len(plan)} errors, {len(plan) - len(left)} known from before", flush=True)
 
+        idle: SimpleQueue[WarmTests] = SimpleQueue()
+        every = [WarmTests(folder) for _ in range(jobs)]
+        for tests in every:
+            idle.put(tests)
+
         def do(error: Planted) -> None:
-            outcome = outcome_of(error, record, untouched, folder, limit)
+            tests = idle.get()
+            try:
+                outcome = outcome_of(error, record, untouched, folder, tests, limit)
+            finally:
+                idle.put(tests)
             record.add(error, replace(outcome, key=keys[error.name]))
             said = f"{error.name}: {outcome.state}, {outcome.cpu_s:.1f} CPU s  {outcome.by}"
             print(said.rstrip(), flush=True)
 
-        if jobs == 1:
-            for error in left:
-                do(error)
-            return
         with ThreadPoolExecutor(max_workers=jobs) as pool:
             try:
                 for done in [pool.submit(do, error) for error in left]:
                     done.result()
-            except BaseException:  # what is under way is ended, and kept
-                pool.shutdown(wait=False, cancel_futures=True)
+            except BaseException:  # what is under way comes to its end, and is kept
+                pool.shutdown(wait=True, cancel_futures=True)
                 raise
+            finally:
+                for tests in every:
+                    tests.end()
 
 
 def table(records: Mapping[str, Mapping[str, Any]]) -> str:
@@ -524,7 +589,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.planted_errors", description=(__doc__ or "").partition("\n")[0]
     )
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="errors of the plan; a room")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="errors or rooms, in this order")
     parser.add_argument("--jobs", type=int, default=1, help="errors at a time (default: 1)")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="of one run of tests [s]")
     parser.add_argument("--against", metavar="REF", help="plant them in the tree of a commit")
@@ -547,7 +612,8 @@ def main(given: Sequence[str] | None = None) -> int:
             known = {e.name for e in plan} | {e.room for e in plan}
             if unknown := set(args.only) - known:
                 raise PlanError(f"--only: no errors or rooms {sorted(unknown)} in {PLAN.name}")
-            plan = tuple(e for e in plan if e.name in args.only or e.room in args.only)
+            asked = [e for word in args.only for e in plan if word in (e.name, e.room)]
+            plan = tuple(dict.fromkeys(asked))
         about = {**machine(), "commit": commit_of(args.against)}
         record = Record.at(args.out, about, fresh=args.fresh)
         if not args.only:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from benchmarks.planted_errors import (
     PlanError,
     Planted,
     Record,
+    WarmTests,
     copy_with,
     planted_text,
     read_plan,
@@ -40,6 +42,13 @@ def toy(tmp_path: Path) -> Path:
     (tree / "plane" / "area.py").write_text(AREA)
     (tree / "test_area.py").write_text(TEST)
     return tree
+
+
+@pytest.fixture
+def warm(tmp_path: Path) -> Iterator[WarmTests]:
+    tests = WarmTests(tmp_path, warm=("pytest",))
+    yield tests
+    tests.end()
 
 
 def error(new: str, **other: object) -> Planted:
@@ -76,7 +85,6 @@ def test_every_room_has_errors_and_their_tests_are_there():
 def test_a_plan_that_does_not_fit_is_said(toy: Path, planted: Planted, message: str):
     with pytest.raises(PlanError, match=f"e: .*{message}.*; mend the plan"):
         planted_text(planted, toy)
-    assert try_one(planted, toy, toy.parent, 60.0).state == UNFIT
 
 
 @pytest.mark.parametrize(
@@ -95,14 +103,23 @@ def test_a_plan_of_mistakes_is_refused(tmp_path: Path, rows: list, message: str)
         read_plan(path)
 
 
-def test_an_error_is_caught_and_a_change_of_nothing_missed(toy: Path):
-    caught = try_one(error("a + b"), toy, toy.parent, 60.0)
+def test_an_error_is_caught_and_a_change_of_nothing_missed(toy: Path, warm: WarmTests):
+    caught = try_one(error("a + b"), toy, toy.parent, warm, 60.0)
     assert (caught.state, caught.by) == (CAUGHT, "test_area.py::test_area")
     assert caught.cpu_s > 0.0
-    assert try_one(error("b * a"), toy, toy.parent, 60.0).state == MISSED
+    assert try_one(error("b * a"), toy, toy.parent, warm, 60.0).state == MISSED
     assert (toy / "plane" / "area.py").read_text() == AREA  # the tree itself is left alone
-    nothing = try_one(error("a + b", only="volume"), toy, toy.parent, 60.0)
+    nothing = try_one(error("a + b", only="volume"), toy, toy.parent, warm, 60.0)
     assert nothing.state == UNFIT and "deselected" in nothing.by
+    lost = try_one(error("a + b", old="c"), toy, toy.parent, warm, 60.0)
+    assert lost.state == UNFIT and "mend the plan" in lost.by
+    hangs = try_one(error("area(a, b) if a else 0", old="a * b"), toy, toy.parent, warm, 60.0)
+    assert hangs.state == CAUGHT  # an endless recursion
+
+
+def test_tests_that_hang_are_ended(toy: Path, warm: WarmTests):
+    (toy / "test_area.py").write_text("def test_area():\n    while True:\n        pass\n")
+    assert warm.outcome(toy, ("test_area.py",), 3.0).by == "not over after 3 s"
 
 
 def test_a_cached_module_does_not_hide_an_error(toy: Path):
