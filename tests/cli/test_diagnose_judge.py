@@ -13,12 +13,13 @@ import yaml
 
 from diffsim import cli
 from diffsim.cli.diagnose_inputs import inputs_of
-from diffsim.cli.diagnose_judged import file_name
+from diffsim.cli.diagnose_judged import file_name, write_judged
 from diffsim.data import save_study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.gain import held_out_residual
 from diffsim.diagnose.refit import extend, fit_null
+from diffsim.diagnose.unseen import Unseen
 from diffsim.identify import DiagnosisSetup, Numerics, fit, save_extended
 from diffsim.identify.model_file import SavedModel, read_extended, rebuilt
 from tests.diagnose import toy, toy_setup
@@ -188,3 +189,20 @@ def test_every_run_has_a_table_of_its_own():
     files = [file_name(name) for name in names]
     assert len(set(files)) == len(names) and files[1::3] == ["a_b", "a b"]
     assert not any(c in "".join(files) for c in "/\\")
+
+
+def test_numbers_of_a_table_have_the_unit_that_its_header_says(study, tmp_path):
+    run = study.test_runs[0]
+    place, *others = study.channels
+    shown = replace(study, channels=(replace(place, shown_unit="mm"), *others))
+    said = {run.name: (run.measured, 2.0 * run.measured)}
+    found = Unseen((run.name,), errors=(), gain=None, gains={}, outside=(), predicted=said)
+    (path,) = write_judged(tmp_path, shown, found)
+    header, *rows = (line.split(",") for line in path.read_text().splitlines())
+    before, after = (
+        next(i for i, name in enumerate(header) if f" {what} (mm)" in name)
+        for what in ("before", "after")
+    )
+    table = np.array(rows, dtype=np.float64)
+    np.testing.assert_allclose(table[:, before], 1e3 * run.measured[:, 0], rtol=1e-8)
+    np.testing.assert_allclose(table[:, after], 2e3 * run.measured[:, 0], rtol=1e-8)

@@ -54,3 +54,10 @@ def test_differences_of_temperatures_have_no_offset():
     assert factor("K", "degC") == 1.0 and factor("degC", "K") == 1.0
     assert in_si("22 degC") == (295.15, "K")
     assert in_si(2, "degC", difference=True) == (2.0, "K")
+
+
+def test_a_temperature_moves_with_the_zero_of_its_unit_and_a_difference_does_not():
+    assert in_unit("22 degC", "K") == pytest.approx(295.15, rel=1e-14)
+    assert in_unit("300 K", "degC") == pytest.approx(26.85, rel=1e-12)
+    assert in_unit("2 degC", "K", difference=True) == pytest.approx(2.0, rel=1e-14)
+    assert in_unit("9 degF", "degC", difference=True) == pytest.approx(5.0, rel=1e-14)

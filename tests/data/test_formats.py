@@ -198,3 +198,14 @@ def test_convert_shows_and_writes(tmp_path, capsys):
     assert lines[0] == "f,g" and lines[2] == "0.2,0.1"
     assert main(["convert", f"{tmp_path}/log.mat#force", str(tmp_path / "force.xlsx")]) == 2
     assert "written as .csv" in capsys.readouterr().err
+
+
+def test_a_converted_csv_has_every_digit_and_empty_gaps(tmp_path):
+    from scipy.io import savemat
+
+    wanted = np.array([1.0 / 3.0, np.nan, -2e-7, 1.7e9 + 1e-6])
+    savemat(tmp_path / "log.mat", {"t": np.arange(4.0), "force": wanted})
+    assert main(["convert", str(tmp_path / "log.mat"), str(tmp_path / "log.csv")]) == 0
+    read = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(read["force"], wanted)
+    assert ",\n" in (tmp_path / "log.csv").read_text()

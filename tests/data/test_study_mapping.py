@@ -63,6 +63,15 @@ def test_units_of_the_file_become_si(folder):
     assert study.system == "ode" and study.model == {"system": "ode"}
 
 
+def test_a_scale_with_a_zero_of_its_own_becomes_kelvin(folder):
+    channel = {"name": "room", "column": "pos (mm)", "unit": "degF", "sd": 1.8}
+    study = load(folder, runs=[{"name": "a", "file": "a.csv"}], channels=[channel])
+    wanted = (2.0 * T + 1.0 + 459.67) * 5.0 / 9.0
+    # the size of a degree is a difference of two numbers near 255
+    np.testing.assert_allclose(study.runs[0].measured[:, 0], wanted, rtol=1e-12)
+    assert study.channels[0].unit == "K" and study.channels[0].sd == pytest.approx(1.0)
+
+
 def test_what_is_loaded_is_saved_and_read_back(folder, tmp_path):
     study = load(
         folder,

@@ -28,6 +28,12 @@ def test_a_rival_within_three_nats(behind, expected):
     assert found.rivals == ((B,) if expected == "ambiguous" else ())
 
 
+@pytest.mark.parametrize(("behind", "expected"), [(2.9, "ambiguous"), (3.1, "named")])
+def test_evidence_alone_makes_a_rival_of_what_fits_worse(behind, expected):
+    chi2 = {NULL: 1200.0, A: 1000.0, B: 1020.0}
+    assert decide({NULL: 0.0, A: 20.0, B: 20.0 - behind}, chi2, N).verdict == expected
+
+
 @pytest.mark.parametrize(
     ("worse", "pull", "expected"),
     [(5.9, 0.0, "ambiguous"), (6.1, 0.0, "named"), (-2.0, 7.9, "ambiguous"), (-2.0, 8.1, "named")],

@@ -255,6 +255,15 @@ def test_every_effect_and_unknown_pays_for_being_chosen():
     np.testing.assert_allclose(cheap.weigh(key).nats - dear.weigh(key).nats, 3 * np.log(5))
 
 
+@pytest.mark.parametrize("members", [(), (0,), (0, 1)])
+def test_sets_without_an_unknown_pay_for_every_effect(members):
+    effects = (linear.line("push"), linear.line("pull"))
+    cheap, dear = (linearized(linear.problem(effects), np.zeros(4), (), n) for n in (1, 5))
+    key = Hypothesis(frozenset(members))
+    paid = cheap.weigh(key).nats - dear.weigh(key).nats
+    np.testing.assert_allclose(paid, len(members) * np.log(5), rtol=1e-9, atol=1e-9)
+
+
 def test_drift_moves_its_channel_only_and_alike_in_repeats():
     from dataclasses import replace
 

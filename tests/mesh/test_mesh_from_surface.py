@@ -29,6 +29,22 @@ def test_distance_to_a_box_is_the_closed_form():
     np.testing.assert_allclose(m.SurfaceDistance(surface)(p), exact, rtol=0, atol=1e-15)
 
 
+def test_the_side_of_a_sharp_corner_does_not_depend_on_how_its_faces_are_cut():
+    # a tetrahedron with one face cut into six slivers that meet at a corner: by these alone, not
+    # by their angles, the corner's normal would look along that face's
+    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    share = np.linspace(0.0, 1.0, 7)[:, None]
+    cut = (1.0 - share) * corners[1] + share * corners[2]
+    x = np.vstack([corners[[0, 3]], cut])
+    fan = [(0, 2 + k, 3 + k) for k in range(6)] + [(1, 3 + k, 2 + k) for k in range(6)]
+    surface = trimesh.Trimesh(x, [*fan, (0, 1, 2), (0, 8, 1)], process=False)
+    assert surface.is_volume
+    slivers, *others = (surface.face_normals[k] for k in (0, 12, 13))
+    away = others[0] + others[1] + 0.1 * slivers  # outside of all three planes, but by the first
+    found = m.SurfaceDistance(surface)(corners[:1] + 0.1 * away)
+    np.testing.assert_allclose(found, 0.1 * np.linalg.norm(away), rtol=1e-6)
+
+
 def test_voxels_of_a_box_are_exact():
     import trimesh
 

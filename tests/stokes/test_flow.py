@@ -256,6 +256,20 @@ def test_stats_tell_what_is_lost():
     assert float(still.stats["imbalance"]) == 0.0
 
 
+@pytest.mark.reference
+@pytest.mark.parametrize("dim", [2, 3])
+def test_slip_walls_of_the_box_let_fluid_pass_along_them(dim):
+    faces = [stokes.Inlet("x-"), stokes.Open("x+")]
+    faces += [stokes.Wall(f"{axis}{side}", "slip") for axis in "yz"[: dim - 1] for side in "-+"]
+    grid = stokes.Grid((4, 3, 3)[:dim], size=(1.0, 0.5, 0.5)[:dim])
+    along = tensor(1.0, *[0.0] * (dim - 1))
+    field = stokes.StokesFlow(grid, faces)(torch.ones(grid.node_shape).double(), along)
+    # nothing brakes it: everywhere as fast as at the inlet, without a pressure
+    everywhere = along.expand(*grid.node_shape, dim)
+    torch.testing.assert_close(field.velocity[0], everywhere, rtol=0, atol=1e-9)
+    assert float(field.pressure.abs().max()) < 1e-9
+
+
 def test_field_samples_between_nodes():
     field = channel(8).solve()[1]
     node = field.grid.nodes[3, 4]

@@ -67,6 +67,18 @@ def test_what_is_packed_is_what_was_given():
     assert "</script>" not in given.html
 
 
+def test_the_box_holds_rigid_parts_however_they_are_turned():
+    time = np.array([0.0, 1.0])
+    corners = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]])
+    turns = np.stack([np.eye(3), np.diag([-1.0, 1.0, -1.0])])
+    places = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    made = {"color": "#000000", "triangles": np.array([[0, 1, 2]]), "nodes_m": corners}
+    part = Rigid(name="plate", turns=turns, places_m=places, **made)
+    content = Moving(time_s=time, parts=[part], caption="A plate.").content()
+    shown = places[:, None] + corners @ turns.swapaxes(1, 2)
+    assert (shown >= np.array(content["low"])).all() and (shown <= np.array(content["high"])).all()
+
+
 def test_a_long_motion_is_thinned_to_its_size():
     faces, nodes = bar(4000)
     body = Deforming(name="bar", color="#0b6e75", triangles=faces, nodes_m=nodes)

@@ -16,7 +16,15 @@ from diffsim.identify import Parameter
 from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside import Environment, Place, SimulatorError, outside_setup
 from diffsim.systems.outside.description import AnyQuantity
-from diffsim.systems.outside.forces import Knots, PlaceForces, Term, coulomb, stiff, viscous
+from diffsim.systems.outside.forces import (
+    Knots,
+    PlaceForces,
+    Term,
+    coulomb,
+    quadratic,
+    stiff,
+    viscous,
+)
 from diffsim.systems.registry import description_of, setup_of
 from tests.systems.outside import scenes
 from tests.systems.outside.pendulum_sim import Cart, Pendulum, fails_when_heavy
@@ -55,6 +63,14 @@ def test_forces_that_the_simulator_adds_equal_those_of_its_own():
         {**scenes.TRUTH, "damping": 0.0}, run, PlaceForces(["hinge"], [Term(0, viscous, 0.09)])
     )
     np.testing.assert_allclose(added, own, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("law", "force"), [(viscous, -1.5), (quadratic, -4.5), (coulomb, -0.5), (stiff, -1.0)]
+)
+def test_laws_hold_back_both_ways(law, force):
+    assert law(0.5, 2.0, 3.0, 1.0) == pytest.approx(force, rel=1e-12)
+    assert law(0.5, -2.0, -3.0, 1.0) == pytest.approx(-force, rel=1e-12)
 
 
 def test_every_effect_is_nothing_at_size_zero_and_something_beyond():

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from diffsim.data.study import Channel
 from diffsim.diagnose import diagnose
 from diffsim.identify import Problem, WhiteNoise
 from diffsim.systems.registry import setup_of
+from diffsim.systems.soft_body.sensor import SENSOR_TILT
 from tests.systems.soft_body.described import BAR, TENDON, described, predicted, run_of, study_of
 
 STEP = 0.02
@@ -29,6 +31,25 @@ SEEN = {
 }
 OFFSET = {"shape": "held", "where": {"x": 0.08}, "axes": "z", "at": 0.0, "offset": 0.01}
 RUN = run_of("a", T, 2, load_kg=0.002)
+
+
+class Seen:
+    """What a sensor's cause needs of a scene with markers."""
+
+    rest_places = torch.tensor([0.1, 0.0, 0.02, 0.3, -0.1, 0.0], dtype=torch.float64)
+
+    def with_places(self, change):
+        return change
+
+
+def test_a_tilted_camera_turns_what_markers_move_by():
+    turn = torch.tensor([0.3, -0.2, 0.5], dtype=torch.float64)
+    moved = torch.linspace(-0.02, 0.03, 18, dtype=torch.float64).reshape(3, 2, 3)
+    rest = Seen.rest_places
+    change = SENSOR_TILT.apply(Seen(), turn, RUN)
+    found = change(rest + moved.flatten(1), None) - rest
+    wanted = Rotation.from_rotvec(turn.numpy()).apply(moved.reshape(-1, 3).numpy())
+    np.testing.assert_allclose(found.reshape(-1, 3), wanted, rtol=0, atol=1e-15)
 
 
 def bar(channels=TWO, runs=(RUN,), **changes):
