@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from diffsim.cli.diagnose_faults import with_new
 from diffsim.cli.main import main
 
 STUDY = """\
@@ -72,6 +73,15 @@ def test_new_recordings_are_groups_of_their_own(folder, capsys):
     out = capsys.readouterr().out
     assert "Side 1 lost " in out
     assert "Nothing visible beyond the scatter between groups." in out
+
+
+def test_new_recordings_are_never_for_fitting(folder):
+    files = [[folder / "new" / "weak.csv"], [folder / "new" / "sound.csv"]]
+    study = with_new(str(folder), files, {"rig": "A"})
+    assert {r.name: r.use for r in study.runs if r.name.startswith("new")} == {
+        "new_1 weak": "test",
+        "new_2 sound": "test",
+    }
 
 
 def test_known_groups_are_judged_by_the_others(folder, capsys):

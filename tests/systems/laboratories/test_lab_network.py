@@ -209,6 +209,23 @@ def test_gradients_of_all_effects_together():
         assert abs(float(slope) / forwards - 1.0) < 2e-3, effect.name
 
 
+@pytest.mark.grad
+def test_gradient_where_an_entrance_loss_acts():
+    study, s = ready()
+    run, q = study.runs[1], s.model.at_prior()
+    effect, scale = effect_of("entrance_loss"), torch.from_numpy(SD)
+
+    def score(size: Tensor) -> Tensor:
+        return (s.model.predict(run, q, {effect: size})[::10] / scale).pow(2).sum()
+
+    at = torch.tensor([3.0 * effect.typical], dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(score(at), at)
+    h = 1e-3 * effect.typical
+    with torch.no_grad():
+        central = (score(at + h) - score(at - h)) / (2.0 * h)
+    np.testing.assert_allclose(slope, central[None], rtol=1e-5)
+
+
 def test_wall_offset_matches_the_laboratory():
     assert rms_at_true_size("wall_offset") < 0.1
 

@@ -16,6 +16,7 @@ from diffsim.identify import Parameter
 from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside import Environment, Place, SimulatorError, outside_setup
 from diffsim.systems.outside.description import AnyQuantity
+from diffsim.systems.outside.environment import Stepped
 from diffsim.systems.outside.forces import (
     Knots,
     PlaceForces,
@@ -320,6 +321,27 @@ def test_an_environment_is_stepped_under_the_commands():
     # explicit Euler under 1 N on 2 kg: half of t (t - dt) times the acceleration
     early = time < 0.6
     np.testing.assert_allclose(out[early], 0.25 * time[early] * (time[early] - dt), atol=1e-12)
+
+
+class Heard:
+    """An environment that keeps the actions of its steps."""
+
+    dt = 0.1
+
+    def reset(self, seed):
+        self.actions = []
+        return np.zeros(1), {}
+
+    def step(self, action):
+        self.actions.append(float(action[0]))
+        return np.zeros(1), 0.0, False, False, {}
+
+
+def test_each_step_of_an_environment_hears_the_command_of_its_beginning():
+    time, heard = 0.1 * np.arange(5), Heard()
+    run = Run("a", time, np.zeros((5, 1)), {"u": np.arange(5.0)}, "a", 0)
+    Stepped(heard, Environment()).predict({}, run)
+    assert heard.actions == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_entries_of_an_environment_are_set_after_reset():
