@@ -78,9 +78,9 @@ def elastic_force() -> tuple[Layer, Tensor]:
 def flight() -> tuple[Layer, Tensor]:
     from diffsim.copter.flight import fly
 
-    vehicle, effects = crooked_copter(5), all_effects(5, 3)
+    vehicle, effects = crooked_copter(5), all_effects(5, 2)
     start = tumbling(1, 5)
-    commands = 3.0 + 0.3 * noise(1, 3, 5)
+    commands = 3.0 + 0.3 * noise(1, 2, 5)
 
     def layer(scale: Tensor) -> Tensor:
         flown = fly(vehicle, start, commands * scale, dt=0.03, effects=effects, substeps=2)

@@ -12,6 +12,7 @@ import torch
 from diffsim import contact, mesh, soft
 from tests.contact.cases import tensor, uniform, waves
 from tests.contact.scenes import moving, residual, slab, violations
+from tests.covering import covering
 
 pytestmark = pytest.mark.property
 TOLERANCE = 1e-6
@@ -69,11 +70,14 @@ OBSTACLES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.3, math.inf])
-@pytest.mark.parametrize("name", list(OBSTACLES))
+# A mesh and a height field are slow to detect, and the others say the rest.
+FRICTIONS = {"mesh": (0.0, 0.3), "height field": (0.3,)}
+
+
+@pytest.mark.parametrize(
+    "name, mu", [(n, mu) for n in OBSTACLES for mu in FRICTIONS.get(n, (0.0, 0.3, math.inf))]
+)
 def test_landing_and_sliding_on_every_kind_of_obstacle(name, mu):
-    if name == "mesh" and mu not in (0.0, 0.3):
-        pytest.skip("slow to detect; the others say it")
     body = slab("hex", height=0.02)
     body.solver = soft.SolverOptions(rtol=1e-9)
     state = moving(body, (0.8, 0.3, -1.5), spin=(0.2, -0.4, 0.5), wobble=0.1)
@@ -81,9 +85,7 @@ def test_landing_and_sliding_on_every_kind_of_obstacle(name, mu):
     assert max(s.num_contacts for s in seen) >= 2
 
 
-@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2"])
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-@pytest.mark.parametrize("mu", [0.01, 0.2, 0.7, 2.0])
+@covering(mu=[0.01, 0.2, 0.7, 2.0], kind=["hex", "tet"], integrator=["implicit_euler", "bdf2"])
 def test_stick_slip_and_lift_off(kind, mu, integrator):
     """A spinning slab dropped flat on its face: nodes stick, slip and leave within a few steps."""
     body = slab(kind, (3, 3, 1), integrator=integrator, solver=soft.SolverOptions(rtol=1e-9))

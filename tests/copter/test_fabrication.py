@@ -54,7 +54,10 @@ def top_normal(mesh):
     return np.average(normals, axis=0, weights=areas)
 
 
-@pytest.mark.parametrize("name", shipped_designs())
+@pytest.mark.parametrize(
+    "name",  # the overlaps of a tube frame cost most; three others have one
+    [pytest.param(n, marks=[pytest.mark.story] * (n == "pentacopter")) for n in shipped_designs()],
+)
 def test_prints_are_solids_that_fit(plans, name):
     found = plans[name]
     assert found.problems == ()

@@ -89,7 +89,7 @@ def test_estimate_beats_the_reading(flights):
 @pytest.mark.parametrize("name", ["lqr", "pid"])
 def test_any_heading_and_a_far_place(name):
     mission = mission_from_text(
-        "name: turned\nsteps:\n  - take_off: {height: 1}\n  - yaw: {degrees: 150, rate: 90}\n"
+        "name: turned\nsteps:\n  - take_off: {height: 1, speed: 1}\n  - yaw: {degrees: 150, rate: 90}\n"
         "  - fly_to: {north: 2, east: -1, speed: 2}\n  - hover: {seconds: 2}"
     )
     log = FlightSimulator(load_design("x_quadcopter"), controller=name, sensors=None).run(mission)
@@ -297,7 +297,7 @@ def test_falling_from_the_sky_is_a_crash(hovered):
 
 def test_stands_on_the_ground_and_lands():
     mission = mission_from_text(
-        "steps:\n  - take_off: {height: 0.5}\n  - yaw: {degrees: 40}\n  - hover: {seconds: 2}\n"
+        "steps:\n  - take_off: {height: 0.5}\n  - yaw: {degrees: 40}\n  - hover: {seconds: 1}\n"
         "  - land: {speed: 0.4}"
     )
     simulator = quadcopter(sensors=None)
@@ -358,6 +358,8 @@ def test_wind_gusts_push():
     drag = BodyDrag(linear=tensor([0.3] * 3), quadratic=tensor([0.0] * 3))
     wind = torch.zeros(600, 3).double()
     wind[300:, 1] = 3.0
-    log = quadcopter(sensors=None, effects=FlightEffects(body_drag=drag, wind=wind)).run(SHORT)
+    log = quadcopter(sensors=None, effects=FlightEffects(body_drag=drag, wind=wind)).run(
+        SHORT, seconds=4.5
+    )
     east = log.series("position")[:, 1]
     assert np.abs(east[:300]).max() < 1e-9 and east[300:].max() > 0.02

@@ -14,9 +14,7 @@ using diffsim::VectorOps;
 
 namespace {
 
-#ifndef MISTAKE
-#define MISTAKE 0.0  // added to an off-diagonal entry of the products
-#endif
+double mistake = 0.0;  // added to an off-diagonal entry of the products
 
 void require(bool holds, const char* what) {
   if (holds) return;
@@ -34,7 +32,7 @@ struct Tridiagonal {
     out.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
       out[i] = diagonal[i] * in[i];
-      if (i > 0) out[i] += (below + MISTAKE) * in[i - 1];
+      if (i > 0) out[i] += (below + mistake) * in[i - 1];
       if (i + 1 < n) out[i] += above * in[i + 1];
     }
   }
@@ -111,7 +109,8 @@ void gmres(VectorOps& ops) {
 
 }  // namespace
 
-int main() {
+int main(int argc, char** argv) {
+  if (argc > 1) mistake = std::atof(argv[1]);
   ThreadPool pool(1);
   VectorOps ops(pool);
   conjugate_gradients(ops);

@@ -232,7 +232,7 @@ def test_empty_matrix_and_no_right_hand_sides():
 
 
 @pytest.mark.parametrize("block", [1, 3])
-@pytest.mark.parametrize("shape", [(2, 1, 1), (6, 5, 4), (24, 20, 20)])
+@pytest.mark.parametrize("shape", [(2, 1, 1), (6, 5, 4), (16, 14, 12)])
 def test_singular_neumann_matrix_is_refused(block, shape):
     pattern, coords = grid_graph(*shape)
     matrix = laplacian(pattern, block=block)

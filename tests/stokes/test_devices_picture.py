@@ -68,11 +68,25 @@ def test_third_panel_is_the_flow_of_both_inlets():
         ("switch", ["on", "off"]),
     ],
 )
-def test_panels(tmp_path, name, titles):
+def test_panels(name, titles):
+    device = devices.make(name, 0.2)
+    module = picture()
+    assert list(module._panels(device, module._flows(device, some_design(device)))) == titles
+
+
+# of the others tests/stokes/test_devices_export.py has pictures
+@pytest.mark.parametrize(
+    "name",
+    [
+        "amplifier",
+        "twister",
+        *(pytest.param(n, marks=pytest.mark.story) for n in ("averager", "switch")),
+    ],
+)
+def test_pictures(tmp_path, name):
     device = devices.make(name, 0.2)
     x = some_design(device)
     module = picture()
-    assert list(module._panels(device, module._flows(device, x))) == titles
     path = module.draw(device, optimum_of(device, x), tmp_path / "flow.png")
     assert path.stat().st_size > 10_000
     shapes = draw_shapes(device, optimum_of(device, x), tmp_path / "shapes.png")

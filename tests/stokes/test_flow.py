@@ -103,9 +103,10 @@ def test_factor_in_the_memory_of_another_geometry(threads):
     radius = (grid.nodes[..., 1:] - 0.5).norm(dim=-1)
     shapes = [0.47 - radius, 0.23 - radius, 0.6 - radius]
     kept = stokes.StokesFlow(grid, faces, solver=stokes.SolverOptions(num_threads=threads))
-    for phi in shapes:
+    inlet = tensor(1.0, 0.0, 0.0)
+    kept(shapes[0], inlet)
+    for phi in shapes[1:]:
         fresh = stokes.StokesFlow(grid, faces)
-        inlet = tensor(1.0, 0.0, 0.0)
         assert torch.equal(kept(phi, inlet).velocity, fresh(phi, inlet).velocity)
 
 

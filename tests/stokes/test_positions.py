@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from benchmarks import stokes_exact
-from benchmarks.stokes_accuracy import measure
 from benchmarks.stokes_positions import CENTER, FUNCTIONALS, sweep
 from diffsim import stokes
 from diffsim.stokes import FlowField
@@ -132,6 +131,8 @@ def test_gradients_of_rough_walls(cells, seed, wall):
 
 @pytest.mark.order
 def test_second_order_past_a_disk_that_slips():
+    from benchmarks.stokes_accuracy import measure  # matplotlib
+
     errors = [measure(stokes_exact.bubble(), n, "default", None)["error"] for n in (16, 32, 64)]
     assert errors[-1] < 3.7e-4  # 1.0e-3 with the normals of flat facets
     assert np.log2(errors[0] / errors[-1]) / 2 > 1.9  # 1.4
