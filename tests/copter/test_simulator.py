@@ -89,7 +89,8 @@ def test_estimate_beats_the_reading(flights):
 @pytest.mark.parametrize("name", ["lqr", "pid"])
 def test_any_heading_and_a_far_place(name):
     mission = mission_from_text(
-        "name: turned\nsteps:\n  - take_off: {height: 1, speed: 1}\n  - yaw: {degrees: 150, rate: 90}\n"
+        "name: turned\nsteps:\n  - take_off: {height: 1, speed: 1}\n"
+        "  - yaw: {degrees: 150, rate: 90}\n"
         "  - fly_to: {north: 2, east: -1, speed: 2}\n  - hover: {seconds: 2}"
     )
     log = FlightSimulator(load_design("x_quadcopter"), controller=name, sensors=None).run(mission)

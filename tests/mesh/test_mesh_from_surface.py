@@ -30,6 +30,8 @@ def test_distance_to_a_box_is_the_closed_form():
 
 
 def test_the_side_of_a_sharp_corner_does_not_depend_on_how_its_faces_are_cut():
+    import trimesh
+
     # a tetrahedron with one face cut into six slivers that meet at a corner: by these alone, not
     # by their angles, the corner's normal would look along that face's
     corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
