@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +18,6 @@ from diffsim import cli
 from diffsim.cli import main
 from diffsim.cli.diagnose_inputs import changed, choose, inputs_of
 from diffsim.core.optional import advice
-from diffsim.data.labs import CopterLab
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
@@ -26,6 +27,7 @@ from diffsim.identify import SimModel, extended_model, fit, save_extended
 from diffsim.identify.model_file import read_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import load_extended
+from tests.data.labs.short_copter import ShortCopterLab
 from tests.diagnose import linear, toy, toy_setup
 from tests.kills import Killed, killing_replace
 
@@ -40,21 +42,51 @@ def study_folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def short_folder(tmp_path_factory):
+    """Two recordings to fit and one to test: enough where a command ends early or goes on."""
+    folder = tmp_path_factory.mktemp("short") / "study"
+    study = toy.generate(2, {"drag": 0.2})
+    runs = tuple(r for r in study.runs if r.name in ("chirp_a", "steps_a", "held_a"))
+    save_study(replace(study, runs=runs), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
 def explained(study_folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("explained")
     assert run("explain", study_folder, out) == 0
     return out
 
 
+@contextmanager
+def short_page() -> Iterator[None]:
+    """A page of the answer alone, for tests of when it is written: drawing it takes longer."""
+    pytest.importorskip("plotly", reason="pages need pip install matplotlib plotly rerun-sdk")
+    from diffsim.viz.report import Report
+
+    def answer(report):
+        return Report(title=report.study.name, subtitle="", verdict=[report.headline])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("diffsim.viz.diagnosis_report.diagnosis_page", answer)
+        yield
+
+
+@pytest.fixture
+def short_pages():
+    with short_page():
+        yield
+
+
 @pytest.fixture(scope="module")
-def explained_quick(study_folder, tmp_path_factory):
+def explained_quick(short_folder, tmp_path_factory):
     """Explained with --quick; beside the folder, the number of files that it wrote on the way."""
     out = tmp_path_factory.mktemp("quick") / "out"
     dying = killing_replace(10**9, before=False)
-    with pytest.MonkeyPatch.context() as patch:
+    with short_page(), pytest.MonkeyPatch.context() as patch:
         calls = []
         patch.setattr("diffsim.core.files.os.replace", lambda *a: (calls.append(a), dying(*a))[1])
-        assert run("explain", study_folder, out, "--quick") == 0
+        assert run("explain", short_folder, out, "--quick") == 0
     out.with_suffix(".calls").write_text(str(len(calls)))
     return out
 
@@ -102,15 +134,16 @@ def test_explain_again_tells_and_keeps(explained, study_folder, capsys):
     assert (explained / "report.json").stat().st_mtime_ns == before
 
 
-def test_an_interrupted_explanation_goes_on(study_folder, tmp_path, monkeypatch, capsys):
+@pytest.mark.usefixtures("short_pages")
+def test_an_interrupted_explanation_goes_on(short_folder, tmp_path, monkeypatch, capsys):
     # interrupted while the gain is computed: all that was fitted is kept
     monkeypatch.setattr("diffsim.diagnose.diagnosis.report_of", stopped_report)
-    assert run("explain", study_folder, tmp_path, "--quick") == 130
+    assert run("explain", short_folder, tmp_path, "--quick") == 130
     assert "go on with: diffsim diagnose explain" in capsys.readouterr().err
     kept = list((tmp_path / "interrupted").rglob("*.npz"))
     assert kept and not (tmp_path / "report.json").exists()
     monkeypatch.undo()
-    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    assert run("explain", short_folder, tmp_path, "--quick") == 0
     assert "going on with what an interrupted diagnosis left" in capsys.readouterr().out
     assert (tmp_path / "report.json").exists() and not (tmp_path / "interrupted").exists()
     again = json.loads((tmp_path / "report.json").read_text())
@@ -124,23 +157,25 @@ def stopped_report(*_, **__):
 FILES = ("report.json", "extended_model.yaml", "report.html", "runs.rrd", "inputs.json")
 
 
+@pytest.mark.usefixtures("short_pages")
 @pytest.mark.parametrize("lost", ["report.html", "runs.rrd"])
 def test_an_explanation_is_finished_when_all_its_files_are_there(
-    study_folder, explained_quick, tmp_path, capsys, lost
+    short_folder, explained_quick, tmp_path, capsys, lost
 ):
     pytest.importorskip("rerun", reason="recordings need pip install matplotlib plotly rerun-sdk")
     for name in FILES:
         if name != lost:
             (tmp_path / name).write_bytes((explained_quick / name).read_bytes())
-    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    assert run("explain", short_folder, tmp_path, "--quick") == 0
     assert "holds the answer" not in capsys.readouterr().out
     assert all((tmp_path / name).is_file() for name in FILES)
     for name in ("report.json", "extended_model.yaml"):
         assert (tmp_path / name).read_bytes() == (explained_quick / name).read_bytes(), name
 
 
+@pytest.mark.usefixtures("short_pages")
 def test_a_page_that_lacked_its_package_is_made_once_it_is_there(
-    study_folder, tmp_path, monkeypatch, capsys
+    short_folder, tmp_path, monkeypatch, capsys
 ):
     pytest.importorskip("matplotlib", reason="pages need pip install matplotlib plotly rerun-sdk")
 
@@ -148,11 +183,11 @@ def test_a_page_that_lacked_its_package_is_made_once_it_is_there(
         raise ImportError("no matplotlib")
 
     monkeypatch.setattr("diffsim.viz.diagnosis_report.write_diagnosis", no_package)
-    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    assert run("explain", short_folder, tmp_path, "--quick") == 0
     monkeypatch.undo()
     assert "not drawn: no matplotlib" in capsys.readouterr().out
     assert not (tmp_path / "report.html").exists()
-    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    assert run("explain", short_folder, tmp_path, "--quick") == 0
     said = capsys.readouterr().out
     assert "lacks report.html" in said and "going on with what" in said
     assert (tmp_path / "report.html").exists() and not (tmp_path / "interrupted").exists()
@@ -176,17 +211,18 @@ def test_what_cannot_be_drawn_is_said_before_anything_is_computed(monkeypatch, c
     assert said.startswith("report.html will not be drawn") and advice(["plotly"]) in said
 
 
+@pytest.mark.usefixtures("short_pages")
 @pytest.mark.parametrize("last", [-2, -5, 3])
 def test_killed_at_any_file_an_explanation_goes_on_to_the_same(
-    study_folder, explained_quick, tmp_path, monkeypatch, last
+    short_folder, explained_quick, tmp_path, monkeypatch, last
 ):
     """Counted from the end where negative: the answer's own files are the last ones."""
     calls = explained_quick.with_suffix(".calls")
     last = last if last > 0 else int(calls.read_text()) + 1 + last
     with pytest.raises(Killed), monkeypatch.context() as patch:
         patch.setattr("diffsim.core.files.os.replace", killing_replace(last, before=last % 2 == 0))
-        run("explain", study_folder, tmp_path, "--quick")
-    assert run("explain", study_folder, tmp_path, "--quick") == 0
+        run("explain", short_folder, tmp_path, "--quick")
+    assert run("explain", short_folder, tmp_path, "--quick") == 0
     for name in ("extended_model.yaml", "inputs.json"):
         assert (tmp_path / name).read_bytes() == (explained_quick / name).read_bytes(), name
     resumed, whole = (
@@ -198,6 +234,7 @@ def test_killed_at_any_file_an_explanation_goes_on_to_the_same(
     assert (tmp_path / "runs.rrd").exists() and (tmp_path / "report.html").exists()
 
 
+@pytest.mark.usefixtures("short_pages")
 @pytest.mark.parametrize(
     "stopped",
     [
@@ -208,7 +245,7 @@ def test_killed_at_any_file_an_explanation_goes_on_to_the_same(
     ],
 )
 def test_an_interruption_while_files_are_written_goes_on(
-    study_folder, explained, tmp_path, monkeypatch, capsys, stopped
+    short_folder, explained, tmp_path, monkeypatch, capsys, stopped
 ):
     """Other inputs' files lie there already: none of them may pass for the answer."""
     for name in ("inputs.json", "report.json", "extended_model.yaml"):
@@ -216,12 +253,12 @@ def test_an_interruption_while_files_are_written_goes_on(
     options = ("--quick", "--effects", "drag,bias")
     pytest.importorskip("matplotlib", reason="pages need pip install -e '.[viz]'")
     monkeypatch.setattr(stopped, stopped_report)
-    assert run("explain", study_folder, tmp_path, *options) == 130
+    assert run("explain", short_folder, tmp_path, *options) == 130
     monkeypatch.undo()
     capsys.readouterr()
-    assert run("explain", study_folder, tmp_path, *options) == 0
+    assert run("explain", short_folder, tmp_path, *options) == 0
     assert "going on with what an interrupted diagnosis left" in capsys.readouterr().out
-    assert run("explain", study_folder, tmp_path, *options) == 0
+    assert run("explain", short_folder, tmp_path, *options) == 0
     assert "holds the answer to exactly this already" in capsys.readouterr().out
     assert {
         row["effect"] for row in json.loads((tmp_path / "report.json").read_text())["table"]
@@ -472,9 +509,8 @@ def test_loaded_model_is_prepared_where_the_fitted_one_was(tmp_path):
 
 
 def test_loaded_copter_model_predicts_what_was_fitted(tmp_path):
-    study = CopterLab()(1, "wind")
-    runs = tuple(r for r in study.runs if r.name in ("hover_yaw_a", "sprint_a"))
-    study = replace(study, runs=runs)
+    study = ShortCopterLab()(1, "wind")
+    study = replace(study, runs=study.fit_runs)
     inputs = inputs_of(study, seed=0)
     wind = next(e for e in inputs.setup.effects if e.name == "wind")
     found = refit(fit_null(inputs), [wind], inputs, {})

@@ -19,6 +19,7 @@ from scipy import integrate
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Effect, Numerics, Parameter, SimModel
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
+from tests.diagnose import toy_steps
 
 RATE_HZ, DURATION_S = 50.0, 4.0
 TIME = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ
@@ -67,82 +68,21 @@ class OscillatorScene:
             knots = np.linspace(0.0, TIME[-1], terms["knots"].shape[-1])
             hats = np.stack([np.interp(stages, knots, e) for e in np.eye(len(knots))])
             push = push + terms["knots"].reshape(count, -1) @ hats
-        drag, rub, hard = (column.get(k, zero)[:, 0] for k in ("drag", "friction", "stiffening"))
-
-        stiffness, damping = w * w, 2 * zeta * w
-        has_drag, has_rub, has_hard = drag.any(), rub.any(), hard.any()
-
-        def acceleration(x, v, f):
-            out = stiffness * (f - x) - damping * v
-            if has_hard:
-                out = out - stiffness * hard * x * x * x
-            if has_drag:
-                out = out - drag * np.abs(v) * v
-            if has_rub:
-                out = out - rub * np.tanh(v / 0.02)
-            return out
-
         if self.implicit_step is None:
-            solve = _rk4 if has_drag or has_rub or has_hard else _rk4_linear
-            x, v = solve(acceleration, push, TIME[1])
+            named = [column.get(k, zero)[:, 0] for k in ("stiffening", "drag", "friction")]
+            x, v = toy_steps.rk4(each(count, w * w, 2 * zeta * w, *named), push, TIME[1])
         else:
-            x, v = _implicit_euler(w, zeta, push, self.implicit_step * self.numerics.time_step)
+            substeps = max(round(TIME[1] / (self.implicit_step * self.numerics.time_step)), 1)
+            h = TIME[1] / substeps  # a step that divides the sample distance
+            x, v = toy_steps.implicit_euler(each(count, w, zeta), push, h, substeps)
         place = get.get(f"offset@{self.run.name}", zero)
         out = np.stack([x + place, v * (1 + column.get("scale", zero))], axis=-1)
         return torch.from_numpy(out[0] if single else out)
 
 
-def _rk4(acceleration, push, h):
-    x = v = np.zeros(len(push))
-    xs, vs = [x], [v]
-    for k in range(0, push.shape[1] - 2, 2):
-        x, v = _rk4_step(acceleration, x, v, push[:, k], push[:, k + 1], push[:, k + 2], h)
-        xs.append(x)
-        vs.append(v)
-    return np.stack(xs, 1), np.stack(vs, 1)
-
-
-def _rk4_step(acceleration, x, v, f0, f1, f2, h):
-    a0 = acceleration(x, v, f0)
-    v1 = v + 0.5 * h * a0
-    a1 = acceleration(x + 0.5 * h * v, v1, f1)
-    v2 = v + 0.5 * h * a1
-    a2 = acceleration(x + 0.5 * h * v1, v2, f1)
-    v3 = v + h * a2
-    a3 = acceleration(x + h * v2, v3, f2)
-    return x + h / 6 * (v + 2 * v1 + 2 * v2 + v3), v + h / 6 * (a0 + 2 * a1 + 2 * a2 + a3)
-
-
-def _rk4_linear(acceleration, push, h):
-    """The same steps as one matrix: what a step makes of unit states and unit pushes."""
-    one, zero = np.ones(len(push)), np.zeros(len(push))
-    units = [[one if i == j else zero for i in range(5)] for j in range(5)]
-    (xx, vx), (xv, vv), *forced = [_rk4_step(acceleration, *u, h) for u in units]
-    pushes = (push[:, 0:-2:2], push[:, 1:-1:2], push[:, 2::2])
-    bx = sum(f[0][:, None] * p for f, p in zip(forced, pushes, strict=True)).T
-    bv = sum(f[1][:, None] * p for f, p in zip(forced, pushes, strict=True)).T
-    xs, vs = np.zeros((2, len(bx) + 1, len(push)))
-    for k in range(len(bx)):
-        xs[k + 1] = xx * xs[k] + xv * vs[k] + bx[k]
-        vs[k + 1] = vx * xs[k] + vv * vs[k] + bv[k]
-    return xs.T, vs.T
-
-
-def _implicit_euler(w, zeta, push, step):
-    """Linear oscillator only; step divides the sample distance."""
-    substeps = max(round(TIME[1] / step), 1)
-    h = TIME[1] / substeps
-    x = v = np.zeros(len(push))
-    xs, vs = [x], [v]
-    for k in range(len(TIME) - 1):
-        for s in range(1, substeps + 1):
-            share = s / substeps
-            f = (1 - share) * push[:, 2 * k] + share * push[:, 2 * k + 2]
-            v = (v + h * w * w * (f - x)) / (1 + 2 * zeta * w * h + (w * h) ** 2)
-            x = x + h * v
-        xs.append(x)
-        vs.append(v)
-    return np.stack(xs, 1), np.stack(vs, 1)
+def each(count: int, *columns: np.ndarray) -> np.ndarray:
+    """Terms of each point beside one another, (count, terms)."""
+    return np.stack([np.broadcast_to(c, count) for c in columns], axis=1)
 
 
 def lagged(u, h, tau):
@@ -254,7 +194,7 @@ def generate(
     return Study("toy", "soft_body", CHANNELS, tuple(runs))
 
 
-@lru_cache(maxsize=1)  # with and without noise, one after the other
+@lru_cache(maxsize=16)  # with and without noise, and for each test of the same
 def _recordings(seed, hidden, color, tails, spikes, scatter, lost_repeat, far_base):
     """Command, repeat, order, clean record, noise, placement and spikes of every run."""
     rng, hidden = np.random.default_rng(seed), dict(hidden)

@@ -45,7 +45,7 @@ NOISE = {"m": 1e-3, "-": 2e-3, "rad": 3e-3, "rad/s": 5e-3, "m/s": 5e-3, "m/s^2":
 
 @lru_cache
 def flight(kind: str, causes: Causes) -> Flight:
-    return small_copter.fly(kind, causes, seconds=2.0, fine=4)
+    return small_copter.fly(kind, causes, seconds=2.0, fine=2)
 
 
 def up(f: Flight) -> dict[str, tuple[str, np.ndarray]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -24,12 +25,16 @@ from diffsim.systems.ode import stepping
 from diffsim.systems.registry import description_of, load_extended, setup_of
 from tests.systems.toy_cart import TIME, cart_study, described
 
-PLAIN = cart_study(noise=1e-12)
+
+@lru_cache
+def plain_study():
+    """The cart with nothing hidden, as good as without noise."""
+    return cart_study(noise=1e-12)
 
 
 @pytest.fixture(scope="module")
 def plain():
-    return setup_of(PLAIN)
+    return setup_of(plain_study())
 
 
 def found(study):
@@ -74,7 +79,7 @@ def test_plain_model_is_the_equation(plain):
         dtype=torch.float64,
     )
     share = left_out(np.sqrt(values["k"] / values["m"]))
-    for run in PLAIN.runs:
+    for run in plain_study().runs:
         force = run.command["force"]
         exact = moved_exactly(force, **values)
         # at most the movement, and the point that it swings about
@@ -88,7 +93,7 @@ def test_plain_model_is_the_equation(plain):
 
 
 def test_every_cause_is_nothing_at_zero_and_something_at_its_usual_size(plain):
-    run, q = PLAIN.fit_runs[2], plain.model.at_prior()
+    run, q = plain_study().fit_runs[2], plain.model.at_prior()
     before = plain.model.predict(run, q)
     assert len(plain.effects) > 25
     for e in plain.effects:
@@ -101,7 +106,7 @@ def test_every_cause_is_nothing_at_zero_and_something_at_its_usual_size(plain):
 
 
 def test_many_points_at_once_are_the_points_one_by_one(plain):
-    run = PLAIN.fit_runs[0]
+    run = plain_study().fit_runs[0]
     torch.manual_seed(0)
     q = 0.3 * torch.randn(3, len(plain.model.base), dtype=torch.float64)
     sizes = {
@@ -127,13 +132,13 @@ def test_gradient_of_every_smooth_cause(plain):
 
 
 def test_finer_steps_change_little(plain):
-    run, q = PLAIN.fit_runs[2], plain.model.at_prior()
+    run, q = plain_study().fit_runs[2], plain.model.at_prior()
     fine = plain.model.predict(run, q, numerics=Numerics(time_step=0.25))
     assert 0.0 < (fine - plain.model.predict(run, q)).abs().max() < 1e-5
 
 
 def test_samples_may_be_spaced_unevenly(plain):
-    run = PLAIN.fit_runs[2]
+    run = plain_study().fit_runs[2]
     kept = np.r_[0:40, 40:190:5, 190:210, 210:300:5]
     few = Run(
         "few", run.time_s[kept], run.measured[kept], {"force": run.command["force"][kept]}, "few"
@@ -173,7 +178,7 @@ def test_a_cause_of_another_shape_than_the_usual_is_named(name, force):
     assert found(cart_study(force=force)).named == (name,)
 
 
-def held_cart(every=5, noise=1e-4):
+def held_cart(every=5, noise=1e-4, **changed):
     """A cart sampled every 50 ms whose amplifier holds a force that changes all the time."""
     rng = np.random.default_rng(0)
     runs = []
@@ -181,8 +186,13 @@ def held_cart(every=5, noise=1e-4):
         t = TIME[::every]
         run = Run(name, t, np.zeros((len(t), 1)), {"force": 8.0 * np.sin(rate * t)}, name, use=use)
         runs.append(replace(run, setup={"load_kg": 0.0}))
-    study = replace(PLAIN, runs=tuple(runs), model=described(inputs=["force"], time_step=0.01))
-    true = replace(study, model={**study.model, "inputs": [{"name": "force", "held": True}]})
+    study = replace(
+        plain_study(),
+        runs=tuple(runs),
+        model=described(inputs=["force"], time_step=0.01, **changed),
+    )
+    held = {"inputs": [{"name": "force", "held": True}], "effects": {}}
+    true = replace(study, model={**study.model, **held})
     made = setup_of(true).model
     seen = [made.predict(r, made.at_prior()).numpy() for r in runs]
     noisy = [y + noise * rng.normal(size=y.shape) for y in seen]
@@ -192,8 +202,8 @@ def held_cart(every=5, noise=1e-4):
 
 
 def test_a_command_that_rests_and_jumps_is_held_and_check_says_so():
-    rests = tuple(r for r in PLAIN.runs if r.name in ("step", "large"))
-    steps = replace(PLAIN, runs=rests, model=described(inputs=["force"]))
+    rests = tuple(r for r in plain_study().runs if r.name in ("step", "large"))
+    steps = replace(plain_study(), runs=rests, model=described(inputs=["force"]))
     (note,) = description_of(steps).problems(steps)
     assert note.severity == "note" and "rests and jumps" in note.message
     straight = replace(steps, model=described(inputs=[{"name": "force", "held": False}]))
@@ -209,22 +219,31 @@ def test_a_command_that_rests_and_jumps_is_held_and_check_says_so():
 
 
 def test_a_ramp_or_a_sine_does_not_show_whether_it_is_held():
-    assert not looks_held(PLAIN.runs[1:2], ["force"])
+    assert not looks_held(plain_study().runs[1:2], ["force"])
     ramp = replace(
-        PLAIN.runs[0],
+        plain_study().runs[0],
         command={"force": np.interp(TIME, [0.0, 1.0, 1.1, 3.0], [0.0, 0.0, 5.0, 5.0])},
     )
     assert not looks_held([ramp], ["force"])
 
 
 def test_a_test_run_has_no_say_in_how_commands_are_held():
-    assert looks_held(PLAIN.runs[:1], ["force"])
-    later = replace(PLAIN.runs[0], use="test")
-    assert not looks_held([PLAIN.runs[1], later], ["force"])
+    assert looks_held(plain_study().runs[:1], ["force"])
+    later = replace(plain_study().runs[0], use="test")
+    assert not looks_held([plain_study().runs[1], later], ["force"])
 
 
-def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one():
-    report = found(held_cart())
+IN_TIME = ["held_between_samples", "delay", "lag", "rate_limit"]
+"""What a command that comes half a sample late could be taken for."""
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [{"only": IN_TIME}, pytest.param({}, marks=pytest.mark.story)],
+    ids=["few", "all"],
+)
+def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one(effects):
+    report = found(held_cart(effects=effects))
     assert report.named == ("held_between_samples",)
     assert report.best.values["held_between_samples"] == pytest.approx(1.0, abs=0.05)
 
@@ -285,9 +304,9 @@ def winding(**changed):
         replace(
             r, measured=0.5 * r.command["force"][:, None] + 1e-3 * np.cos(7e3 * r.time_s)[:, None]
         )
-        for r in PLAIN.runs
+        for r in plain_study().runs
     )
-    return replace(PLAIN, runs=runs, model={"system": "ode", **WINDING, **changed})
+    return replace(plain_study(), runs=runs, model={"system": "ode", **WINDING, **changed})
 
 
 def test_equations_too_fast_for_the_samples_are_stepped_more_often():
@@ -328,13 +347,13 @@ def test_a_first_look_keeps_a_step_whose_double_is_unstable():
     settings = replace(s.settings, first_step=2.0)
     case = Case(study, s.model, (), (), settings, numerics=Numerics(time_step=2.0))
     assert _with_own_step(case).numerics == Numerics()
-    calm = replace(case, study=PLAIN, model=setup_of(PLAIN).model)
+    calm = replace(case, study=plain_study(), model=setup_of(plain_study()).model)
     assert _with_own_step(calm) is calm
 
 
 def test_a_command_in_percent_has_its_dead_band_in_percent():
     commands = (Command("force", unit="-", shown_unit="%"),)
-    made = setup_of(replace(PLAIN, commands=commands))
+    made = setup_of(replace(plain_study(), commands=commands))
     dead = effect(made, "dead_band")
     assert (dead.unit, dead.shown_unit, dead.shown_times) == ("command", "%", 100.0)
 
@@ -384,8 +403,8 @@ def test_own_causes_change_definitions_parameters_and_add_states():
             ]
         },
     )
-    study = replace(PLAIN, model=model)
-    s, run = setup_of(study), PLAIN.fit_runs[2]
+    study = replace(plain_study(), model=model)
+    s, run = setup_of(study), plain_study().fit_runs[2]
     q = s.model.at_prior()
 
     def moved(name, size):
@@ -422,10 +441,10 @@ def test_values_per_run_and_from_the_data():
         readings={"position_m": "shown"},
         rest={"until_s": "0.2"},
     )
-    moved = replace(PLAIN.runs[0], measured=PLAIN.runs[0].measured + 0.5)
-    s = setup_of(replace(PLAIN, runs=(moved, *PLAIN.runs[1:]), model=model))
+    moved = replace(plain_study().runs[0], measured=plain_study().runs[0].measured + 0.5)
+    s = setup_of(replace(plain_study(), runs=(moved, *plain_study().runs[1:]), model=model))
     starts = [p for p in s.model.base if p.name.startswith("x_start@")]
-    assert [p.name for p in starts] == [f"x_start@{r.name}" for r in PLAIN.runs]
+    assert [p.name for p in starts] == [f"x_start@{r.name}" for r in plain_study().runs]
     assert {(p.sd, p.unit) for p in starts} == {(0.02, "m")}
     assert s.model.predict(moved, s.model.at_prior())[0, 0] == pytest.approx(0.5, abs=1e-9)
 
@@ -479,20 +498,23 @@ def test_a_mistake_is_told_with_its_place_in_the_file(message):
     ("level", "message"),
     [
         ("400 mbar", "states level as text, '400 mbar': write a number, or with its unit"),
-        (None, f"setup of run {PLAIN.runs[0].name} does not state level"),
+        (None, "setup of run step does not state level"),
     ],
 )
 def test_a_fact_that_is_no_number_of_every_run_is_told(level, message):
-    facts = [{} if level is None else {"level": level}, *({"level": 1.0} for _ in PLAIN.runs[1:])]
-    runs = tuple(replace(r, setup=f) for r, f in zip(PLAIN.runs, facts, strict=True))
+    facts = [
+        {} if level is None else {"level": level},
+        *({"level": 1.0} for _ in plain_study().runs[1:]),
+    ]
+    runs = tuple(replace(r, setup=f) for r, f in zip(plain_study().runs, facts, strict=True))
     model = described(rates={"x": "v", "v": "(level*force - c*v - k*x)/m"})
     with pytest.raises(ValueError, match=message):
-        setup_of(replace(PLAIN, runs=runs, model=model))
+        setup_of(replace(plain_study(), runs=runs, model=model))
 
 
 def test_a_start_that_runs_shared_is_told_anew_where_each_has_its_own(tmp_path):
     once = {"states": {"x": {"value": "0 mm", "sd": "20 mm"}, "v": "0"}}
-    shared = replace(PLAIN, model=described(**once), folder=tmp_path)
+    shared = replace(plain_study(), model=described(**once), folder=tmp_path)
     model = setup_of(shared).model
     assert "x_start" in {p.name for p in model.base}
     entries = {
@@ -505,5 +527,7 @@ def test_a_start_that_runs_shared_is_told_anew_where_each_has_its_own(tmp_path):
     own = {"states": {"x": {"value": "3 mm", "sd": "20 mm", "per": "run"}, "v": "0"}}
     again = load_extended(path, replace(shared, model=described(**own)))
     at = {p.name: p.value for p in again.base}
-    assert at[f"x_start@{PLAIN.runs[0].name}"] == pytest.approx(0.003)  # not what the others had
+    assert at[f"x_start@{plain_study().runs[0].name}"] == pytest.approx(
+        0.003
+    )  # not what the others had
     assert at["m"] == pytest.approx(entries["m"]["value"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -168,6 +169,7 @@ def toss(rng, i, use, gravity=9.81, scale=1.0):
     return Run(f"toss_{i}", clock, measured, {}, f"toss_{i}", i, use)
 
 
+@lru_cache
 def box_study(scale=1.0):
     rng = np.random.default_rng(4)
     uses = ("fit",) * 6 + ("select",) * 2 + ("test",) * 2

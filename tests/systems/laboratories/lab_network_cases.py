@@ -18,7 +18,7 @@ from typing import Any
 
 from diffsim.core.files import write_text_atomic
 from diffsim.data.labs import DECOYS, NetworkLab
-from diffsim.data.study import Study
+from diffsim.data.study import Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.report import Report
 from diffsim.systems.registry import setup_of
@@ -98,9 +98,24 @@ def study_of(case: LabCase) -> Study:
     return replace(study, channels=tuple(study.channels[i] for i in keep), runs=runs)
 
 
-def diagnosed(case: LabCase, **options: Any) -> Report:
-    """The report of a case."""
-    study = study_of(case)
+def thinned(study: Study, every: int) -> Study:
+    """The study with every n-th sample: its runs are steady from one to the next."""
+
+    def thin(run: Run) -> Run:
+        command = {name: values[::every] for name, values in run.command.items()}
+        return replace(
+            run,
+            time_s=run.time_s[::every],
+            measured=run.measured[::every],
+            command=command,
+        )
+
+    return replace(study, runs=tuple(map(thin, study.runs)))
+
+
+def diagnosed(case: LabCase, every: int = 1, **options: Any) -> Report:
+    """The report of a case, of every n-th sample of its runs."""
+    study = thinned(study_of(case), every)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="the shape is thinner than a cell")
         s = setup_of(study, **{**case.options, **options})

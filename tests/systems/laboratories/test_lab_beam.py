@@ -115,16 +115,17 @@ def test_causes_and_runs_that_could_be_recorded(made):
         )
 
 
-def first_second(run):
-    command = {name: u[:100] for name, u in run.command.items()}
-    return replace(run, time_s=run.time_s[:100], measured=run.measured[:100], command=command)
+def beginning(run):
+    """The first 0.68 s."""
+    command = {name: u[:68] for name, u in run.command.items()}
+    return replace(run, time_s=run.time_s[:68], measured=run.measured[:68], command=command)
 
 
 def test_few_runs_and_causes_end_to_end(lab):
     """A lag hidden by beam theory is named by the solid, with its size."""
     study = lab.case(7, {"lag": None}).study
     kept = [r for r in study.runs if r.name in ("release_a", "chirp_a", "two_tones")]
-    study = replace(study, runs=tuple(first_second(r) for r in kept))
+    study = replace(study, runs=tuple(beginning(r) for r in kept))
     s = setup_of(study)
     chosen = [e for e in s.effects if e.name in ("lag", "volume_drag", "tip_scale")]
     report = diagnose(study, s.model, chosen, seed=0, settings=s.settings)

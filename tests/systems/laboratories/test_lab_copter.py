@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -13,6 +11,7 @@ from diffsim.diagnose import diagnose
 from diffsim.identify import fit
 from diffsim.systems.multicopter import CopterModel
 from diffsim.systems.registry import setup_of
+from tests.data.labs.short_copter import ShortCopterLab
 
 pytestmark = pytest.mark.reference
 # library's name and its share of the laboratory's components
@@ -66,15 +65,7 @@ def fit_at_true_size(name, lab):
     return fit(model, case.study.fit_runs, case.study.channels)
 
 
-class ShortLab(CopterLab):
-    """Two flights of a second and a half, and the one that is held out."""
-
-    def plans(self, rng):
-        plans = [p for p in super().plans(rng) if p.name in ("sprint_a", "climb_a", "figure_eight")]
-        return [replace(plan, time_s=plan.time_s[:150]) for plan in plans]
-
-
-class ShortQuietLab(ShortLab, QuietLab):
+class ShortQuietLab(ShortCopterLab, QuietLab):
     """Both."""
 
 
@@ -95,7 +86,7 @@ def test_every_library_term_at_the_true_size_is_the_laboratorys(name):
 @pytest.mark.parametrize("name", ["body_drag", "lag"])
 def test_a_hidden_cause_is_named(name):
     """Among a few candidates, from two short flights."""
-    case = ShortLab().case(5, {name: None})
+    case = ShortCopterLab().case(5, {name: None})
     setup = setup_of(case.study)
     few = ("body_drag", "lag", "wind", "inflow", "thrust_curvature")
     candidates = [e for e in setup.effects if e.name in few]
@@ -109,7 +100,7 @@ def test_a_hidden_cause_is_named(name):
 
 
 def test_the_bank_is_what_the_nominal_vehicle_flies():
-    setup = setup_of(ShortLab().case(5, {}).study)
+    setup = setup_of(ShortCopterLab().case(5, {}).study)
     names = [run.name for run in setup.bank]
     assert len(names) == len(set(names)) >= 6
     sd = np.repeat([1e-3, 2e-3, 0.01, 0.08], 3)

@@ -49,7 +49,10 @@ def predicted(setup, run, name, *size):
 def test_friction_at_a_hinge_is_named_with_its_size():
     study = scenes.recorded(Term(0, coulomb, 0.04, scale=3.0))
     setup = setup_of(study)
-    report = diagnose(study, setup.model, setup.effects, unknowns=setup.unknowns, seed=0)
+    rivals = ("lag", "delay", "dead_band", "backlash", "slack")  # beside all that act at the hinge
+    causes = [e for e in setup.effects if e.name.endswith("_at_hinge") or e.name in rivals]
+    assert len(causes) == 11
+    report = diagnose(study, setup.model, causes, unknowns=setup.unknowns, seed=0)
     assert report.verdict == "named", report.sentences
     assert report.named == ("dry_friction_at_hinge",)
     size = report.best.values["dry_friction_at_hinge"]

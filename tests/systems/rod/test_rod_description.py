@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -73,8 +74,14 @@ def study(model=None, hidden=None, sizes=(0.0,), noise=NOISE):
     return replace(made, runs=tuple(shown))
 
 
+@lru_cache
+def plain_study():
+    """Poses of the described rod with nothing hidden, for tests that only read them."""
+    return study()
+
+
 def test_the_description_is_complete():
-    made = study()
+    made = plain_study()
     assert not [p for p in check_study(made) if p.severity == "error"]
     names = [e.name for e in setup_of(made).effects]
     assert {"drive_loss", "tendon_friction", "clamp_tilt", "moved_tip", "tip_mass"} <= set(names)
@@ -94,7 +101,7 @@ def test_the_description_is_complete():
     ],
 )
 def test_mistakes_are_said_with_their_place(change, said):
-    good = study()
+    good = plain_study()
     model = copy.deepcopy(MODEL)
     change(model)
     with pytest.raises(ValueError, match=said):
@@ -110,7 +117,7 @@ def test_a_session_that_no_run_states_is_said():
 
 @pytest.mark.grad
 def test_gradients_of_all_causes_agree_with_differences():
-    made = study()
+    made = plain_study()
     setup = setup_of(made)
     run, q = made.runs[5], setup.model.at_prior()  # of the second session
     for effect in setup.effects:
@@ -132,9 +139,9 @@ def test_gradients_of_all_causes_agree_with_differences():
 
 
 def test_many_points_at_once_are_as_one_by_one():
-    setup = setup_of(study())
+    setup = setup_of(plain_study())
     cause = {e.name: e for e in setup.effects}
-    run = study().runs[2]
+    run = plain_study().runs[2]
     q = torch.tensor([[0.0], [0.3], [-2.0]], dtype=torch.float64)
     sizes = torch.tensor([[0.0], [0.2], [0.5]], dtype=torch.float64)
     with torch.no_grad():
@@ -145,8 +152,8 @@ def test_many_points_at_once_are_as_one_by_one():
 
 
 def test_poses_near_the_best_guess_need_no_new_slopes_and_stay_the_same(monkeypatch):
-    setup = setup_of(study())
-    run = study().fit_runs[3]
+    setup = setup_of(plain_study())
+    run = plain_study().fit_runs[3]
     q = torch.tensor([0.4], dtype=torch.float64)[: len(setup.model.base)]
     q = torch.cat([q, torch.zeros(len(setup.model.base) - len(q), dtype=torch.float64)])
     scene = setup.model.scene(run, q)
@@ -162,7 +169,7 @@ def test_poses_near_the_best_guess_need_no_new_slopes_and_stay_the_same(monkeypa
 
 def test_the_first_half_of_a_pull_is_simulated_beside_the_whole():
     """Fits that grow through windows cut runs, whose names stay."""
-    setup, run = setup_of(study()), study().runs[2]
+    setup, run = setup_of(plain_study()), plain_study().runs[2]
     pulls = {name: np.linspace(0.0, float(run.command[name][0]), 20) for name in run.command}
     whole = replace(run, time_s=np.arange(20.0), measured=np.zeros((20, 6)), command=pulls)
     half = cut(whole, 0.5)
@@ -176,7 +183,7 @@ def test_the_first_half_of_a_pull_is_simulated_beside_the_whole():
 
 
 def test_finer_elements_change_less_and_less():
-    made = study()
+    made = plain_study()
     model = setup_of(made).model
     with torch.no_grad():
         shown = [
@@ -221,7 +228,7 @@ def test_a_hidden_loss_is_named_and_nothing_is_named_without_one(hidden):
 
 
 def test_poses_of_one_sample_drift_each_by_itself():
-    made = study()
+    made = plain_study()
     s = setup_of(made)
     found = fit(s.model, made.fit_runs, made.channels)
     slopes = UnknownDrift(1, "drift of middle_y").slopes(found.problem, found.x)
@@ -229,6 +236,6 @@ def test_poses_of_one_sample_drift_each_by_itself():
 
 
 def test_next_poses_are_levels_of_each_tendon():
-    names = [run.name for run in generated_bank(study())]
+    names = [run.name for run in generated_bank(plain_study())]
     assert "left: held at 3, 0 s" in names
     assert not [name for name in names if "fast" in name or "chirp" in name]

@@ -34,7 +34,7 @@ def test_the_inertia_of_a_hung_load():
     setup = setup_of(study)
     rivals = ("load_inertia", "tip_mass", "loss_factor", "weight")
     fits = {
-        e.name: fit(setup.model, study.runs, study.channels, effects=[e], max_evaluations=25)
+        e.name: fit(setup.model, study.runs, study.channels, effects=[e], max_evaluations=8)
         for e in setup.effects
         if e.name in rivals
     }
