@@ -10,6 +10,7 @@ DiagnosisSetup``, imported when asked for.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,7 @@ def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
         ValueError: the study names none, or one that does not exist.
     """
     if study.model is not None:
-        return description_of(study).setup(study)
+        return _setup_without_tests(description_of(study), study)
     given = study.metadata.get("setup")
     if given is None:
         raise ValueError(
@@ -100,6 +101,21 @@ def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
     module = import_module(f"diffsim.systems.laboratories.{name}")
     made: DiagnosisSetup = module.setup(study, **{**entry, **options})
     return made
+
+
+def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup:
+    """Causes, priors and scales as runs that are not for testing give them; a model for all runs.
+
+    A test run must change nothing before the answer is frozen. So it is not there when causes are
+    listed and their usual sizes are taken; the model knows it, framed by what the others gave.
+    """
+    described.require_possible(study)
+    known = study.without_tests()
+    if len(known.runs) in (0, len(study.runs)):  # runs to be judged by a saved model have its frame
+        return described.setup(study)
+    seen = described.setup(known)
+    whole = described.setup(replace(study, frame={**seen.model.frame, **study.frame}))
+    return replace(seen, model=whole.model, study=whole.study)
 
 
 def library(system: str, **options: Any) -> list[Effect]:
