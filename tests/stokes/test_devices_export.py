@@ -70,7 +70,11 @@ def test_amplifier_has_a_floor_and_a_depth(tmp_path, export):
 
 @pytest.mark.parametrize(
     ("name", "resolution"),
-    [("averager", 0.25), pytest.param("funnel", 0.25, marks=pytest.mark.story), ("gate", 0.2)],
+    [
+        pytest.param("averager", 0.25, marks=pytest.mark.story),
+        pytest.param("funnel", 0.25, marks=pytest.mark.story),
+        ("gate", 0.2),
+    ],
 )
 def test_devices_of_two_inlets(tmp_path, export, name, resolution):
     import trimesh

@@ -84,6 +84,9 @@ class _Solid:
             self.triangles[:, 1] - self.triangles[:, 0], self.triangles[:, 2] - self.triangles[:, 0]
         )
         self.normals /= np.maximum(np.linalg.norm(self.normals, axis=1, keepdims=True), 1e-300)
+        sides = np.roll(self.triangles, -1, axis=1) - self.triangles
+        sides /= np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-300)
+        self.inward = np.cross(self.normals[:, None], sides)  # in the triangle's plane, off a side
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         self.edges = x[np.unique(edges, axis=0)]
 
@@ -114,7 +117,8 @@ def _pierces(a: _Solid, b: _Solid, low: Array, high: Array, least: float) -> boo
     near = ((a.edges.min(axis=1) < high) & (a.edges.max(axis=1) > low)).all(axis=1)
     ends = a.edges[near]
     near = ((b.triangles.min(axis=1) < high) & (b.triangles.max(axis=1) > low)).all(axis=1)
-    for corners, normal in zip(b.triangles[near], b.normals[near], strict=True):
+    walls = zip(b.triangles[near], b.normals[near], b.inward[near], strict=True)
+    for corners, normal, inward in walls:
         height = (ends - corners[0]) @ normal
         crossing = (height.min(axis=1) < -least) & (height.max(axis=1) > least)
         if not crossing.any():
@@ -124,9 +128,7 @@ def _pierces(a: _Solid, b: _Solid, low: Array, high: Array, least: float) -> boo
         point = e[:, 0] + share * (e[:, 1] - e[:, 0])
         inside = np.ones(len(point), bool)
         for k in range(3):
-            side = corners[(k + 1) % 3] - corners[k]
-            inward = np.cross(normal, side) / max(float(np.linalg.norm(side)), 1e-300)
-            inside &= (point - corners[k]) @ inward > least
+            inside &= (point - corners[k]) @ inward[k] > least
         if inside.any():
             return True
     return False
