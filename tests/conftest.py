@@ -47,7 +47,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.xdist_group("serial"))
     if hasattr(config, "workerinput"):
         tests = Counter(item.location[0] for item in items)
-        items.sort(key=lambda item: (not item.get_closest_marker("serial"), tests[item.location[0]]))
+        items.sort(
+            key=lambda item: (not item.get_closest_marker("serial"), tests[item.location[0]])
+        )
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | None:
