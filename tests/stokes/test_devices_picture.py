@@ -74,7 +74,7 @@ def test_panels(name, titles):
     assert list(module._panels(device, module._flows(device, some_design(device)))) == titles
 
 
-# of the others tests/stokes/test_devices_export.py has pictures
+# of a switch and of two inlets tests/stokes/test_devices_export.py has pictures
 @pytest.mark.parametrize(
     "name",
     [
