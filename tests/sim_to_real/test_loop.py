@@ -68,6 +68,7 @@ def resumed(tmp_path_factory):
     return folder, twin, first, again
 
 
+@pytest.mark.cpu(12)  # the loop of all tests here: three experiments, two fits, two searches
 def test_no_experiment_is_repeated(resumed):
     assert resumed[1].executed == [0, 1, 2]
 

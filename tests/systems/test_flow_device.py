@@ -83,7 +83,7 @@ def test_scores_against_differences(name, effect):
     if name == "regulator" and effect.name in ("leak_per_depth", "skewed_inlet"):
         assert effect.needs(study_of(device)) is not None  # no response at all
         return
-    model, run = device_model(device), run_of(device, [0.5, 1.0], repeats=1)
+    model, run = device_model(device), run_of(device, [0.7], repeats=1)
     plain = predict(model, run)
     weights = torch.linspace(1.0, 2.0, plain.size, dtype=torch.float64).view(plain.shape)
     weights /= torch.from_numpy(plain).abs().amax(0)

@@ -148,6 +148,11 @@ def test_samples_may_be_spaced_unevenly(plain):
     assert (plain.model.predict(few, q) - full).abs().max() < 1e-4
 
 
+STIFF = [
+    *("stop_above", "stop_below", "added_spring", "quadratic_stiffness", "cubic_stiffness"),
+    *("relaxing_spring", "dry_friction", "viscous_friction", "square_drag", "saturation"),
+]
+"""What a force that depends on the place could be taken for."""
 HIDDEN = {
     "dry_friction": (0.6, {"force": lambda x, v: -0.6 * np.tanh(v / 0.01)}),
     "cubic_stiffness": (60.0, {"force": lambda x, v: -60.0 * x**3}),
@@ -174,8 +179,11 @@ def test_a_hidden_cause_is_named_with_its_size(name):
         ("cubic_stiffness", lambda x, v: -60.0 * x * (1.0 - 0.3 / np.hypot(x, 0.3))),
     ],
 )
-def test_a_cause_of_another_shape_than_the_usual_is_named(name, force):
-    assert found(cart_study(force=force)).named == (name,)
+@pytest.mark.parametrize(
+    "effects", [{"only": STIFF}, pytest.param({}, marks=pytest.mark.story)], ids=["few", "all"]
+)
+def test_a_cause_of_another_shape_than_the_usual_is_named(name, force, effects):
+    assert found(cart_study(force=force, model=described(effects=effects))).named == (name,)
 
 
 def held_cart(every=5, noise=1e-4, **changed):

@@ -244,7 +244,7 @@ FEW = ("thinning", "pressure_offset_2", "pump_gain_1", "blocked_branch_1", "entr
     [pytest.param("thinning", 1.0, marks=pytest.mark.story), ("pressure_offset", 1.0)],
 )
 def test_named_on_the_real_simulator(name, times):
-    """Few causes and samples on a coarser grid; the full list is in docs/measured/lab_network.md."""
+    """Few causes and samples, a coarser grid; the full list: docs/measured/lab_network.md."""
     case = LabCase(name, 101, hidden(name, times))
     report = diagnosed(case, every=3, effects=FEW, cells_per_width=5.5)
     assert report.verdict == "named", report.sentences
