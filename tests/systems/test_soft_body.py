@@ -61,7 +61,7 @@ def sway(time):
 
 
 RUN = make_run()
-PULLED = make_run(shortening=pulled, support_x_m=sway, support_z_m=lambda t: -0.5 * sway(t))
+PULLED = make_run(0.17, shortening=pulled, support_x_m=sway, support_z_m=lambda t: -0.5 * sway(t))
 
 
 def beam(**changes):
