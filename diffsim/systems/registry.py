@@ -109,13 +109,22 @@ def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup
     A test run must change nothing before the answer is frozen. So it is not there when causes are
     listed and their usual sizes are taken; the model knows it, framed by what the others gave.
     """
-    described.require_possible(study)
     known = study.without_tests()
     if len(known.runs) in (0, len(study.runs)):  # runs to be judged by a saved model have its frame
         return described.setup(study)
     seen = described.setup(known)
     whole = described.setup(replace(study, frame={**seen.model.frame, **study.frame}))
-    return replace(seen, model=whole.model, study=whole.study)
+    of_all = {effect.name: effect for effect in whole.effects}
+    effects = tuple(_with_own_components(e, of_all.get(e.name, e)) for e in seen.effects)
+    return replace(seen, model=whole.model, effects=effects, study=whole.study)
+
+
+def _with_own_components(effect: Effect, of_all: Effect) -> Effect:
+    """A cause that differs from run to run, with what is a test run's own, "@run": that is fitted
+    to the run itself, after the answer."""
+    more = set(of_all.components) - set(effect.components)
+    is_per_run = more and all(name.startswith("@") for name in more)
+    return replace(of_all, typical=effect.typical) if is_per_run else effect
 
 
 def library(system: str, **options: Any) -> list[Effect]:

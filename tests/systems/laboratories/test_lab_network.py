@@ -209,7 +209,6 @@ def test_gradients_of_all_effects_together():
         assert abs(float(slope) / forwards - 1.0) < 2e-3, effect.name
 
 
-<<<<<<< ours
 @pytest.mark.grad
 def test_gradient_where_an_entrance_loss_acts():
     study, s = ready()
@@ -227,16 +226,12 @@ def test_gradient_where_an_entrance_loss_acts():
     np.testing.assert_allclose(slope, central[None], rtol=1e-5)
 
 
-def test_wall_offset_matches_the_laboratory():
-    assert rms_at_true_size("wall_offset") < 0.1
-=======
 OFTEN = ("thinning", "wall_offset")
 
 
 @pytest.mark.parametrize("name", OFTEN)
 def test_terms_match_the_laboratory(name):
     assert rms_at_true_size(name) < 0.1
->>>>>>> theirs
 
 
 @pytest.mark.slow
