@@ -21,7 +21,7 @@ STOPPED = (0, 130, -signal.SIGTERM, -signal.SIGKILL)  # -SIGTERM: while modules 
 MAX_WALL_S = 900.0
 UNEQUAL = re.compile("machine|second|cpu_s|wall|num_simulations|load_average|reused|memory")
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.serial]  # kills processes
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ import pytest
 
 from diffsim.core.interrupts import postponed_interrupts
 
+pytestmark = pytest.mark.serial  # interrupts processes
+
 SCRIPT = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # shells start jobs in the background deaf

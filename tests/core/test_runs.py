@@ -20,6 +20,8 @@ from diffsim.core.runs import LostRunError, run_each, run_kept
 from diffsim.core.workers import Processes
 from tests.core import runs_for_workers as work
 
+pytestmark = pytest.mark.serial  # kills processes
+
 ROOT = Path(__file__).parents[2]
 HERE = "tests.core.runs_for_workers"
 

@@ -30,6 +30,8 @@ needs("matplotlib", reason="reports need pip install -e '.[viz]'")
 needs("plotly", reason="reports need pip install -e '.[viz]'")
 needs("jinja2", reason="reports need pip install -e '.[viz]'")
 
+pytestmark = pytest.mark.serial  # a browser draws the pages
+
 
 CHANNELS = (
     Channel(name="tip_z_m", unit="m", kind="", sd=1e-4),

@@ -17,6 +17,8 @@ from tests.optional import needs
 needs("plotly", reason="pages need pip install -e '.[viz]'")
 needs("jinja2", reason="pages need pip install -e '.[viz]'")
 
+pytestmark = pytest.mark.serial  # a browser draws the pages
+
 
 @pytest.fixture(scope="module")
 def design():

@@ -19,6 +19,8 @@ from tests.optional import needs
 needs("plotly", reason="pages need pip install -e '.[viz]'")
 needs("jinja2", reason="pages need pip install -e '.[viz]'")
 
+pytestmark = pytest.mark.serial  # a browser draws the pages
+
 
 def bar(frames: int = 5) -> tuple[np.ndarray, np.ndarray]:
     """A bar that bends: triangles, and nodes over time."""
