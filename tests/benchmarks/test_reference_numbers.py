@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 import torch
 
 from benchmarks import reference_numbers
 from benchmarks.reference_values import lines_of
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    """The command sets threads and progress of its own process: here, of all tests after it."""
+    monkeypatch.setattr(os, "environ", os.environ.copy())
 
 
 def test_lines_change_with_the_last_bit():

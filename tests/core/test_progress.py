@@ -153,8 +153,9 @@ def on_a_terminal(command, environment):
     """What a command draws on a terminal of 80 columns."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    plain = {k: v for k, v in os.environ.items() if not k.startswith("TQDM_")}
     process = subprocess.Popen(
-        command, stdout=theirs, stderr=theirs, cwd=ROOT, env={**os.environ, **environment}
+        command, stdout=theirs, stderr=theirs, cwd=ROOT, env={**plain, **environment}
     )
     os.close(theirs)
     drawn = b""
