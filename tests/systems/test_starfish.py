@@ -117,3 +117,13 @@ def test_a_pull_bends_legs_alike_on_every_mesh():
 def test_softness_goes_to_one_with_the_mesh():
     off = [1.0 - bending_softness(quarter(r, 1e-2, 1e-7, "bdf2", 0.4)) for r in (1, 2)]
     assert 0.0 < off[1] < 0.4 * off[0]
+
+
+def test_cuts_through_the_robot_meet_no_water():
+    part, one = make_mesh(), torch.tensor(1.0, dtype=torch.float64)
+    wet = water(part, one, one).faces
+    ones = torch.ones(4, dtype=torch.float64)
+    every = soft.Hydrodynamics(part, drag_coefficients=ones, thrust_coefficients=ones).faces
+    away = part.x_rest[:, 1:].abs().amax(0)
+    assert (part.x_rest[wet][..., 1:].amax(1) > 1e-6 * away).all()  # none lies in y = 0 or z = 0
+    assert 0 < len(wet) < len(every)  # of the quarter's own surface, some does
