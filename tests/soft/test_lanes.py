@@ -60,7 +60,10 @@ def test_a_member_that_buckles_leaves_the_others_as_they_are():
 
 
 def test_a_body_with_a_chamber_goes_on_by_its_own_first_factor():
-    """Lanes do not know chambers: one tangent is factored and serves the steps after it."""
+    """Lanes do not know chambers: one tangent is factored and serves the steps after it.
+
+    To twelve digits that is the cheapest with every instruction set; to ten, SSE2 iterates.
+    """
     box = mesh.hex_box((3, 3, 3), (3.0, 3.0, 3.0))
     inside = ((box.x_rest[box.elements].mean(1) - 1.5).abs() < 0.5).all(1)
     shell = mesh.HexMesh(box.x_rest, box.elements[~inside])
@@ -71,7 +74,7 @@ def test_a_body_with_a_chamber_goes_on_by_its_own_first_factor():
             youngs_modulus=3000.0,
             dt=0.3,
             chambers=[soft.PressureChamber.from_cavity(shell)],
-            solver=soft.SolverOptions(method=method, rtol=1e-10),
+            solver=soft.SolverOptions(method=method, rtol=1e-12),
         )
         pressure = torch.tensor([3.0], dtype=torch.float64)
         with soft.record_stats() as solves:
