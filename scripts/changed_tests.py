@@ -130,6 +130,8 @@ def rooms_of_kernel(path: str, files: list[str]) -> set[str]:
 def above() -> Edges:
     """Each module and file to those that import or name it."""
     files = tracked_files()
+    if str(ROOT) not in sys.path:  # where grimp looks for packages
+        sys.path.insert(0, str(ROOT))
     graph = grimp.build_graph(*PACKAGES, cache_dir=None, exclude_type_checking_imports=True)
     edges: Edges = defaultdict(set)
     for module in graph.modules - {"diffsim"}:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,3 +49,24 @@ def test_tests_of_a_change(tests_of, changed, meant, not_meant):
 def test_what_lies_below_everything_asks_for_all(tests_of):
     assert tests_of(["pyproject.toml"]) == ["tests"]
     assert tests_of([]) == []
+
+
+def test_the_command_finds_what_differs_from_the_first_commit(tmp_path):
+    first = ["git", "rev-list", "--max-parents=0", "HEAD"]
+    done = subprocess.run(first, cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("not a git checkout")
+    command = [sys.executable, str(ROOT / "scripts" / "changed_tests.py"), done.stdout.split()[-1]]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["tests"]  # pyproject.toml is among it
+
+
+def test_the_command_needs_no_path_of_its_own(tmp_path):
+    code = (
+        f"import runpy; s = runpy.run_path({str(ROOT / 'scripts' / 'changed_tests.py')!r}); "
+        "print(*s['tests_of'](['diffsim/cli/info.py']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert "tests/cli/test_main.py" in done.stdout.split()
