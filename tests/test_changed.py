@@ -52,11 +52,12 @@ def test_what_lies_below_everything_asks_for_all(tests_of):
 
 
 def test_the_command_finds_what_differs_from_the_first_commit(tmp_path):
-    first = ["git", "rev-list", "--max-parents=0", "HEAD"]
-    done = subprocess.run(first, cwd=ROOT, capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip("not a git checkout")
-    command = [sys.executable, str(ROOT / "scripts" / "changed_tests.py"), done.stdout.split()[-1]]
+    words = ["git", "rev-list", "HEAD"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    commits = done.stdout.split()
+    if len(commits) < 2:
+        pytest.skip("not a git checkout with a history")
+    command = [sys.executable, str(ROOT / "scripts" / "changed_tests.py"), commits[-1]]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["tests"]  # pyproject.toml is among it
 
