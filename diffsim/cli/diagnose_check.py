@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.causes.readings import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
@@ -21,7 +22,6 @@ from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.separate import alike_channels, cut_in_two, require_separate
-from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.registry import description_of, setup_of
 
 MAX_RUNS = 24  # rows of the table

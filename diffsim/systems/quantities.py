@@ -55,7 +55,11 @@ else:
     Time = quantity("s")
     Viscosity = quantity("Pa s")
 
+# anywhere in the play, as likely; it matters only while there is one
+START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run")
+
 __all__ = [
+    "START_IN_PLAY",
     "Acceleration",
     "Angle",
     "Density",

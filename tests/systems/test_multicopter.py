@@ -9,13 +9,14 @@ import pytest
 import torch
 
 from diffsim import copter
+from diffsim.causes import commands as actuator
+from diffsim.causes import library
 from diffsim.copter import GRAVITY
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter, coarse
-from diffsim.systems import actuator, library
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import flight_model, single_rotors, unknown_wrench
 from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes

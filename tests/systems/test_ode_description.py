@@ -13,13 +13,13 @@ import yaml
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from diffsim.causes.holding import looks_held
 from diffsim.data.study import Command, Run
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.diagnosis import _with_own_step
 from diffsim.diagnose.fit import Case
 from diffsim.identify import Numerics, Problem, WhiteNoise
 from diffsim.identify.stability import runs_away
-from diffsim.systems.holding import looks_held
 from diffsim.systems.ode import described as described_file
 from diffsim.systems.ode import stepping
 from diffsim.systems.registry import description_of, load_extended, setup_of

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.causes import commands as actuator
+from diffsim.causes import library
 from diffsim.core.errors import DiffsimError
 from diffsim.data.beam import BeamGeometry
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter
-from diffsim.systems import actuator, library
 from diffsim.systems.soft_body import beam_model, tendon_model, unknown_force
 from diffsim.systems.soft_body import forces as soft_forces
 from diffsim.systems.soft_body import material as soft_material

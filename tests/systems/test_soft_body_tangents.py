@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.causes import commands as actuator
+from diffsim.causes import library
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
-from diffsim.systems import actuator, library
 from diffsim.systems.soft_body import (
     SoftModel,
     beam_model,

@@ -12,9 +12,9 @@ from functools import partial
 import numpy as np
 from torch import Tensor
 
+from diffsim.causes.readings import spell_plainly
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.instrument import plain
 from diffsim.systems.ode.scene import OdeScene
 
 ZERO_SCALES = "zero_scales"  # place in a study's frame

@@ -8,10 +8,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.interpolation import straight
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.flow_network.network_model import NetworkScene
-from diffsim.systems.signals import straight
 
 
 def _with_pressure(

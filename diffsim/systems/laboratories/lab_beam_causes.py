@@ -13,9 +13,9 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes import commands as actuator
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems import actuator
 from diffsim.systems.soft_body import forces, material, sensor
 from diffsim.systems.soft_body.scene import SoftScene
 

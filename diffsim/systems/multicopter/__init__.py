@@ -1,7 +1,7 @@
 """Multicopters under recorded commands, and what real ones add to the model."""
 
+from diffsim.causes.commands import HELD_DELAY, HELD_LAG
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
 from diffsim.systems.multicopter.candidates import thrust_steps
 from diffsim.systems.multicopter.effects import COPTER
 from diffsim.systems.multicopter.model import CopterModel, flight_model, flight_nuisances

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 
+from diffsim.causes.channel_groups import channels_of, clock_of
 from diffsim.copter import Multicopter
 from diffsim.copter.design_file import load_design
 from diffsim.copter.rotor import RotorModel, rotor_model
@@ -15,7 +16,6 @@ from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.dials import channels_of, clock_of
 from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
 from diffsim.systems.multicopter.described import ESTIMATOR_GAINS, DescribedFlights

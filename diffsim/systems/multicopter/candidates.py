@@ -8,10 +8,10 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.causes.commands import HELD_DELAY, HELD_LAG, in_words, quantization
 from diffsim.copter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import HELD_DELAY, HELD_LAG, in_words, quantization
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import sensors as seen
 from diffsim.systems.multicopter import single_rotors as single

@@ -9,12 +9,12 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.signals import held_delayed, held_lagged, on_columns
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in
-from diffsim.systems.grid import held_delayed, held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import Cutter, spacing
 from diffsim.systems.multicopter.keys import RotorKeys
 from diffsim.systems.multicopter.lag import speed_lagged

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.causes.channel_groups import channels_of, clock_problems
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
@@ -14,7 +15,6 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.dials import channels_of, clock_problems
 from diffsim.systems.multicopter.assembly import (
     FULL_THRUST,
     GUST,

@@ -13,11 +13,11 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.channel_groups import channel_groups
+from diffsim.causes.readings import named_of, paced, sample_of, sensor_causes
+from diffsim.causes.signals import affine_scan
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.dials import dials
-from diffsim.systems.grid import affine_scan
-from diffsim.systems.instrument import named_of, paced, sample_of, sensor_causes
 from diffsim.systems.multicopter.cutting import Cutter
 from diffsim.systems.multicopter.flight import SENSORS
 from diffsim.systems.multicopter.scene import CopterScene, amount
@@ -59,7 +59,7 @@ def instrument_effects(
         return []
     by_name = {j.channel.name: j for j in _judged(study, cutter)}
     out: list[Effect] = []
-    for dial in dials(study.channels, late_record=False):
+    for dial in channel_groups(study.channels, late_record=False):
         if len(dial.channels) == len(by_name):
             continue  # of all channels: the clock of the commands
         own = [by_name[name] for name in dial.channels]

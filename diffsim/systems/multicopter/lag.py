@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.systems.grid import decayed
+from diffsim.causes.signals import decayed
 
 _LEAST_N = 1e-9  # of a thrust: the root has no slope at zero
 _SHORTEST = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last digit

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.signals import held_lagged, on_columns
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.core.check import require_choice
@@ -19,7 +20,6 @@ from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.systems.grid import held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, Cutter, spacing
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene

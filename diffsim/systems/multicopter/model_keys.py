@@ -6,9 +6,9 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.causes.channel_groups import CLOCKS
 from diffsim.core.schema_numbers import Hertz, Meters, Newtons
 from diffsim.systems.description import Description
-from diffsim.systems.dials import CLOCKS
 from diffsim.systems.multicopter.keys import (
     CommandKeys,
     EstimatorKeys,

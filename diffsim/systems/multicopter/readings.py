@@ -9,6 +9,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from diffsim.causes.channel_groups import delays_of
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.rotation import (
@@ -17,7 +18,6 @@ from diffsim.core.rotation import (
     quaternion_product,
     rpy_from_matrix,
 )
-from diffsim.systems.dials import delays_of
 from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
 from diffsim.systems.multicopter.motion import Motion, turned, turned_back

@@ -7,9 +7,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from diffsim.causes.commands import HELD_LAG
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import HELD_LAG
 from diffsim.systems.multicopter.effects import torque_allocation
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.motion import Motion, by_rotor

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.interpolation import straight
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.multicopter.effects import torque_allocation
 from diffsim.systems.multicopter.scene import CopterScene
-from diffsim.systems.signals import straight
 
 _TORQUE_PER_FORCE = 0.02  # components share one unit: a torque of this per newton [m]
 

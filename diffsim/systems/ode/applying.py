@@ -8,9 +8,9 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.causes.signals import SizedMap
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
-from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.network import Change
 from diffsim.systems.ode.scene import OdeScene
 

@@ -11,16 +11,16 @@ from functools import lru_cache, partial
 import numpy as np
 from torch import Tensor
 
+from diffsim.causes.channel_groups import channels_of, clock_of
+from diffsim.causes.holding import looks_held, moves_on
+from diffsim.causes.readings import PLAY_START, with_play_start
+from diffsim.causes.signals import Grid, delayed, held_delayed, smoothly_delayed
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.dials import channels_of, clock_of
-from diffsim.systems.grid import Grid, delayed, held_delayed, smoothly_delayed
-from diffsim.systems.holding import looks_held, moves_on
-from diffsim.systems.instrument import PLAY_START, START_IN_PLAY, with_play_start
 from diffsim.systems.ode.applying import labels_of
 from diffsim.systems.ode.event_effects import runs_of, timings
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
@@ -40,6 +40,7 @@ from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
 from diffsim.systems.ode.stepping import parts_needed
 from diffsim.systems.ode.store_effects import spilled
+from diffsim.systems.quantities import START_IN_PLAY
 
 SLOW_TIME = "slow_time"
 HELD, LONGEST, PARTS = "held", "longest", "steps_per_sample"  # places in a study's frame

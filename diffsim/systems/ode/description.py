@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from diffsim.causes.channel_groups import CLOCKS
 from diffsim.core.schema_numbers import Seconds
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.dials import CLOCKS
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, Motion
 from diffsim.systems.ode.effects import ode_effects

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from diffsim.causes.readings import paced, sample_of
 from diffsim.identify.effect import Effect
-from diffsim.systems.instrument import paced, sample_of
 from diffsim.systems.ode.input_effects import input_effects
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.place_effects import place_effects

@@ -9,12 +9,12 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.commands import command_causes, in_words
+from diffsim.causes.readings import PLAY_START
+from diffsim.causes.signals import Grid, SizedMap, with_play
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply, Effect, needs_nothing
-from diffsim.systems.actuator import command_causes, in_words
-from diffsim.systems.grid import Grid, SizedMap, with_play
-from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
 from diffsim.systems.ode.library import Library, needs_order
 from diffsim.systems.ode.network import Change, filled, named

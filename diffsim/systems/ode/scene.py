@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.signals import Grid
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
-from diffsim.systems.grid import Grid
 from diffsim.systems.ode.network import TIME, Change, Network
 
 #: (signal on the grid (..., num_times), grid) -> the same

@@ -8,11 +8,11 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.causes.channel_groups import channel_groups
+from diffsim.causes.readings import PLAY_START, spell_plainly, sensor_causes
+from diffsim.causes.signals import Grid, SizedMap, with_play
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.dials import dials
-from diffsim.systems.grid import Grid, SizedMap, with_play
-from diffsim.systems.instrument import PLAY_START, plain, sensor_causes
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.scene import OdeScene
 
@@ -24,7 +24,7 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
     """Causes of every instrument; offset and drift for each channel."""
     by_name = {c.name: c for c in library.study.channels}
     late_record = library.scales.begins_moving or not library.held
-    found = dials(library.study.channels, late_record=late_record)
+    found = channel_groups(library.study.channels, late_record=late_record)
     kinds = {c.kind for c in library.study.channels}
     out = []
     for dial in found:

@@ -7,12 +7,12 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.causes import signals
+from diffsim.causes.commands import command_causes
+from diffsim.causes.readings import spell_plainly
+from diffsim.causes.signals import SizedMap
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems import grid as signals
-from diffsim.systems.actuator import command_causes
-from diffsim.systems.grid import SizedMap
-from diffsim.systems.instrument import plain
 from diffsim.systems.outside.hooks import SHARE, Group
 from diffsim.systems.outside.model import OutsideScene
 

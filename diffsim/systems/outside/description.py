@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from diffsim.causes.channel_groups import CLOCKS, channels_of
+from diffsim.causes.holding import looks_held
 from diffsim.core.units import in_si, in_unit
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -21,8 +23,6 @@ from diffsim.systems.description import (
     chosen_effects,
     settings_with,
 )
-from diffsim.systems.dials import CLOCKS, channels_of
-from diffsim.systems.holding import looks_held
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.setup import outside_setup

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 from torch import Tensor
 
+from diffsim.causes.readings import spell_plainly
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
-from diffsim.systems.instrument import plain
 from diffsim.systems.outside.command_effects import command_effects
 from diffsim.systems.outside.forces import Knots
 from diffsim.systems.outside.hooks import Hooks

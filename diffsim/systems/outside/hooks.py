@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.causes.channel_groups import WHOLE, channel_groups
 from diffsim.data.study import Run, Study
-from diffsim.systems.dials import WHOLE, dials
 
 Array = NDArray[np.float64]
 COMMANDS, OUTPUTS = "commands", "outputs"  # their places in a study's frame
@@ -122,7 +122,7 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
     if by_name is None:
         # nobody knows what a simulator was commanded before: lateness of all is the commands'
         is_driven = any(run.command for run in study.runs)
-        found = dials(study.channels, late_record=not is_driven)
+        found = channel_groups(study.channels, late_record=not is_driven)
         given = {d.name or "record": (d.channels, d.causes) for d in found}
     else:
         given = {name: (tuple(columns), WHOLE) for name, columns in by_name.items()}

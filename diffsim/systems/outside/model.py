@@ -15,12 +15,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.causes.readings import PLAY_START
+from diffsim.causes.signals import Grid, smoothly_delayed
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
-from diffsim.systems.grid import Grid, smoothly_delayed
-from diffsim.systems.instrument import PLAY_START
 from diffsim.systems.outside.forces import Knots, PlaceForces, Term
 from diffsim.systems.outside.source import Predict, Source, offers_of
 

@@ -7,10 +7,10 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.causes.readings import spell_plainly, sensor_causes
+from diffsim.causes.signals import SizedMap, with_play
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.grid import SizedMap, with_play
-from diffsim.systems.instrument import plain, sensor_causes
 from diffsim.systems.outside.hooks import SHARE, Group
 from diffsim.systems.outside.model import OutsideScene
 

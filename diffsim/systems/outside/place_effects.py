@@ -6,9 +6,9 @@ from functools import partial
 
 from torch import Tensor
 
+from diffsim.causes.readings import spell_plainly
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.instrument import plain
 from diffsim.systems.outside import forces
 from diffsim.systems.outside.forces import Law, Term
 from diffsim.systems.outside.hooks import Place

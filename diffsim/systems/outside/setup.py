@@ -7,20 +7,19 @@ from typing import Any
 
 from torch import Tensor
 
+from diffsim.causes.channel_groups import channels_of, clock_of
+from diffsim.causes.readings import (
+    PLAY_START,
+    paced,
+    sample_of,
+    with_play_start,
+)
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.dials import channels_of, clock_of
-from diffsim.systems.instrument import (
-    PLAY_START,
-    START_IN_PLAY,
-    paced,
-    sample_of,
-    with_play_start,
-)
 from diffsim.systems.outside.effects import outside_library, unknown_forces
 from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.hooks import (
@@ -33,6 +32,7 @@ from diffsim.systems.outside.hooks import (
 )
 from diffsim.systems.outside.model import OutsideModel
 from diffsim.systems.outside.source import Source
+from diffsim.systems.quantities import START_IN_PLAY
 
 InRun = Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]]
 

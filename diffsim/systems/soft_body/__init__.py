@@ -1,7 +1,7 @@
 """Soft bodies: a clamped bar let go or pulled by a tendon, and what real ones add to it."""
 
+from diffsim.causes.commands import ACTUATOR
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import ACTUATOR
 from diffsim.systems.soft_body.forces import FORCES
 from diffsim.systems.soft_body.material import MATERIAL
 from diffsim.systems.soft_body.model import SoftModel

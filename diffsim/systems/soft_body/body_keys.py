@@ -6,10 +6,10 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.causes.channel_groups import CLOCKS, clock_of
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import Meters
 from diffsim.systems.description import Description, Quantity
-from diffsim.systems.dials import CLOCKS, clock_of
 from diffsim.systems.quantities import Time
 from diffsim.systems.soft_body.keys import (
     Chamber,

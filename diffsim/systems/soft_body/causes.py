@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from diffsim.causes.commands import BACKLASH, DEAD_BAND, LAG, SATURATION, in_words, quantization
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
-from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION, in_words, quantization
 from diffsim.systems.soft_body import forces, material, sensor
 from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.loads import (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from diffsim.causes.channel_groups import channels_of, clock_of, clock_problems
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -18,7 +19,6 @@ from diffsim.systems.description import (
     settings_with,
     unstated_facts,
 )
-from diffsim.systems.dials import channels_of, clock_of, clock_problems
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.causes import (
     REACH,

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.interpolation import sample
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.signals import sample
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.tangents import motion_tangents

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.channel_groups import channel_groups
+from diffsim.causes.readings import named_of, paced, sample_of, sensor_causes
+from diffsim.causes.signals import Grid, SizedMap
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.dials import dials
-from diffsim.systems.grid import Grid, SizedMap
-from diffsim.systems.instrument import named_of, paced, sample_of, sensor_causes
 from diffsim.systems.soft_body.scene import SoftScene
 
 INSTRUMENTS = "instruments"  # place in a study's frame
@@ -54,7 +54,7 @@ def instrument_effects(
         return []
     scales, place = instrument_scales(study), {c.name: k for k, c in enumerate(study.channels)}
     out: list[Effect] = []
-    for dial in dials(study.channels, late_record=False):
+    for dial in channel_groups(study.channels, late_record=False):
         if len(dial.channels) == len(place):
             continue  # of all channels: causes of the whole record
         own = [study.channels[place[name]] for name in dial.channels]

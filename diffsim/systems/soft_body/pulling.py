@@ -8,10 +8,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.commands import COMMAND_GAIN, RATE_LIMIT, SLACK
+from diffsim.causes.interpolation import straight
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import COMMAND_GAIN, RATE_LIMIT, SLACK
-from diffsim.systems.signals import straight
 from diffsim.systems.soft_body.scene import SoftScene
 
 PULLING: tuple[Effect, ...] = (replace(COMMAND_GAIN, typical=0.2), RATE_LIMIT, SLACK)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from diffsim.systems.signals import curved, straight
+from diffsim.causes.interpolation import curved, straight
 from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.scene import SoftScene
 

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from diffsim import soft
+from diffsim.causes.channel_groups import delays_of
+from diffsim.causes.interpolation import sample, straight
 from diffsim.contact import Obstacle
 from diffsim.core.check import require
 from diffsim.core.errors import ConvergenceError
@@ -18,8 +20,6 @@ from diffsim.soft.forces import ElasticGradient
 from diffsim.soft.inputs import check_loads
 from diffsim.soft.physics import LumpedVolume
 from diffsim.soft.prepared import Prepared
-from diffsim.systems.dials import delays_of
-from diffsim.systems.signals import sample, straight
 from diffsim.systems.soft_body.history import History
 
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}

@@ -8,10 +8,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from diffsim.causes import readings as instrument
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems import instrument
 from diffsim.systems.soft_body.scene import SoftScene
 
 

@@ -8,9 +8,9 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.interpolation import straight
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.signals import straight
 from diffsim.systems.soft_body.kept import OfTime, ratio
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 

@@ -31,7 +31,7 @@ CLOCKS = (
 
 
 @dataclass(frozen=True)
-class Dial:
+class ChannelGroup:
     """Channels that a cause changes alike.
 
     Attributes:
@@ -45,7 +45,7 @@ class Dial:
     causes: tuple[str, ...] = WHOLE
 
 
-def dials(channels: Sequence[Channel], *, late_record: bool) -> tuple[Dial, ...]:
+def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[ChannelGroup, ...]:
     """Dials of a study, the widest first.
 
     Args:
@@ -56,13 +56,15 @@ def dials(channels: Sequence[Channel], *, late_record: bool) -> tuple[Dial, ...]
     found = _by_sensor(channels) if stated else _by_kind(channels)
     everything = tuple(c.name for c in channels)
     if all(d.channels != everything for d in found):
-        found.insert(0, Dial("", everything, ("sensor_delay",)))
+        found.insert(0, ChannelGroup("", everything, ("sensor_delay",)))
     out = []
-    for dial in found:
-        is_whole = dial.channels == everything
-        causes = tuple(c for c in dial.causes if late_record or not is_whole or c != "sensor_delay")
+    for group in found:
+        is_whole = group.channels == everything
+        causes = tuple(
+            c for c in group.causes if late_record or not is_whole or c != "sensor_delay"
+        )
         if causes:
-            out.append(Dial(dial.name, dial.channels, causes))
+            out.append(ChannelGroup(group.name, group.channels, causes))
     return tuple(out)
 
 
@@ -119,29 +121,31 @@ def clock_problems(channels: Sequence[Channel], clocks: Iterable[str]) -> Iterat
             yield Problem("error", f"model.clocks.{name}", str(error))
 
 
-def _by_sensor(channels: Sequence[Channel]) -> list[Dial]:
+def _by_sensor(channels: Sequence[Channel]) -> list[ChannelGroup]:
     """One clock for each sensor; what has a unit for each of its kinds."""
     out = []
     for sensor, own in _grouped(channels, [c.sensor or c.kind for c in channels]).items():
         kinds = _grouped(own, [c.kind for c in own])
         if len(kinds) == 1:
-            out.append(Dial(sensor, _names(own)))
+            out.append(ChannelGroup(sensor, _names(own)))
             continue
-        out.append(Dial(sensor, _names(own), CLOCK))
+        out.append(ChannelGroup(sensor, _names(own), CLOCK))
         rest = tuple(c for c in WHOLE if c not in CLOCK)
-        out += [Dial(f"{kind}_of_{sensor}", _names(part), rest) for kind, part in kinds.items()]
+        out += [
+            ChannelGroup(f"{kind}_of_{sensor}", _names(part), rest) for kind, part in kinds.items()
+        ]
     return out
 
 
-def _by_kind(channels: Sequence[Channel]) -> list[Dial]:
+def _by_kind(channels: Sequence[Channel]) -> list[ChannelGroup]:
     """Every kind; where it has few channels, each of them as well."""
     kinds = _grouped(channels, [c.kind for c in channels])
-    out = [Dial(kind, _names(own)) for kind, own in kinds.items()]
+    out = [ChannelGroup(kind, _names(own)) for kind, own in kinds.items()]
     for own in kinds.values():
         if 1 < len(own) <= FEW:
             for channel in own:
                 name = channel.name if channel.name not in kinds else f"channel_{channel.name}"
-                out.append(Dial(name, (channel.name,), (*CLOCK, *READING)))
+                out.append(ChannelGroup(name, (channel.name,), (*CLOCK, *READING)))
     return out
 
 

@@ -7,10 +7,11 @@ signals in columns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -405,3 +406,25 @@ def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:
     inner = torch.where(alike, (w1 + w2) / (w1 / safe_before + w2 / safe_after), 0.0)
     flat = torch.zeros_like(u[..., :1])
     return torch.cat([flat, inner, flat], -1)
+
+
+#: What a command does between samples: it is held, goes straight, or is known at samples alone.
+Between = Literal["held", "straight", "smooth"]
+
+
+def _late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    return held_delayed(u, grid, delay, signed=False)
+
+
+#: Maps that remember what came before, by the names that rows of causes use.
+MAPS: Mapping[str, Mapping[Between, SizedMap]] = MappingProxyType(
+    {
+        "delayed": {"held": held_delayed, "straight": delayed, "smooth": smoothly_delayed},
+        "delayed_only": {"held": _late_only, "straight": delayed, "smooth": smoothly_delayed},
+        "smoothly_delayed": dict.fromkeys(("held", "straight", "smooth"), smoothly_delayed),
+        "lagged": {"held": held_lagged, "straight": lagged, "smooth": lagged},
+        "in_steps": {"held": held_in_steps, "straight": in_steps, "smooth": in_steps},
+        "slowed": dict.fromkeys(("held", "straight", "smooth"), slowed),
+        "with_play": dict.fromkeys(("held", "straight", "smooth"), with_play),
+    }
+)

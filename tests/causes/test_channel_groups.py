@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.causes.channel_groups import channels_of, channel_groups
+from diffsim.causes.signals import Grid, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.systems.dials import channels_of, dials
-from diffsim.systems.grid import Grid, with_play
 from diffsim.systems.registry import description_of, setup_of
 
 STEP = 0.02
@@ -38,7 +38,7 @@ COMMANDS = {
 
 
 def names(channels, **options):
-    return {d.name: d.channels for d in dials(channels, late_record=True, **options)}
+    return {d.name: d.channels for d in channel_groups(channels, late_record=True, **options)}
 
 
 def test_channels_of_a_stated_sensor_share_its_clock():
@@ -47,7 +47,7 @@ def test_channels_of_a_stated_sensor_share_its_clock():
         Channel("angle", "rad", "angle", sensor="camera"),
         Channel("joint", "rad", "angle", sensor="encoder"),
     )
-    found = dials(channels, late_record=False)
+    found = channel_groups(channels, late_record=False)
     clocks = {d.name: d.channels for d in found if "sensor_delay" in d.causes}
     assert clocks == {"camera": ("x", "angle"), "encoder": ("joint",)}
     zeros = {d.name: d.channels for d in found if "sensor_offset" in d.causes}
@@ -67,7 +67,7 @@ def test_without_a_statement_kinds_and_each_of_few_channels_are_tried():
     many = [Channel(f"m{i}", "m", "position") for i in range(5)]
     assert names((*many, one, angle)).keys() == {"", "position", "angle"}
     # of a record that is late as a whole nothing is known where inputs may be
-    assert "" not in {d.name for d in dials((one, three, angle), late_record=False)}
+    assert "" not in {d.name for d in channel_groups((one, three, angle), late_record=False)}
 
 
 def test_what_no_channel_is_called_is_told():

@@ -7,9 +7,10 @@ import pytest
 import torch
 from scipy import interpolate, signal
 
-from diffsim.systems import actuator, signals
-from diffsim.systems import grid as maps
-from diffsim.systems.grid import on_columns
+from diffsim.causes import commands as actuator
+from diffsim.causes import signals
+from diffsim.causes import signals as maps
+from diffsim.causes.signals import on_columns
 
 
 def column(values):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.causes import commands as actuator
+from diffsim.causes.signals import Grid, held_in_steps, in_steps, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
 from diffsim.diagnose import diagnose
-from diffsim.systems import actuator
-from diffsim.systems.grid import Grid, held_in_steps, in_steps, with_play
 from diffsim.systems.registry import setup_of
 
 STEP = 0.37

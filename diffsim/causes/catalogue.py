@@ -1,0 +1,64 @@
+"""All causes that the library knows, one row each, read from the tables beside this file.
+
+A table has a domain: what commands pass (``actuator``), what shows channels (``sensor``), and one
+for each kind of system. Who looks for a cause, its usual size or its words finds them there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+
+from pydantic import ValidationError
+
+from diffsim.causes.row import Row
+from diffsim.core.check import did_you_mean
+from diffsim.core.errors import Mistakes
+from diffsim.core.schema import problem_lines
+from diffsim.core.yaml_text import read_yaml_file
+
+_HERE = Path(__file__).parent
+
+
+def domains() -> tuple[str, ...]:
+    """Names of the tables."""
+    return tuple(sorted(path.stem for path in _HERE.glob("*.yaml")))
+
+
+@cache
+def rows(domain: str) -> Mapping[str, Row]:
+    """Causes of a domain by name, in the order in which they act.
+
+    Args:
+        domain: One of ``domains()``.
+
+    Raises:
+        ValueError: no such domain, or a table with mistakes.
+    """
+    if domain not in domains():
+        raise ValueError(
+            f"no causes of {domain!r}{did_you_mean(domain, domains())}; "
+            f"known: {', '.join(domains())}"
+        )
+    path = _HERE / f"{domain}.yaml"
+    found, wrong = {}, []
+    for name, given in read_yaml_file(path).items():
+        try:
+            found[name] = Row.model_validate({"name": name, **given})
+        except ValidationError as error:
+            wrong += problem_lines(f"{path.name}: {name}", error)
+    if wrong:
+        raise Mistakes(wrong)
+    return MappingProxyType(found)
+
+
+def all_rows() -> Iterator[tuple[str, Row]]:
+    """Domain and row of every cause, domain after domain."""
+    for domain in domains():
+        for row in rows(domain).values():
+            yield domain, row
+
+
+__all__ = ["all_rows", "domains", "rows"]

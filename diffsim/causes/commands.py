@@ -1,0 +1,121 @@
+"""Causes between a command and the actuators, for every kind of system alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from diffsim.causes.catalogue import rows
+from diffsim.causes.ports import on_commands
+from diffsim.causes.row import ANY, Row
+from diffsim.causes.signals import Between
+from diffsim.core.units import factor
+from diffsim.identify.effect import Effect, Needs
+
+# A wrong size predicts an unrelated staircase: sizes lie so closely that at the greatest command
+# the nearest is a fifth of a step off, and are never so fine that records hardly show them.
+STEPS = tuple(np.arange(2.0, 25.0, 0.4).tolist())  # from zero to the greatest command
+_USUAL_STEPS = 10.0  # as in the row of the cause
+ACTUATOR = "actuator"  # the table
+
+
+@dataclass(frozen=True)
+class CommandGroup:
+    """Commands that go the same way.
+
+    Attributes:
+        names: Names of the commands; empty: all of the system.
+        scales: Usual magnitudes: ``reach``, the greatest magnitude, and where a table asks for them
+            ``width``, the range, and ``rate``, what the rate of change mostly stays below.
+        between: What the commands do between samples.
+        is_one_sided: Whether no command is ever below zero: then a dead band is slack.
+        ending: What names of causes end with, such as "_of_motor".
+        unit: Unit of the commands; None: not said.
+        shown: Unit in which a user reads them; None: ``unit``.
+    """
+
+    names: tuple[str, ...]
+    scales: Mapping[str, float]
+    between: Between = "straight"
+    is_one_sided: bool = False
+    ending: str = ""
+    unit: str | None = None
+    shown: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scales", MappingProxyType(dict(self.scales)))
+
+
+def command_cause(
+    name: str, group: CommandGroup, *, system: str = ANY, needs: Needs | None = None
+) -> Effect:
+    """One cause on the way of some commands.
+
+    Args:
+        name: Name of its row in the table of actuators.
+        group: The commands.
+        system: Kind of system.
+        needs: What a study must have, in place of what the row says.
+    """
+    row = rows(ACTUATOR)[name]
+    effect = row.effect(
+        on_commands(row, group.names, group.scales, group.between),
+        group.scales,
+        system=system,
+        ending=group.ending,
+    )
+    if name == "quantization":
+        effect = replace(effect, tries=tuple(_USUAL_STEPS / n for n in STEPS))
+    if needs is not None:
+        effect = replace(effect, needs=needs)
+    return effect if group.unit is None else say_in_unit(effect, row, group.unit, group.shown)
+
+
+def command_causes(
+    group: CommandGroup, *, system: str = ANY, without: Sequence[str] = ()
+) -> list[Effect]:
+    """All causes on the way of commands that go the same way, in the order in which they act.
+
+    Args:
+        group: The commands.
+        system: Kind of system.
+        without: Names of rows that this system leaves out.
+    """
+    left_out = {*without, *(("dead_band",) if group.is_one_sided else ())}
+    return [command_cause(n, group, system=system) for n in rows(ACTUATOR) if n not in left_out]
+
+
+def say_in_unit(effect: Effect, row: Row, unit: str, shown: str | None = None) -> Effect:
+    """A cause that says its size in the command's unit, where it has that of the command.
+
+    Args:
+        effect: Cause on the way of commands.
+        row: Its row.
+        unit: Unit of the command.
+        shown: Unit in which a user reads it; None: ``unit``.
+    """
+    times = 1.0 if shown is None else factor(unit, shown)
+    if effect.unit == "command" and (shown or unit) != "-":
+        effect = replace(effect, shown_unit=shown or unit, shown_times=times)
+    words = _WORDS.get(row.name)
+    return effect if words is None else replace(effect, words=words(unit, times, shown))
+
+
+def _limit_in_words(unit: str, times: float, shown: str | None) -> Callable[[float], str]:
+    said = shown or unit.replace("-", "of the command")
+    what = "speed" if unit in ("m", "rad", "-") else "rate"
+    return lambda size: f"a {what} limit near {times / size:.3g} {said}/s" if size else "none"
+
+
+def _slack_in_words(unit: str, times: float, shown: str | None) -> Callable[[float], str]:
+    said = shown or unit.replace("-", "of the command")
+    return lambda size: f"{times * size:.2g} {said} of slack"
+
+
+_WORDS = {"rate_limit": _limit_in_words, "slack": _slack_in_words}
+
+
+__all__ = ["CommandGroup", "command_cause", "command_causes", "say_in_unit"]

@@ -1,0 +1,296 @@
+"""Five ports that the scene of a run may offer to causes, and how a row acts through each.
+
+A scene is whatever a model has made of a run. It offers a port by having the method:
+
+- ``with_command(names, change)``: commands on their way to the actuators;
+- ``with_reading(channels, change)``: what channels show, by their indices;
+- ``with_clock(channels, delay)``: how late channels are;
+- ``with_number(name, change)``: a number of the system;
+- ``with_force(place, law)``: a force at a place.
+
+Each returns a changed copy. Names and channels may be empty: all that the system has. Signals are
+(..., width, num_times): one row for each command or channel, points of the parameters in front. At
+size 0 a cause is the scene itself, also where its response has a kink there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from diffsim.causes.row import Row
+from diffsim.causes.signals import MAPS, Between, Grid, SizedMap
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.study import Run
+from diffsim.identify.effect import Apply
+
+SignalMap = Callable[[Tensor, Grid], Tensor]
+PLAY = "with_play"  # the map that depends on where a run starts
+_OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
+OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, usual speed
+
+
+class TakesCommands(Protocol):
+    """A scene whose commands can be changed on their way."""
+
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> Any:
+        """A copy in which some commands are f(commands (..., width, num_times), grid)."""
+        ...
+
+
+class TakesReadings(Protocol):
+    """A scene whose readings can be changed."""
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Any:
+        """A copy in which some channels are f(channels (..., width, num_times), grid)."""
+        ...
+
+
+class TakesClocks(Protocol):
+    """A scene whose channels may be late."""
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Any:
+        """A copy in which some channels show what was ``delay``, () or (K,), ago [s]."""
+        ...
+
+
+class TakesNumbers(Protocol):
+    """A scene with numbers that can be changed."""
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Any:
+        """A copy in which a number is f(number)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ForceLaw:
+    """A force of position, speed and usual speed, at a size.
+
+    Attributes:
+        formula: Formula of ``OF_FORCES``.
+        size: () or (K,).
+    """
+
+    formula: Expression
+    size: Tensor
+
+
+class TakesForces(Protocol):
+    """A scene with places at which forces may act."""
+
+    def with_force(self, place: str, law: ForceLaw) -> Any:
+        """A copy with one more force at a place."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SignalChange:
+    """A map of signals at a size: f(signals (..., width, num_times), grid).
+
+    Attributes:
+        map: Function (signals, grid, size).
+        size: (..., 1), or (..., width) where each signal has its own.
+        is_kinked: Whether the map has a kink at size 0.
+    """
+
+    map: SizedMap
+    size: Tensor
+    is_kinked: bool = False
+
+    def __call__(self, u: Tensor, grid: Grid) -> Tensor:
+        changed = self.map(u, grid, self.size)
+        if not self.is_kinked:
+            return changed
+        return torch.where(self.size[..., None] != 0.0, changed, u)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether it leaves all signals as they are."""
+        return not bool(self.size.detach().any())
+
+
+def map_of(row: Row, scales: Mapping[str, float], between: Between = "straight") -> SizedMap:
+    """The map of signals that a row names or writes as a formula.
+
+    Args:
+        row: Cause of commands or readings.
+        scales: Numbers that the formula may use, by name.
+        between: What a command does between samples.
+
+    Raises:
+        ValueError: a formula with names that there are not.
+    """
+    assert row.map is not None
+    if row.map in MAPS:
+        return MAPS[row.map][between]
+    formula = parse_expression(row.map, (*_OF_SIGNALS, *scales))
+    used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in _OF_SIGNALS)
+    return partial(_evaluated, text=row.map, scales=used)
+
+
+@lru_cache(maxsize=256)
+def _formula(text: str, names: tuple[str, ...]) -> Expression:
+    return parse_expression(text, names)
+
+
+def _evaluated(
+    u: Tensor, grid: Grid, size: Tensor, *, text: str, scales: tuple[tuple[str, float], ...]
+) -> Tensor:
+    """A formula of signals, of sizes (..., 1 or width) and of the time since the start."""
+    values = {name: torch.tensor(value, dtype=u.dtype) for name, value in scales}
+    formula = _formula(text, (*_OF_SIGNALS, *values))
+    return formula({**values, "u": u, "size": size[..., None], "t": grid.times - grid.times[0]})
+
+
+def on_commands(
+    row: Row,
+    names: Sequence[str],
+    scales: Mapping[str, float] | None = None,
+    between: Between = "straight",
+) -> Apply:
+    """How a cause acts on commands that go the same way.
+
+    Args:
+        row: Cause with ``at: command``.
+        names: Names of the commands.
+        scales: Numbers that its formula may use.
+        between: What the commands do between samples.
+    """
+    return partial(
+        _change_commands,
+        names=tuple(names),
+        change=map_of(row, scales or {}, between),
+        is_kinked=row.kink,
+        has_start=row.map == PLAY,
+    )
+
+
+def _change_commands(
+    scene: TakesCommands,
+    size: Tensor,
+    run: Run,
+    *,
+    names: tuple[str, ...],
+    change: SizedMap,
+    is_kinked: bool,
+    has_start: bool,
+) -> Any:
+    change = _from_start(scene, change) if has_start else change
+    return scene.with_command(names, SignalChange(change, size, is_kinked))
+
+
+def on_readings(
+    row: Row, channels: Sequence[int], scales: Mapping[str, float] | None = None
+) -> Apply:
+    """How a cause acts on channels of one instrument.
+
+    Args:
+        row: Cause with ``at: reading``.
+        channels: Indices of the channels; each has a size of its own where there are several.
+        scales: Numbers that its formula may use.
+    """
+    return partial(
+        _change_readings,
+        channels=tuple(channels),
+        change=map_of(row, scales or {}),
+        is_kinked=row.kink,
+        has_start=row.map == PLAY,
+    )
+
+
+def _change_readings(
+    scene: TakesReadings,
+    size: Tensor,
+    run: Run,
+    *,
+    channels: tuple[int, ...],
+    change: SizedMap,
+    is_kinked: bool,
+    has_start: bool,
+) -> Any:
+    change = _from_start(scene, change) if has_start else change
+    return scene.with_reading(channels, SignalChange(change, size, is_kinked))
+
+
+def _from_start(scene: Any, change: SizedMap) -> SizedMap:
+    """A play that begins where the run does, if the scene says where; else in its middle."""
+    start: Tensor | None = scene.play_start
+    if start is None:
+        return change
+    bound: SizedMap = partial(change, start=start[..., None])  # type: ignore[call-arg]  # a play's
+    return bound
+
+
+def on_clock(channels: Sequence[int]) -> Apply:
+    """How lateness acts on channels of one instrument.
+
+    Args:
+        channels: Indices of the channels.
+    """
+    return partial(_delay_channels, channels=tuple(channels))
+
+
+def _delay_channels(
+    scene: TakesClocks, size: Tensor, run: Run, *, channels: tuple[int, ...]
+) -> Any:
+    return scene.with_clock(channels, size[..., 0])
+
+
+def on_numbers(row: Row) -> Apply:
+    """How a cause acts on numbers of a system: equally many of each component share its size.
+
+    Args:
+        row: Cause with ``at: number``.
+    """
+    return partial(_change_numbers, names=row.add or row.scale, is_factor=bool(row.scale))
+
+
+def _change_numbers(
+    scene: TakesNumbers, size: Tensor, run: Run, *, names: tuple[str, ...], is_factor: bool
+) -> Any:
+    each = len(names) // size.shape[-1]
+    for i, name in enumerate(names):
+        own = size[..., i // each]
+        scene = scene.with_number(name, partial(_scaled if is_factor else _larger, size=own))
+    return scene
+
+
+def _larger(value: Tensor, size: Tensor) -> Tensor:
+    return value + size
+
+
+def _scaled(value: Tensor, size: Tensor) -> Tensor:
+    return value * (1.0 + size)
+
+
+def on_place(row: Row, place: str) -> Apply:
+    """How a force acts at a place.
+
+    Args:
+        row: Cause with ``at: force``.
+        place: Name of the place, as the scene knows it.
+    """
+    assert row.force is not None
+    return partial(_push, place=place, formula=parse_expression(row.force, OF_FORCES))
+
+
+def _push(scene: TakesForces, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:
+    return scene.with_force(place, ForceLaw(formula, size[..., 0]))
+
+
+__all__ = [
+    "ForceLaw",
+    "SignalChange",
+    "SignalMap",
+    "map_of",
+    "on_clock",
+    "on_commands",
+    "on_numbers",
+    "on_place",
+    "on_readings",
+]

@@ -1,0 +1,134 @@
+"""Causes in the instruments that show channels, for every kind of system alike."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.causes.catalogue import rows
+from diffsim.causes.channel_groups import WHOLE
+from diffsim.causes.ports import on_clock, on_readings
+from diffsim.causes.row import ANY
+from diffsim.data.study import Channel, Run
+from diffsim.identify.effect import Effect
+
+PLAY_START = "play_start"  # base parameter: where in a play a run starts, -1 to 1
+SENSOR = "sensor"  # the table
+_OF_EACH = ("sensor_offset", "sensor_drift")  # with a size for each channel
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Channels that causes change alike.
+
+    Attributes:
+        channels: The channels.
+        places: Their indices among all channels of the study.
+        scales: Usual magnitudes: ``longest``, duration of the longest run [s]; ``middle`` and
+            ``width`` of what the channels have shown.
+        ending: What names of causes end with, such as "_of_camera".
+        causes: Names of the rows that are tried.
+        unit: Unit of the channels.
+    """
+
+    channels: tuple[Channel, ...]
+    places: tuple[int, ...]
+    scales: Mapping[str, float]
+    ending: str
+    unit: str
+    causes: tuple[str, ...] = WHOLE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scales", MappingProxyType(dict(self.scales)))
+
+
+def reading_cause(name: str, of: Instrument, *, system: str = ANY) -> Effect:
+    """One cause in an instrument, its size in the unit in which a user reads it.
+
+    Args:
+        name: Name of its row in the table of sensors.
+        of: The instrument.
+        system: Kind of system.
+    """
+    row = rows(SENSOR)[name]
+    is_in_unit = row.unit == "channel"
+    several = name in _OF_EACH and len(of.channels) > 1
+    shown = {c.shown_unit for c in of.channels} if is_in_unit else {row.shown}
+    return row.effect(
+        on_clock(of.places) if row.at == "clock" else on_readings(row, of.places, of.scales),
+        of.scales,
+        system=system,
+        ending=of.ending,
+        unit=of.unit if is_in_unit else row.unit,
+        shown_unit=shown.pop() if len(shown) == 1 else None,
+        components=tuple(c.name for c in of.channels) if several else row.components,
+    )
+
+
+def reading_causes(of: Instrument, *, system: str = ANY) -> list[Effect]:
+    """All causes that are tried in an instrument, in the order in which they act.
+
+    Args:
+        of: The instrument.
+        system: Kind of system.
+    """
+    return [reading_cause(n, of, system=system) for n in rows(SENSOR) if n in of.causes]
+
+
+def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
+    """Values of base parameters; a run that the model was not made for starts in the middle.
+
+    Args:
+        values: Values by name.
+        run: Run that is simulated.
+    """
+    name = f"{PLAY_START}@{run.name}"
+    if name in values:
+        return values
+    middle = {name: torch.zeros((), dtype=torch.float64)}
+    return ChainMap(middle, values)  # type: ignore[arg-type]  # it is only read
+
+
+def spell_plainly(name: str) -> str:
+    """A name as the names of causes are written: lower case, digits, underscores."""
+    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
+    return kept.strip("_") or "x"
+
+
+def pace(effects: Iterable[Effect], sample_s: float) -> tuple[Effect, ...]:
+    """Delays and lags that may be as long as half a sample without surprise.
+
+    What is read every two seconds is seldom late by milliseconds.
+
+    Args:
+        effects: Candidate causes.
+        sample_s: Usual time between two samples [s].
+    """
+    least = 0.5 * sample_s
+    return tuple(
+        replace(e, typical=least) if e.unit == "s" and e.typical < least else e for e in effects
+    )
+
+
+def usual_sample(runs: Iterable[Run]) -> float:
+    """Usual time between two samples of runs [s]; 0 where none has two."""
+    return max((float(np.median(np.diff(r.time_s))) for r in runs if len(r.time_s) > 1), default=0)
+
+
+__all__ = [
+    "PLAY_START",
+    "SENSOR",
+    "Instrument",
+    "pace",
+    "reading_cause",
+    "reading_causes",
+    "spell_plainly",
+    "usual_sample",
+    "with_play_start",
+]

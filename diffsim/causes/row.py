@@ -1,0 +1,179 @@
+"""One cause as data: a row of a table, by which an effect on a scene is made.
+
+What a row says (name, family, unit, usual size, words) is said once, for every system that has the
+cause and for studies that add one of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from diffsim.causes.needs import NEEDS
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.schema import Part
+from diffsim.identify.effect import Apply, Effect
+
+Port = Literal["command", "reading", "clock", "number", "force", "scene"]
+
+
+def _listed(given: Any) -> Any:
+    return (given,) if isinstance(given, str) else given
+
+
+def _for_any(given: Any) -> Any:
+    return given if isinstance(given, Mapping) else {ANY: given}
+
+
+ANY = "any"  # kind of system, where a row says nothing of one
+Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+#: What a row says of any kind of system, and of those where it is something else.
+NamesBySystem = Annotated[dict[str, Names], BeforeValidator(_for_any)]
+SizeBySystem = Annotated[dict[str, float | str], BeforeValidator(_for_any)]
+
+
+class Row(Part):
+    """One cause: what it is called, where and how it acts, how large it may be."""
+
+    name: str = Field(description="Name, in small letters with underscores")
+    at: Port = Field(
+        description="Where it acts: on a `command` on its way to the actuators, on the `reading` "
+        "or the `clock` of channels, on a `number` of the system, as a `force` at a place; `scene` "
+        "for what the system's own code does"
+    )
+    family: str = Field("own", description="Causes of one family are alternatives of each other")
+    kind: Literal["force", "actuator", "sensor", "material", "environment"] = Field(
+        description="Where the cause lies"
+    )
+    map: str | None = Field(
+        None,
+        description="Of a command or reading: a map of signals (`delayed`, `lagged`, ...), or a "
+        "formula of the signal u, of size and of the time t since the start",
+    )
+    add: Names = Field((), description="Numbers of the system that the size is added to")
+    scale: Names = Field((), description="Numbers that become 1 + size times as large")
+    force: str | None = Field(
+        None, description="Formula of the force: of size, position x, speed v and usual speed w"
+    )
+    unit: str = Field("-", description="SI unit of the size; `command`: that of the command")
+    shown: str | None = Field(None, description="Unit in which a user reads the size")
+    typical: SizeBySystem = Field(
+        description="Size that would be no surprise: a number, or a formula of usual magnitudes; "
+        "by kind of system where they differ"
+    )
+    components: Names = Field(("size",), description="Names of the sizes, where it has several")
+    one_sided: bool = Field(False, description="Whether the size is never below zero")
+    kink: bool = Field(False, description="Whether the response has a kink at zero")
+    scanned: bool = Field(False, description="Whether sizes over decades are tried before a fit")
+    tries: tuple[float, ...] = Field((), description="Multiples of the usual size that are tried")
+    masks: NamesBySystem = Field(
+        {ANY: ()}, description="Causes that hide it, or that it hides; by kind of system"
+    )
+    needs: str | None = Field(None, description="What a study must have for it to be judged")
+    form: str = Field(
+        "", description="What it does at a size, in a sentence; {reach:.3g} is a usual magnitude"
+    )
+    words: str | None = Field(
+        None, description="What people call it at a size: `{:.2g} N lost in each drive`"
+    )
+    like: Names = Field((), description="What data may not tell from it")
+
+    @field_validator("words")
+    @classmethod
+    def _takes_a_number(cls, words: str | None) -> str | None:
+        if words is not None:
+            try:
+                words.format(0.5)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
+        return words
+
+    @field_validator("typical", "masks")
+    @classmethod
+    def _says_something_of_any(cls, given: dict[str, Any]) -> dict[str, Any]:
+        if ANY not in given:
+            raise ValueError(f"say what holds for {ANY} kind of system, too")
+        return given
+
+    @model_validator(mode="after")
+    def _acts_one_way(self) -> Row:
+        ways = {
+            "command": (self.map,),
+            "reading": (self.map,),
+            "number": (self.add, self.scale),
+            "force": (self.force,),
+        }
+        given = {"map": self.map, "add": self.add, "scale": self.scale, "force": self.force}
+        stated = [key for key, value in given.items() if value]
+        own = ways.get(self.at, ())
+        if self.at in ways and sum(bool(way) for way in own) != 1:
+            keys = {"command": "map", "reading": "map", "number": "add or scale", "force": "force"}
+            raise ValueError(f"a cause at a {self.at} is stated by {keys[self.at]}")
+        if self.at not in ways and stated:
+            raise ValueError(f"a cause at a {self.at} has no {stated[0]}")
+        if self.needs is not None and self.needs not in NEEDS:
+            raise ValueError(f"needs must be one of {', '.join(NEEDS)}, got {self.needs!r}")
+        return self
+
+    def typical_in(self, scales: Mapping[str, float], system: str = ANY) -> float:
+        """Size that would be no surprise [unit].
+
+        Args:
+            scales: Usual magnitudes by the names that ``typical`` may use.
+            system: Kind of system.
+
+        Raises:
+            ValueError: it uses a name that there is not.
+        """
+        stated = self.typical.get(system, self.typical[ANY])
+        if not isinstance(stated, str):
+            return float(stated)
+        formula: Expression = parse_expression(stated, tuple(scales))
+        known = {name: torch.tensor(scales[name], dtype=torch.float64) for name in formula.names}
+        return float(formula(known))
+
+    def effect(
+        self,
+        apply: Apply,
+        scales: Mapping[str, float] | None = None,
+        *,
+        system: str = ANY,
+        ending: str = "",
+        **own: Any,
+    ) -> Effect:
+        """The cause as it acts on the scenes of one system.
+
+        Args:
+            apply: Function (scene, size, run) -> scene, as of :class:`Effect`.
+            scales: Usual magnitudes that ``typical`` and ``form`` may use.
+            system: Kind of system.
+            ending: What the name ends with, such as "_of_motor".
+            **own: Fields of the effect that differ in this system, such as its components.
+        """
+        known = dict(scales or {})
+        stated: dict[str, Any] = {
+            "name": self.name + ending,
+            "family": self.family,
+            "kind": self.kind,
+            "unit": self.unit,
+            "shown_unit": self.shown,
+            "components": self.components,
+            "signed": not self.one_sided,
+            "smooth": not self.kink,
+            "scanned": self.scanned,
+            "tries": self.tries,
+            "masks": tuple(m + ending for m in self.masks.get(system, self.masks[ANY])),
+            "form": self.form.format_map(known),
+            "also_looks_like": self.like,
+            "words": None if self.words is None else self.words.format,
+            "needs": NEEDS[self.needs or "nothing"],
+        }
+        if "typical" not in own:
+            own["typical"] = self.typical_in(known, system)
+        return Effect(apply=apply, **{**stated, **own})
+
+
+__all__ = ["ANY", "Port", "Row"]

@@ -1,0 +1,172 @@
+"""Usual magnitudes that sizes of causes are stated in: one record, from fit runs and plain model.
+
+Nothing of a test run is seen. A model is saved with the record, so that its sizes mean the same on
+other recordings; a study with a ``frame`` has it from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.data.study import Run, Study
+
+Array = NDArray[np.float64]
+SCALES = "scales"  # place in a study's frame
+_NO_RANGE = 1e-12  # of a command that is the same throughout
+_MOSTLY = 90  # percentile of rates of change that a record mostly stays below
+
+
+@dataclass(frozen=True)
+class CommandScale:
+    """What a command does in the runs to fit.
+
+    Attributes:
+        low, high: Least and greatest value.
+        rate: What its rate of change mostly stays below [1/s].
+    """
+
+    low: float
+    high: float
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Usual magnitudes over the runs to fit.
+
+    Attributes:
+        commands: What each command does, by name.
+        channels: Least and greatest sample of each channel, by name; one apart if all are alike.
+        longest_s: Duration of the longest run [s].
+        num_orders: Number of places in the order of recording that the runs have.
+        plain: Magnitudes of the plain model, by what they are of: {"cart": {"force": 2.1}}.
+        facts: What else holds of the runs, by name: {"begins_moving": True}.
+    """
+
+    commands: Mapping[str, CommandScale]
+    channels: Mapping[str, tuple[float, float]]
+    longest_s: float
+    num_orders: int
+    plain: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of_runs(cls, study: Study) -> Scales:
+        """Magnitudes of a study's recordings alone, without a model.
+
+        Args:
+            study: Study with the recordings; runs to test by have no say.
+        """
+        runs = study.fit_runs or study.without_tests().runs or study.runs
+        names = dict.fromkeys(name for run in runs for name in run.command)
+        channels = {
+            c.name: _range([run.measured[:, i] for run in runs])
+            for i, c in enumerate(study.channels)
+        }
+        return cls(
+            MappingProxyType({name: _command_scale(runs, name) for name in names}),
+            MappingProxyType(channels),
+            max((float(r.time_s[-1] - r.time_s[0]) for r in runs), default=0.0),
+            len({r.order for r in runs}),
+        )
+
+    @classmethod
+    def kept_in(cls, study: Study) -> Scales | None:
+        """The record that a study's ``frame`` has; None: it has none."""
+        saved = study.frame.get(SCALES)
+        return None if saved is None else cls.read(saved)
+
+    @classmethod
+    def read(cls, saved: Mapping[str, Any]) -> Scales:
+        """The inverse of ``saved``.
+
+        Args:
+            saved: What ``saved`` returned, of a file or not.
+        """
+        commands = {name: CommandScale(**scale) for name, scale in saved["commands"].items()}
+        channels = {name: (low, high) for name, (low, high) in saved["channels"].items()}
+        rest = {k: v for k, v in saved.items() if k not in ("commands", "channels")}
+        return cls(MappingProxyType(commands), MappingProxyType(channels), **rest)
+
+    def saved(self) -> dict[str, Any]:
+        """The record in types that YAML and JSON have."""
+        return {
+            "commands": {name: asdict(scale) for name, scale in self.commands.items()},
+            "channels": {name: list(ends) for name, ends in self.channels.items()},
+            "longest_s": self.longest_s,
+            "num_orders": self.num_orders,
+            "plain": {of: dict(magnitudes) for of, magnitudes in self.plain.items()},
+            "facts": dict(self.facts),
+        }
+
+    def of_commands(self, names: Sequence[str]) -> dict[str, float]:
+        """Magnitudes of commands that go the same way, as tables of causes call them.
+
+        Args:
+            names: Names of the commands; those that no run has count as zero.
+
+        Returns:
+            ``reach``, the greatest magnitude (1 where that is zero); ``width``, the greatest range;
+            ``rate``.
+        """
+        own = [self.commands[name] for name in names if name in self.commands]
+        reach = max((max(abs(c.low), abs(c.high)) for c in own), default=0.0)
+        return {
+            "reach": reach or 1.0,
+            "width": max([_NO_RANGE, *(c.high - c.low for c in own)]),
+            "rate": max([_NO_RANGE, *(c.rate for c in own)]),
+        }
+
+    def is_one_sided(self, names: Sequence[str]) -> bool:
+        """Whether commands are never below zero.
+
+        Args:
+            names: Names of the commands.
+        """
+        return all(self.commands[name].low >= 0.0 for name in names if name in self.commands)
+
+    def of_channels(self, names: Sequence[str]) -> dict[str, float]:
+        """Magnitudes of channels of one instrument, as tables of causes call them.
+
+        Args:
+            names: Names of the channels.
+
+        Returns:
+            ``middle`` and ``width`` of all that they have shown; ``longest`` [s].
+        """
+        low = min(self.channels[name][0] for name in names)
+        high = max(self.channels[name][1] for name in names)
+        return {"middle": 0.5 * (low + high), "width": high - low, "longest": self.longest_s}
+
+
+def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:
+    rates, seen = [0.0], [np.zeros(0)]
+    for run in runs:
+        if name not in run.command:
+            continue
+        values = np.asarray(run.command[name], dtype=np.float64)
+        known = np.isfinite(values)
+        seen.append(values[known])
+        if known.sum() > 2:
+            rate = np.abs(np.diff(values[known])) / np.diff(np.asarray(run.time_s)[known])
+            rates.append(float(np.percentile(rate, _MOSTLY)))
+    every = np.concatenate(seen)
+    if not len(every):
+        return CommandScale(0.0, 0.0, 0.0)
+    return CommandScale(float(every.min()), float(every.max()), max(rates))
+
+
+def _range(columns: Sequence[Array]) -> tuple[float, float]:
+    every = np.concatenate([np.zeros(0), *columns])
+    every = every[np.isfinite(every)]
+    low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
+    return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+
+__all__ = ["SCALES", "CommandScale", "Scales"]
