@@ -62,7 +62,7 @@ def command_cause(
     """
     row = rows(ACTUATOR)[name]
     effect = row.effect(
-        on_commands(row, group.names, group.scales, group.between),
+        on_commands(row, group.names, group.scales, group.between, system),
         group.scales,
         system=system,
         ending=group.ending,

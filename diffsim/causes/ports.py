@@ -23,7 +23,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from diffsim.causes.row import Row
+from diffsim.causes.row import ANY, Row
 from diffsim.causes.signals import MAPS, Between, Grid, SizedMap
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
@@ -32,7 +32,7 @@ from diffsim.identify.effect import Apply
 SignalMap = Callable[[Tensor, Grid], Tensor]
 PLAY = "with_play"  # the map that depends on where a run starts
 _OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
-OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, usual speed
+OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, speed below which friction fades
 
 
 class TakesCommands(Protocol):
@@ -114,23 +114,26 @@ class SignalChange:
         return not bool(self.size.detach().any())
 
 
-def map_of(row: Row, scales: Mapping[str, float], between: Between = "straight") -> SizedMap:
+def map_of(
+    row: Row, scales: Mapping[str, float], between: Between = "straight", system: str = ANY
+) -> SizedMap:
     """The map of signals that a row names or writes as a formula.
 
     Args:
         row: Cause of commands or readings.
         scales: Numbers that the formula may use, by name.
         between: What a command does between samples.
+        system: Kind of system.
 
     Raises:
         ValueError: a formula with names that there are not.
     """
-    assert row.map is not None
-    if row.map in MAPS:
-        return MAPS[row.map][between]
-    formula = parse_expression(row.map, (*_OF_SIGNALS, *scales))
+    text: str = row.said("map", system)
+    if text in MAPS:
+        return MAPS[text][between]
+    formula = parse_expression(text, (*_OF_SIGNALS, *scales))
     used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in _OF_SIGNALS)
-    return partial(_evaluated, text=row.map, scales=used)
+    return partial(_evaluate, text=text, scales=used)
 
 
 @lru_cache(maxsize=256)
@@ -138,7 +141,7 @@ def _formula(text: str, names: tuple[str, ...]) -> Expression:
     return parse_expression(text, names)
 
 
-def _evaluated(
+def _evaluate(
     u: Tensor, grid: Grid, size: Tensor, *, text: str, scales: tuple[tuple[str, float], ...]
 ) -> Tensor:
     """A formula of signals, of sizes (..., 1 or width) and of the time since the start."""
@@ -152,6 +155,7 @@ def on_commands(
     names: Sequence[str],
     scales: Mapping[str, float] | None = None,
     between: Between = "straight",
+    system: str = ANY,
 ) -> Apply:
     """How a cause acts on commands that go the same way.
 
@@ -160,13 +164,14 @@ def on_commands(
         names: Names of the commands.
         scales: Numbers that its formula may use.
         between: What the commands do between samples.
+        system: Kind of system.
     """
     return partial(
         _change_commands,
         names=tuple(names),
-        change=map_of(row, scales or {}, between),
+        change=map_of(row, scales or {}, between, system),
         is_kinked=row.kink,
-        has_start=row.map == PLAY,
+        has_start=_is_play(row),
     )
 
 
@@ -199,7 +204,7 @@ def on_readings(
         channels=tuple(channels),
         change=map_of(row, scales or {}),
         is_kinked=row.kink,
-        has_start=row.map == PLAY,
+        has_start=_is_play(row),
     )
 
 
@@ -215,6 +220,11 @@ def _change_readings(
 ) -> Any:
     change = _from_start(scene, change) if has_start else change
     return scene.with_reading(channels, SignalChange(change, size, is_kinked))
+
+
+def _is_play(row: Row) -> bool:
+    """Whether a map depends on where the run starts in a play."""
+    return row.said("map") == PLAY
 
 
 def _from_start(scene: Any, change: SizedMap) -> SizedMap:
@@ -275,8 +285,8 @@ def on_place(row: Row, place: str) -> Apply:
         row: Cause with ``at: force``.
         place: Name of the place, as the scene knows it.
     """
-    assert row.force is not None
-    return partial(_push, place=place, formula=parse_expression(row.force, OF_FORCES))
+    formula = parse_expression(row.said("law"), OF_FORCES)
+    return partial(_push, place=place, formula=formula)
 
 
 def _push(scene: TakesForces, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:

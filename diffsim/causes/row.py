@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-import torch
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from diffsim.causes.needs import NEEDS
-from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.expression import parse_expression
 from diffsim.core.schema import Part
 from diffsim.identify.effect import Apply, Effect
 
-Port = Literal["command", "reading", "clock", "number", "force", "scene"]
+Port = Literal["command", "reading", "clock", "number", "force", "law", "store", "scene"]
 
 
 def _listed(given: Any) -> Any:
@@ -33,6 +32,8 @@ Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 #: What a row says of any kind of system, and of those where it is something else.
 NamesBySystem = Annotated[dict[str, Names], BeforeValidator(_for_any)]
 SizeBySystem = Annotated[dict[str, float | str], BeforeValidator(_for_any)]
+TextBySystem = Annotated[dict[str, str], BeforeValidator(_for_any)]
+FlagBySystem = Annotated[dict[str, bool], BeforeValidator(_for_any)]
 
 
 class Row(Part):
@@ -41,22 +42,24 @@ class Row(Part):
     name: str = Field(description="Name, in small letters with underscores")
     at: Port = Field(
         description="Where it acts: on a `command` on its way to the actuators, on the `reading` "
-        "or the `clock` of channels, on a `number` of the system, as a `force` at a place; `scene` "
-        "for what the system's own code does"
+        "or the `clock` of channels, on a `number` of the system, as a `force` at a place; on a "
+        "`law` or a `store` of formulas; `scene` for what the system's own code does"
     )
     family: str = Field("own", description="Causes of one family are alternatives of each other")
     kind: Literal["force", "actuator", "sensor", "material", "environment"] = Field(
         description="Where the cause lies"
     )
-    map: str | None = Field(
+    map: TextBySystem | None = Field(
         None,
         description="Of a command or reading: a map of signals (`delayed`, `lagged`, ...), or a "
         "formula of the signal u, of size and of the time t since the start",
     )
     add: Names = Field((), description="Numbers of the system that the size is added to")
     scale: Names = Field((), description="Numbers that become 1 + size times as large")
-    force: str | None = Field(
-        None, description="Formula of the force: of size, position x, speed v and usual speed w"
+    law: TextBySystem | None = Field(
+        None,
+        description="Of a force: its formula, of size, position x, speed v and the speed w below "
+        "which friction fades; of a law: the new one, of y, x and size; of a store: what it gains",
     )
     unit: str = Field("-", description="SI unit of the size; `command`: that of the command")
     shown: str | None = Field(None, description="Unit in which a user reads the size")
@@ -65,7 +68,9 @@ class Row(Part):
         "by kind of system where they differ"
     )
     components: Names = Field(("size",), description="Names of the sizes, where it has several")
-    one_sided: bool = Field(False, description="Whether the size is never below zero")
+    one_sided: FlagBySystem = Field(
+        {ANY: False}, description="Whether the size is never below zero"
+    )
     kink: bool = Field(False, description="Whether the response has a kink at zero")
     scanned: bool = Field(False, description="Whether sizes over decades are tried before a fit")
     tries: tuple[float, ...] = Field((), description="Multiples of the usual size that are tried")
@@ -91,32 +96,40 @@ class Row(Part):
                 raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
         return words
 
-    @field_validator("typical", "masks")
+    @field_validator("typical", "masks", "map", "law", "one_sided")
     @classmethod
-    def _says_something_of_any(cls, given: dict[str, Any]) -> dict[str, Any]:
-        if ANY not in given:
+    def _says_something_of_any(cls, given: dict[str, Any] | None) -> dict[str, Any] | None:
+        if given is not None and ANY not in given:
             raise ValueError(f"say what holds for {ANY} kind of system, too")
         return given
 
     @model_validator(mode="after")
     def _acts_one_way(self) -> Row:
-        ways = {
-            "command": (self.map,),
-            "reading": (self.map,),
-            "number": (self.add, self.scale),
-            "force": (self.force,),
+        keys = {
+            "command": ("map",),
+            "reading": ("map",),
+            "number": ("add", "scale"),
+            **dict.fromkeys(("force", "law", "store"), ("law",)),
         }
-        given = {"map": self.map, "add": self.add, "scale": self.scale, "force": self.force}
-        stated = [key for key, value in given.items() if value]
-        own = ways.get(self.at, ())
-        if self.at in ways and sum(bool(way) for way in own) != 1:
-            keys = {"command": "map", "reading": "map", "number": "add or scale", "force": "force"}
-            raise ValueError(f"a cause at a {self.at} is stated by {keys[self.at]}")
-        if self.at not in ways and stated:
-            raise ValueError(f"a cause at a {self.at} has no {stated[0]}")
+        wanted = keys.get(self.at, ())
+        stated = [key for key in ("map", "add", "scale", "law") if getattr(self, key)]
+        if wanted and len(stated) != 1:
+            raise ValueError(f"a cause at a {self.at} is stated by {' or '.join(wanted)} alone")
+        if wrong := [key for key in stated if key not in wanted]:
+            raise ValueError(f"a cause at a {self.at} has no {wrong[0]}")
         if self.needs is not None and self.needs not in NEEDS:
             raise ValueError(f"needs must be one of {', '.join(NEEDS)}, got {self.needs!r}")
         return self
+
+    def said(self, key: str, system: str = ANY) -> Any:
+        """What the row says of a kind of system under a key that may differ between these.
+
+        Args:
+            key: ``map``, ``law``, ``typical``, ``masks`` or ``one_sided``.
+            system: Kind of system.
+        """
+        stated: Mapping[str, Any] = getattr(self, key)
+        return stated.get(system, stated[ANY])
 
     def typical_in(self, scales: Mapping[str, float], system: str = ANY) -> float:
         """Size that would be no surprise [unit].
@@ -128,12 +141,11 @@ class Row(Part):
         Raises:
             ValueError: it uses a name that there is not.
         """
-        stated = self.typical.get(system, self.typical[ANY])
+        stated = self.said("typical", system)
         if not isinstance(stated, str):
             return float(stated)
-        formula: Expression = parse_expression(stated, tuple(scales))
-        known = {name: torch.tensor(scales[name], dtype=torch.float64) for name in formula.names}
-        return float(formula(known))
+        formula = parse_expression(stated, tuple(scales))
+        return float(formula.on_floats(*scales)(*scales.values()))
 
     def effect(
         self,
@@ -161,18 +173,19 @@ class Row(Part):
             "unit": self.unit,
             "shown_unit": self.shown,
             "components": self.components,
-            "signed": not self.one_sided,
+            "signed": not self.said("one_sided", system),
             "smooth": not self.kink,
             "scanned": self.scanned,
             "tries": self.tries,
-            "masks": tuple(m + ending for m in self.masks.get(system, self.masks[ANY])),
-            "form": self.form.format_map(known),
+            "masks": tuple(m + ending for m in self.said("masks", system)),
             "also_looks_like": self.like,
             "words": None if self.words is None else self.words.format,
             "needs": NEEDS[self.needs or "nothing"],
         }
         if "typical" not in own:
             own["typical"] = self.typical_in(known, system)
+        if "form" not in own:
+            own["form"] = self.form.format_map(known)
         return Effect(apply=apply, **{**stated, **own})
 
 

@@ -78,9 +78,19 @@ class Scales:
 
     @classmethod
     def kept_in(cls, study: Study) -> Scales | None:
-        """The record that a study's ``frame`` has; None: it has none."""
-        saved = study.frame.get(SCALES)
-        return None if saved is None else cls.read(saved)
+        """The record that a study's ``frame`` has; None: the study has no frame.
+
+        Raises:
+            ValueError: the frame is that of a model which was saved before version 0.2.
+        """
+        if not study.frame:
+            return None
+        if SCALES not in study.frame:
+            raise ValueError(
+                f"study {study.name}: the saved model has no {SCALES!r}, by which its sizes mean "
+                "what they mean; it is from before version 0.2: fit it again"
+            )
+        return cls.read(study.frame[SCALES])
 
     @classmethod
     def read(cls, saved: Mapping[str, Any]) -> Scales:
@@ -138,11 +148,17 @@ class Scales:
             names: Names of the channels.
 
         Returns:
-            ``middle`` and ``width`` of all that they have shown; ``longest`` [s].
+            ``middle`` and ``width`` of all that they have shown; ``spread``, the greatest range of
+            one of them; ``longest`` [s].
         """
-        low = min(self.channels[name][0] for name in names)
-        high = max(self.channels[name][1] for name in names)
-        return {"middle": 0.5 * (low + high), "width": high - low, "longest": self.longest_s}
+        ends = [self.channels[name] for name in names]
+        low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+        return {
+            "middle": 0.5 * (low + high),
+            "width": high - low,
+            "spread": max(e[1] - e[0] for e in ends),
+            "longest": self.longest_s,
+        }
 
 
 def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:

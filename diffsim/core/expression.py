@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
+import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -145,6 +146,14 @@ class Expression:
         """
         return _evaluate(self.root, values)
 
+    def on_floats(self, *names: str) -> Callable[..., float]:
+        """The formula as a function of plain numbers, for callers that ask at every step.
+
+        Args:
+            *names: Quantities in the order in which the function takes them.
+        """
+        return _compile_floats(self.root, names)
+
 
 def _evaluate(node: Node, values: Values) -> Tensor:
     if isinstance(node, Number):
@@ -152,6 +161,69 @@ def _evaluate(node: Node, values: Values) -> Tensor:
     if isinstance(node, Name):
         return values[node.name]
     return OPERATIONS[node.operation](*(_evaluate(part, values) for part in node.parts))
+
+
+def _pow(base: float, exponent: float) -> float:
+    try:
+        out = base**exponent
+    except (OverflowError, ZeroDivisionError):
+        return math.inf
+    return math.nan if isinstance(out, complex) else out
+
+
+def _nan_outside(function: Callable[[float], float]) -> Callable[[float], float]:
+    """A function that is not a number where Python's would raise, as a tensor's is."""
+
+    def apply(value: float) -> float:
+        try:
+            return function(value)
+        except (ValueError, OverflowError):
+            return math.nan
+
+    return apply
+
+
+_ON_FLOATS: dict[str, Callable[..., float]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": lambda a, b: a / b if b else math.nan if a == 0.0 else math.copysign(math.inf, a),
+    "pow": _pow,
+    "neg": operator.neg,
+    "less": lambda a, b: float(a < b),
+    "less_equal": lambda a, b: float(a <= b),
+    "min": min,
+    "max": max,
+    "where": lambda condition, yes, no: yes if condition != 0.0 else no,
+    "abs": abs,
+    "sign": lambda a: float((a > 0.0) - (a < 0.0)),
+    "atan2": math.atan2,
+    "hypot": math.hypot,
+    **{
+        name: _nan_outside(getattr(math, name))
+        for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")
+        + ("sinh", "cosh", "tanh", "asinh")
+    },
+}
+"""The same on plain numbers."""
+
+
+def _compile_floats(node: Node, names: tuple[str, ...]) -> Callable[..., float]:
+    if isinstance(node, Number):
+        value = node.value
+        return lambda *given: value
+    if isinstance(node, Name):
+        place = names.index(node.name)
+        return lambda *given: given[place]
+    operation = _ON_FLOATS[node.operation]
+    parts = tuple(_compile_floats(part, names) for part in node.parts)
+    if len(parts) == 1:
+        (only,) = parts
+        return lambda *given: operation(only(*given))
+    if len(parts) == 2:
+        left, right = parts
+        return lambda *given: operation(left(*given), right(*given))
+    return lambda *given: operation(*(part(*given) for part in parts))
 
 
 def parse_expression(text: str | float, known: Iterable[str] | None = None) -> Expression:

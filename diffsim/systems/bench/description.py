@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import Field
 
+from diffsim.causes.scales import SCALES, Scales
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.bench.run_zeros import ZERO_SCALES, run_zeros, zero_scales
+from diffsim.systems.bench.run_zeros import run_zeros
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
 from diffsim.systems.ode.law_effects import (
-    LAW_SCALES,
     check_laws,
     labels_of_laws,
     law_effects,
@@ -58,15 +58,16 @@ class BenchDescription(FormulaKeys):
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        scales = law_scales(self.laws, study, model, read.network, read.known)
+        scales = Scales.kept_in(study) or Scales.of_runs(study)
+        bends = law_scales(self.laws, study, model, read.network, read.known)
+        scales = replace(scales, plain={**scales.plain, **bends})
         model.frame = {
             LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
-            LAW_SCALES: {name: asdict(scale) for name, scale in scales.items()},
-            ZERO_SCALES: zero_scales(study),
+            SCALES: scales.saved(),
         }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         # what differs between groups of a search for faults is their stated scatter, and no fault
-        zeros = run_zeros(study, zero_scales(study)) if study.faults is None else ()
+        zeros = run_zeros(study, scales) if study.faults is None else ()
         advised = DiagnosisSettings(
             search=SearchSettings(
                 max_effects=MAX_EFFECTS,

@@ -1,4 +1,4 @@
-"""How effects reach a scene: by formulas with their sizes, by signals on the way in or out."""
+"""How effects reach a scene: by formulas with their sizes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import partial
 
 from torch import Tensor
 
-from diffsim.causes.signals import SizedMap
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
 from diffsim.systems.ode.network import Change
@@ -97,12 +96,3 @@ def _changed_in(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: Groups
 ) -> OdeScene:
     return scene.with_change(change, {symbol: groups.size_in(run, size)})
-
-
-def by_input(name: str, change: SizedMap) -> Apply:
-    """An effect that changes an input on its way: f(input, grid, size)."""
-    return partial(_driven, name=name, change=change)
-
-
-def _driven(scene: OdeScene, size: Tensor, run: Run, *, name: str, change: SizedMap) -> OdeScene:
-    return scene.with_input(name, lambda u, grid: change(u, grid, size[..., 0]))

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from torch import Tensor
@@ -14,7 +14,7 @@ from torch import Tensor
 from diffsim.causes.channel_groups import channels_of, clock_of
 from diffsim.causes.holding import looks_held, moves_on
 from diffsim.causes.readings import PLAY_START, with_play_start
-from diffsim.causes.signals import Grid, delayed, held_delayed, smoothly_delayed
+from diffsim.causes.signals import Grid, delayed, held_delayed
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run, Study
@@ -345,8 +345,8 @@ class Described:
             ranges=self.keys.ranges,
         )
         for name, channels in self.clocks.items():
-            for channel in channels:
-                scene = scene.with_reading(channel, partial(_later, by=known[name]))
+            places = tuple(scene.channels.index(c) for c in channels)
+            scene = scene.with_clock(places, known[name])
         return scene
 
     def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:
@@ -360,10 +360,6 @@ class Described:
         if (late := known.get(f"{name}_delay")) is not None:
             u = (held_delayed if held else delayed)(u, grid, late)
         return u
-
-
-def _later(y: Tensor, grid: Grid, *, by: Tensor) -> Tensor:
-    return smoothly_delayed(y, grid, by)
 
 
 class _Times:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS
+from diffsim.causes.scales import SCALES
 from diffsim.core.schema_numbers import Seconds
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -31,13 +32,12 @@ from diffsim.systems.ode.keys import (
     Store,
 )
 from diffsim.systems.ode.law_effects import (
-    LAW_SCALES,
     check_laws,
     labels_of_laws,
     law_effects,
     law_scales,
 )
-from diffsim.systems.ode.library import MAGNITUDES, Library, magnitudes
+from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
 from diffsim.systems.ode.names import Reader, longest, where_of
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
@@ -128,8 +128,9 @@ class OdeDescription(FormulaKeys):
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+        scales = scales_of(study, model, read.network, read.known, self.places, self.stores)
         bends = law_scales(self.laws, study, model, read.network, read.known)
+        scales = replace(scales, plain={**scales.plain, **bends})
         library = Library(
             study=study,
             known=read.known,
@@ -138,9 +139,9 @@ class OdeDescription(FormulaKeys):
             assumed=read.assumed,
             clocks=frozenset(read.clocks.values()),
             step=read.step,
-            places=tuple((p, usual.places[p.name]) for p in self.places),
-            stores=tuple((s, usual.stores[s.name]) for s in self.stores),
-            scales=usual,
+            places=tuple((p, PlaceScale(**scales.plain[p.name])) for p in self.places),
+            stores=tuple((s, StoreScale(**scales.plain[s.name])) for s in self.stores),
+            scales=scales,
         )
         labels = {**read.labels, **labels_of_laws(self.laws, study)}
         model.frame = {
@@ -148,11 +149,10 @@ class OdeDescription(FormulaKeys):
             HELD: dict(read.input_held),
             PARTS: read.parts,
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
-            MAGNITUDES: usual.saved(),
-            LAW_SCALES: {name: asdict(scale) for name, scale in bends.items()},
+            SCALES: scales.saved(),
         }
         found = (*ode_effects(library), *event_effects(library, model, self.events))
-        laws = law_effects(self.laws, study, bends, read.network, read.known)
+        laws = law_effects(self.laws, study, scales, read.network, read.known)
         effects = chosen_effects((*found, *laws, *read.own), self.effects)
         return DiagnosisSetup(
             model,

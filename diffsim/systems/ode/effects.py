@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diffsim.causes.readings import paced, sample_of
+from diffsim.causes.readings import pace, usual_sample
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.input_effects import input_effects
 from diffsim.systems.ode.library import Library
@@ -17,5 +17,5 @@ def ode_effects(library: Library) -> tuple[Effect, ...]:
     return (
         *place_effects(library),
         *store_effects(library),
-        *paced(timed, sample_of(library.study.runs)),
+        *pace(timed, usual_sample(library.study.runs)),
     )

@@ -175,10 +175,12 @@ def _way(library: Library, events: Events, name: str) -> _Way:
         typical = SHARE_OF_USUAL * library.usual[name]
         return _Way(name, "actuator", "command", typical, changed)
     index = [c.name for c in library.study.channels].index(name)
-    unit, spread = library.study.channels[index].unit, library.spread(index)
+    unit, spread = library.study.channels[index].unit, library.scales.of_channels((name,))["spread"]
 
     def read(own: str) -> Entry:
-        return lambda scene, values: scene.with_reading(name, lambda y, grid: y + values)
+        return lambda scene, values: scene.with_reading(
+            (index,), lambda y, grid: y + values[..., None, :]
+        )
 
     return _Way(name, "sensor", unit, SENSOR_SHARE * spread, read)
 

@@ -9,86 +9,67 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from diffsim.causes.commands import command_causes, in_words
-from diffsim.causes.readings import PLAY_START
-from diffsim.causes.signals import Grid, SizedMap, with_play
+from diffsim.causes.catalogue import rows
+from diffsim.causes.commands import CommandGroup, command_causes
+from diffsim.causes.signals import Grid
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
-from diffsim.identify.effect import Apply, Effect, needs_nothing
-from diffsim.systems.ode.applying import by_formulas, by_input, symbol
-from diffsim.systems.ode.library import Library, needs_order
+from diffsim.identify.effect import Effect, needs_nothing
+from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
 _INSTANT = 1e-12  # s: shorter than any step
-SHARE = 0.03  # of the greatest input: slack, play and offset that are no surprise
 
 
 def input_effects(library: Library) -> tuple[Effect, ...]:
     """Causes on the way of every input, each for itself where there are several."""
     out: list[Effect] = []
-    for name, held in library.held.items():
-        tail = "" if len(library.held) == 1 else f"_of_{name}"
-        out += _of_input(library, name, held, tail)
-        out.append(_gain_drift(name, tail, len({r.order for r in library.study.fit_runs})))
+    for name in library.held:
+        ending = "" if len(library.held) == 1 else f"_of_{name}"
+        out += _list_causes(library, name, ending)
+        out.append(_drift_gain(name, ending, len({r.order for r in library.study.fit_runs})))
     return tuple(out)
 
 
-def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect]:
+def group_of(library: Library, name: str, ending: str = "") -> CommandGroup:
+    """An input as causes of commands see it.
+
+    Args:
+        library: Names and magnitudes of the system.
+        name: Name of the input.
+        ending: What names of its causes end with.
+    """
     units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
     unit, shown = units.get(name, (None, None))
+    return CommandGroup(
+        (name,),
+        library.scales.of_commands((name,)),
+        "held" if library.held[name] else "straight",
+        library.scales.is_one_sided((name,)),
+        ending,
+        unit,
+        shown,
+    )
+
+
+def _list_causes(library: Library, name: str, ending: str) -> list[Effect]:
     found = [
-        replace(
-            model if unit is None else in_words(model, unit, shown),
-            name=model.name + tail,
-            masks=tuple(m + tail for m in model.masks),
-            # what a study must have is checked where the input is read
-            needs=model.needs if model.name == "quantization" else needs_nothing,
-            apply=_played(name)
-            if model.name == "backlash"
-            else by_input(name, change if model.smooth else _or_none(change)),
-        )
-        for model, change in command_causes(
-            library.inputs.get(name, 1.0),
-            SHARE,
-            held=held,
-            one_sided=name in library.one_sided,
-        )
+        # what a study must have is checked where the input is read
+        effect if effect.name == f"quantization{ending}" else replace(effect, needs=needs_nothing)
+        for effect in command_causes(group_of(library, name, ending), system="ode")
     ]
-    found.append(_slow_share(name, tail))
+    found.append(_slow_share(name, ending))
     # after all that changes the input on its way, which it is a copy of
     if name in library.unsure:
-        return [*found, _held_between(name, tail)]
-    return [*found, _straight_between(name, tail)] if name in library.assumed else found
+        return [*found, _go_between(f"held_between_samples{ending}", name, held=True)]
+    if name in library.assumed:
+        return [*found, _go_between(f"straight_between_samples{ending}", name, held=False)]
+    return found
 
 
-def _played(name: str) -> Apply:
-    """An input behind a play, from where it is in the play at the start."""
-
-    def apply(scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
-        start = scene.values.get(PLAY_START)
-        behind = _or_none(lambda u, grid, half: with_play(u, grid, half, start))
-        return scene.with_input(name, lambda u, grid: behind(u, grid, size[..., 0]))
-
-    return apply
-
-
-def _or_none(change: SizedMap) -> SizedMap:
-    """The map of an effect with a kink; at size 0 the signal itself, with its slope."""
-    return lambda u, grid, size: torch.where(size[..., None] != 0.0, change(u, grid, size), u)
-
-
-def _held_between(name: str, tail: str) -> Effect:
-    form = "The input keeps its value until the next sample (size 1), not a straight line."
-    return _between(f"held_between_samples{tail}", form, name, held=True)
-
-
-def _straight_between(name: str, tail: str) -> Effect:
-    form = "The input goes straight to its next sample (size 1), and is not held until then."
-    return _between(f"straight_between_samples{tail}", form, name, held=False)
-
-
-def _between(own: str, form: str, name: str, *, held: bool) -> Effect:
+def _go_between(own: str, name: str, *, held: bool) -> Effect:
     """What an input does between samples, other than the model says."""
     other = f"{name} {'held' if held else 'straight'}"
     parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
@@ -98,27 +79,19 @@ def _between(own: str, form: str, name: str, *, held: bool) -> Effect:
         inputs=() if held else (other,),
         held_inputs=(other,) if held else (),
     )
-    return Effect(
-        name=own,
-        form=form,
-        family="timing",
-        kind="actuator",
-        unit="-",
-        typical=1.0,
-        signed=False,
-        also_looks_like=("delay of half a sample",),
-        apply=partial(
-            _instead,
-            name=name,
-            other=other,
-            change=change,
-            symbol=symbol(own),
-            between=_kept if held else _straight,
-        ),
+    apply = partial(
+        _put_instead,
+        name=name,
+        other=other,
+        change=change,
+        symbol=symbol(own),
+        between=_hold if held else _join,
     )
+    row = rows("ode")["held_between_samples" if held else "straight_between_samples"]
+    return row.effect(apply, name=own)
 
 
-def _instead(
+def _put_instead(
     scene: OdeScene,
     size: Tensor,
     run: Run,
@@ -133,13 +106,13 @@ def _instead(
     return scene.with_further_input(other, values, change, {symbol: size[..., 0]})
 
 
-def _kept(u: Tensor, grid: Grid) -> Tensor:
+def _hold(u: Tensor, grid: Grid) -> Tensor:
     """An input that keeps its value until the next sample, (..., num_times)."""
     before = torch.searchsorted(grid.samples, torch.arange(len(grid.times)), right=True) - 1
     return u[..., grid.samples][..., before]
 
 
-def _straight(u: Tensor, grid: Grid) -> Tensor:
+def _join(u: Tensor, grid: Grid) -> Tensor:
     """An input that goes straight from sample to sample, (..., num_times)."""
     places, last = torch.arange(len(grid.times)), len(grid.samples) - 1
     before = torch.searchsorted(grid.samples, places, right=True) - 1
@@ -148,8 +121,8 @@ def _straight(u: Tensor, grid: Grid) -> Tensor:
     return u[..., low] + (grid.times - grid.times[low]) / step * (u[..., high] - u[..., low])
 
 
-def _slow_share(name: str, tail: str) -> Effect:
-    own = "slow_share" + tail
+def _slow_share(name: str, ending: str) -> Effect:
+    own = "slow_share" + ending
     state = f"slow state of {own}"
     parts = {"u": named(name), "z": named(state), "size": named(symbol(own))}
     change = Change(
@@ -159,32 +132,13 @@ def _slow_share(name: str, tail: str) -> Effect:
         },
         starts={state: named(name)},
     )
-    return Effect(
-        name=own,
-        form="A share size of the input comes within the slow time.",
-        family="slow",
-        kind="actuator",
-        unit="-",
-        shown_unit="%",
-        typical=0.1,
-        also_looks_like=("creep", "a regulator that creeps to its set point", "leak, if negative"),
-        apply=by_formulas(change, symbol(own)),
-    )
+    return rows("ode")["slow_share"].effect(by_formulas(change, symbol(own)), ending=ending)
 
 
-def _gain_drift(name: str, tail: str, num_runs: int) -> Effect:
-    own = "gain_drift" + tail
+def _drift_gain(name: str, ending: str, num_runs: int) -> Effect:
+    own = "gain_drift" + ending
     parts = {"u": named(name), "size": named(symbol(own)), "n": named("run_order")}
-    return Effect(
-        name=own,
-        form="The input does more by the share size from run to run.",
-        family="drift",
-        kind="actuator",
-        unit="1/run",
-        typical=0.1 / max(num_runs, 1),
-        needs=needs_order,
-        also_looks_like=("warming", "wear", "growth with the level, where levels rose in order"),
-        apply=by_formulas(
-            Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)}), symbol(own)
-        ),
-    )
+    change = Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)})
+    scales = {"runs": float(max(num_runs, 1))}
+    row = rows("ode")["gain_drift"]
+    return row.effect(by_formulas(change, symbol(own)), scales, ending=ending)

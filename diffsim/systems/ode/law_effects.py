@@ -2,161 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.expression import parse_expression
+from diffsim.causes.catalogue import rows
+from diffsim.causes.row import Row
+from diffsim.causes.scales import Scales
+from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Apply, Effect, Needs, needs_nothing
+from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.applying import Groups, by_formulas_in, labels_of, symbol
 from diffsim.systems.ode.keys import Law
-from diffsim.systems.ode.library import needs_order, require_kept
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
 LEAST = 0.02  # of the usual x: below it a power is not raised
-LAW_SCALES = "law_scales"  # place in a study's frame
 _WAY, _LOOP, _SHARE = "way of the sweep", "loop of the sweep", "share of the run"
-
-
-@dataclass(frozen=True)
-class LawScale:
-    """Usual magnitudes of a law in the plain model: rms of x and y, greatest y."""
-
-    x: float
-    y: float
-    most: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Bend:
-    """A change of a law.
-
-    Attributes:
-        name: Name of the effect before that of the law.
-        form, signed, smooth, also: As of the effect.
-        formula: The law in y, x, its usual x0, greatest y most, other laws z, and size.
-        typical: Size that would be no surprise.
-        unit: Unit of the size, with Y and X for those of y and x.
-        kind: Where it enters.
-    """
-
-    name: str
-    form: str
-    formula: str
-    typical: float
-    unit: str = "-"
-    kind: str = "force"
-    family: str = "law"
-    signed: bool = True
-    smooth: bool = True
-    also: tuple[str, ...] = ()
-    needs: Needs = needs_nothing
-
-
-def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
-    yield _Bend(
-        name="exponent",
-        form="The law grows with x to the power size beyond what it is.",
-        formula="y*(max(x, least)/x0)**size",
-        typical=0.1,
-        also=("a coefficient that changes with the Reynolds number", "deformation under load"),
-    )
-    yield _Bend(
-        name="growth",
-        form="The law is 1 + size ((x / usual x)^2 - 1) times as large: more at large x.",
-        formula="y*(1 + size*((x/x0)**2 - 1))",
-        typical=0.1,
-        also=("deformation under load", "saturation, if negative"),
-    )
-    yield _Bend(
-        name="low_end_loss",
-        form="The law is 1 - size (sqrt(usual x / x) - 1) times as large: less at small x.",
-        formula="y*(1 - size*(sqrt(x0/max(x, least)) - 1))",
-        typical=0.05,
-        also=("viscous loss", "zero of the sensor"),
-    )
-    yield _Bend(
-        name="linear_part",
-        form="size x in addition.",
-        formula="y + size*x",
-        typical=0.05 * scale.y / scale.x,
-        unit="Y/X",
-        also=("viscous friction",),
-    )
-    yield _Bend(
-        name="zero",
-        form="size in addition wherever x is not 0.",
-        formula="y + where(x, size, 0)",
-        typical=0.02 * scale.y,
-        unit="Y",
-        family="zero",
-        kind="sensor",
-        also=("dry friction", "zero of the sensor"),
-    )
-    yield _Bend(
-        name="gain",
-        form="The law is 1 + size times as large.",
-        formula="y*(1 + size)",
-        typical=0.05,
-        family="scale",
-        kind="sensor",
-        also=("scale of the sensor", "coefficient of the law"),
-    )
-    yield _Bend(
-        name="limit",
-        form="The law ends at 1 - size of its greatest value.",
-        formula="min(y, most*(1 - size)) if size > 0 else y",
-        typical=0.2,
-        family="limit",
-        signed=False,
-        smooth=False,
-        also=("range of the sensor",),
-    )
-    if law.sweeps:
-        yield _Bend(
-            name="hysteresis",
-            form="The law is size larger on the way up and size smaller on the way down.",
-            formula="y*(1 + size*way)",
-            typical=0.02,
-            family="hysteresis",
-            also=("lag of the reading", "warming during the sweep"),
-        )
-        yield _Bend(
-            name="hysteresis_loop",
-            form="The law is less on the way up and more on the way down, by the share size of its "
-            "greatest value halfway, by nothing where the sweep turns.",
-            formula="y - size*most*loop",
-            typical=0.01,
-            family="hysteresis",
-            also=("creep", "lag of the reading", "warming during the sweep"),
-        )
-    yield _Bend(
-        name="run_drift",
-        form="The law grows by the share size from the first to the last sample of a run.",
-        formula="y*(1 + size*share)",
-        typical=0.02,
-        family="drift",
-        kind="environment",
-        also=("warming", "a battery that drains"),
-    )
-    yield _Bend(
-        name="order_drift",
-        form="The law grows by the share size from run to run.",
-        formula="y*(1 + size*run_order)",
-        typical=0.1 / max(num_runs, 1),
-        unit="1/run",
-        family="drift",
-        kind="environment",
-        also=("wear", "weather"),
-        needs=needs_order,
-    )
 
 
 def check_laws(
@@ -186,7 +53,7 @@ def labels_of_laws(laws: Sequence[Law], study: Study) -> dict[str, list[str]]:
 def law_effects(
     laws: Sequence[Law],
     study: Study,
-    scales: Mapping[str, LawScale],
+    scales: Scales,
     network: Network,
     known: Sequence[str],
 ) -> tuple[Effect, ...]:
@@ -195,82 +62,91 @@ def law_effects(
     Args:
         laws: Laws of the description.
         study: Study with the recordings.
-        scales: Usual magnitudes of each law, by its name (``law_scales``).
+        scales: Usual magnitudes, those of laws among them (``law_scales``).
         network: Formulas of the plain model.
         known: Names that formulas may use.
     """
-    num_runs = len({run.order for run in study.fit_runs})
+    bend = _Bender(study, scales, network, tuple(known))
     out = []
     for law in laws:
-        scale = scales[law.name]
-        out += [_effect(law, b, scale, study, network, known) for b in _bends(law, scale, num_runs)]
-        for other in laws:
-            if other.name != law.name:
-                out.append(_crossed(law, other, scales, study, network, known))
+        for row in rows("law").values():
+            if row.name != "part" and (law.sweeps or "hysteresis" not in row.name):
+                out.append(bend.effect(law, row))
+        out += [bend.effect(law, rows("law")["part"], o) for o in laws if o.name != law.name]
     return tuple(out)
 
 
-def _crossed(
-    law: Law,
-    other: Law,
-    scales: Mapping[str, LawScale],
-    study: Study,
-    network: Network,
-    known: Sequence[str],
-) -> Effect:
-    bend = _Bend(
-        name=f"part_of_{other.name}",
-        form=f"size of {other.name} is read with it.",
-        formula=f"y + size*{other.name}",
-        typical=0.02 * scales[law.name].y / scales[other.name].y,
-        unit=f"{law.unit}/{other.unit}" if law.unit != other.unit else "-",
-        family="cross_talk",
-        kind="sensor",
-    )
-    return _effect(law, bend, scales[law.name], study, network, known)
+@dataclass(frozen=True, eq=False)
+class _Bender:
+    """Makes effects that bend laws.
+
+    Attributes:
+        study: Study with the recordings.
+        scales: Usual magnitudes, those of laws among them.
+        network: Formulas of the plain model.
+        known: Names that formulas may use.
+    """
+
+    study: Study
+    scales: Scales
+    network: Network
+    known: tuple[str, ...]
+
+    def effect(self, law: Law, row: Row, other: Law | None = None) -> Effect:
+        """A cause of a law.
+
+        Args:
+            law: The law.
+            row: Row of the cause.
+            other: Law that is read with it, of the cause ``part``.
+        """
+        if other is None:
+            name, said = f"{row.name}_of_{law.name}", row.form
+        else:
+            name, said = f"part_of_{other.name}_in_{law.name}", row.form.format(other=other.name)
+        parts = self._letters(law, name, other)
+        formula = parse_expression(row.said("law"), (*parts, *self.known))
+        further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
+        change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
+        groups = Groups.of(law.per, self.study)
+        swept = self.network.with_readings({"x": parts["x"]})
+        apply = _Bent(by_formulas_in(change, symbol(name), groups), tuple(further), swept)
+        return row.effect(
+            apply,
+            self._magnitudes(law, other),
+            name=name,
+            form=f"{law.name}: {said}",
+            family=f"{row.family}_of_{law.name}",
+            unit=_unit(row.unit, law, other),
+            components=groups.components,
+        )
+
+    def _magnitudes(self, law: Law, other: Law | None) -> dict[str, float]:
+        runs = float(max(len({run.order for run in self.study.fit_runs}), 1))
+        own = {**self.scales.plain[f"law {law.name}"], "runs": runs}
+        return own if other is None else {**own, "z": self.scales.plain[f"law {other.name}"]["y"]}
+
+    def _letters(self, law: Law, name: str, other: Law | None) -> dict[str, Expression]:
+        """What the letters of a law's formula stand for."""
+        scale = self.scales.plain[f"law {law.name}"]
+        numbers = {"x0": scale["x"], "least": LEAST * scale["x"], "most": scale["most"]}
+        return {
+            **{k: parse_expression(repr(v)) for k, v in numbers.items()},
+            **({} if other is None else {"other": named(other.name)}),
+            "y": named(law.name),
+            "x": parse_expression(law.of, self.known),
+            "size": named(symbol(name)),
+            "way": named(_WAY + " of " + law.name),
+            "loop": named(_LOOP + " of " + law.name),
+            "share": named(_SHARE),
+        }
 
 
-def _effect(
-    law: Law,
-    bend: _Bend,
-    scale: LawScale,
-    study: Study,
-    network: Network,
-    known: Sequence[str],
-) -> Effect:
-    name = f"{bend.name}_of_{law.name}" if "_of_" not in bend.name else f"{bend.name}_in_{law.name}"
-    numbers = {"x0": scale.x, "least": LEAST * scale.x, "most": scale.most}
-    letters = ("y", "x", "size", "way", "loop", "share", *numbers)
-    parts = {k: parse_expression(repr(v)) for k, v in numbers.items()} | {
-        "y": named(law.name),
-        "x": parse_expression(law.of, known),
-        "size": named(symbol(name)),
-        "way": named(_WAY + " of " + law.name),
-        "loop": named(_LOOP + " of " + law.name),
-        "share": named(_SHARE),
-    }
-    formula = parse_expression(bend.formula, (*letters, *known))
-    further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
-    change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
-    groups = Groups.of(law.per, study)
-    return Effect(
-        name=name,
-        form=f"{law.name}: {bend.form}",
-        family=f"{bend.family}_of_{law.name}",
-        kind=bend.kind,
-        unit=bend.unit.replace("Y", law.unit).replace("X", law.of_unit),
-        typical=bend.typical,
-        signed=bend.signed,
-        smooth=bend.smooth,
-        also_looks_like=bend.also,
-        needs=bend.needs,
-        components=groups.components,
-        apply=_Bent(
-            by_formulas_in(change, symbol(name), groups),
-            tuple(further),
-            network.with_readings({"x": parts["x"]}),
-        ),
-    )
+def _unit(pattern: str, law: Law, other: Law | None) -> str:
+    """Unit of a size: "Y/X" is that of y over that of x."""
+    if other is not None:
+        return f"{law.unit}/{other.unit}" if law.unit != other.unit else "-"
+    return pattern.replace("Y", law.unit).replace("X", law.of_unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +189,9 @@ def _share(scene: OdeScene) -> Tensor:
 
 def law_scales(
     laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
-) -> dict[str, LawScale]:
-    """Usual magnitudes of laws, from one simulation of each run to fit.
+) -> dict[str, Mapping[str, float]]:
+    """Usual magnitudes of laws by "law NAME": rms of x and y, greatest y; from one simulation of
+    each run to fit.
 
     A study with a ``frame`` has them from there.
 
@@ -327,10 +204,8 @@ def law_scales(
     """
     if not laws:
         return {}
-    if LAW_SCALES in study.frame:
-        kept = {name: LawScale(**scale) for name, scale in study.frame[LAW_SCALES].items()}
-        require_kept("law", [law.name for law in laws], kept)
-        return kept
+    if (kept := Scales.kept_in(study)) is not None:
+        return {f"law {law.name}": kept.plain[f"law {law.name}"] for law in laws}
     pairs = [(law, w) for law in laws for w in (law.of, law.name)]
     read = network.with_readings(
         {f"{law.name} {w}": parse_expression(w, known) for law, w in pairs}
@@ -348,8 +223,9 @@ def law_scales(
         found = float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
         return found if np.isfinite(found) and found > 0.0 else 1.0
 
-    out = {}
+    out: dict[str, Mapping[str, float]] = {}
     for law in laws:
         x, y = table[f"{law.name} {law.of}"], table[f"{law.name} {law.name}"]
-        out[law.name] = LawScale(rms(x), rms(y), float(np.nanmax(y)))
+        most = float(np.nanmax(y))
+        out[f"law {law.name}"] = {"x": rms(x), "y": rms(y), "most": most}
     return out

@@ -9,13 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.signals import Grid
+from diffsim.causes.ports import SignalMap
+from diffsim.causes.readings import PLAY_START
+from diffsim.causes.signals import Grid, smoothly_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
 from diffsim.systems.ode.network import TIME, Change, Network
-
-#: (signal on the grid (..., num_times), grid) -> the same
-SignalMap = Callable[[Tensor, Grid], Tensor]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,7 @@ class OdeScene:
         starts: Start value of every state, formulas of the values.
         inputs: Inputs by name, (num_times,) or (K, num_times).
         changes: What effects have changed in the formulas.
-        readers: What effects do to channels: name of the channel, function.
+        readers: What effects do to channels, by their indices.
         channels: Names of the channels in order.
         ranges: Least and largest value that the sensor of a channel can show, by channel.
     """
@@ -42,7 +41,7 @@ class OdeScene:
     starts: Mapping[str, Expression]
     inputs: Mapping[str, Tensor]
     changes: tuple[Change, ...] = ()
-    readers: tuple[tuple[str, SignalMap], ...] = ()
+    readers: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -50,10 +49,24 @@ class OdeScene:
         """A copy with other formulas; ``sizes`` are values of the symbols in them."""
         return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
 
-    def with_input(self, name: str, change: SignalMap) -> OdeScene:
-        """A copy in which an input is f(input, grid)."""
-        changed = change(self.inputs[name], self.grid)
-        return replace(self, inputs={**self.inputs, name: changed})
+    @property
+    def play_start(self) -> Tensor | None:
+        """Where in a play the run starts, -1 to 1; None: not known to the model."""
+        return self.values.get(PLAY_START)
+
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> OdeScene:
+        """A copy in which inputs are f(inputs (..., width, num_times), grid).
+
+        Args:
+            names: Names of the inputs; empty: all.
+            change: The function.
+        """
+        changed = {n: change(self.inputs[n][..., None, :], self.grid)[..., 0, :] for n in names}
+        return replace(self, inputs={**self.inputs, **changed})
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> OdeScene:
+        """A copy in which a value is f(value)."""
+        return replace(self, values={**self.values, name: change(self.values[name])})
 
     def with_further_input(
         self, name: str, values: Tensor, change: Change, sizes: Mapping[str, Tensor] | None = None
@@ -62,9 +75,14 @@ class OdeScene:
         scene = replace(self, inputs={**self.inputs, name: values})
         return scene.with_change(change, sizes or {})
 
-    def with_reading(self, channel: str, change: SignalMap) -> OdeScene:
-        """A copy in which a channel is f(channel, grid)."""
-        return replace(self, readers=(*self.readers, (channel, change)))
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> OdeScene:
+        """A copy in which channels are f(channels (..., width, num_times), grid)."""
+        return replace(self, readers=(*self.readers, (channels, change)))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> OdeScene:
+        """A copy in which channels show what was ``delay``, () or (K,), ago [s]."""
+        late = delay[..., None]
+        return self.with_reading(channels, lambda y, grid: smoothly_delayed(y, grid, late))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""
@@ -73,10 +91,12 @@ class OdeScene:
         if order != list(range(readings.shape[-1])):
             readings = readings[..., order]
         if self.readers:
-            columns = dict(zip(self.channels, readings.unbind(-1), strict=True))
-            for channel, change in self.readers:
-                columns[channel] = change(columns[channel], self.grid)
-            readings = torch.stack(torch.broadcast_tensors(*columns.values()), -1)
+            columns = list(readings.unbind(-1))
+            for channels, change in self.readers:
+                own = torch.stack(torch.broadcast_tensors(*(columns[c] for c in channels)), -2)
+                for c, column in zip(channels, change(own, self.grid).unbind(-2), strict=True):
+                    columns[c] = column
+            readings = torch.stack(torch.broadcast_tensors(*columns), -1)
         for channel, (low, high) in self.ranges.items():
             # the sensor ends after all that happens before it
             own = torch.zeros(len(self.channels), dtype=torch.bool)

@@ -38,7 +38,8 @@ def unknown_forces(library: Library) -> tuple[Unknown, ...]:
         out.append(_smooth(library, name, said, change, unit, typical))
     if out:
         return tuple(out)
-    for name, most in library.inputs.items():
+    for name in library.held:
+        most = library.scales.of_commands((name,))["reach"]
         own = f"unknown_change_of_{name}"
         total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
         change = Change(names={name: total}, inputs=(own,))
@@ -57,7 +58,7 @@ def _smooth(
     typical: float,
     knots_per_s: float | None = None,
 ) -> UnknownForce:
-    longest = library.longest
+    longest = library.scales.longest_s
     wanted = KNOTS if knots_per_s is None else round(longest * knots_per_s) + 1
     count = min(max(wanted, 4), MOST_KNOTS)
     spacing = longest / (count - 1)

@@ -4,7 +4,7 @@ from diffsim.systems.outside.description import OutsideDescription
 from diffsim.systems.outside.effects import outside_library, unknown_forces
 from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.forces import PlaceForces
-from diffsim.systems.outside.hooks import Hooks, Place, command_groups, output_groups
+from diffsim.systems.outside.hooks import Hooks, Place, command_groups, instruments
 from diffsim.systems.outside.model import OutsideModel, SimulatorError
 from diffsim.systems.outside.setup import outside_setup
 from diffsim.systems.outside.source import Source
@@ -19,7 +19,7 @@ __all__ = [
     "SimulatorError",
     "Source",
     "command_groups",
-    "output_groups",
+    "instruments",
     "outside_library",
     "outside_setup",
     "unknown_forces",

@@ -150,7 +150,7 @@ class OutsideDescription(Description):
             out.append(Problem("error", "model", problem))
         checks: list[Callable[[], object]] = [
             partial(hooks_of.command_groups, study, self.hooks.command),
-            partial(hooks_of.output_groups, study, self.hooks.output),
+            partial(hooks_of.instruments, study, self.hooks.output),
             *(partial(channels_of, study.channels, name) for name in self.clocks),
         ]
         for check in checks:

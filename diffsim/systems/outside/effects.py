@@ -8,38 +8,32 @@ from functools import partial
 import numpy as np
 from torch import Tensor
 
-from diffsim.causes.readings import spell_plainly
+from diffsim.causes.commands import command_causes
+from diffsim.causes.readings import reading_causes, spell_plainly
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
-from diffsim.systems.outside.command_effects import command_effects
 from diffsim.systems.outside.forces import Knots
 from diffsim.systems.outside.hooks import Hooks
 from diffsim.systems.outside.model import OutsideScene
-from diffsim.systems.outside.output_effects import output_effects
 from diffsim.systems.outside.place_effects import place_effects
 
 MAX_KNOTS = 24
 
 
-def outside_library(hooks: Hooks, channels: Sequence[str], *, held: bool = False) -> list[Effect]:
+def outside_library(hooks: Hooks) -> list[Effect]:
     """Candidate causes that these hooks allow.
 
     Args:
         hooks: Groups of commands, places of forces, instruments.
-        channels: Names of all channels, in the order of the record.
-        held: Commands are held from sample to sample; else straight lines join the samples.
     """
     out: list[Effect] = []
     for group in hooks.commands:
-        out += command_effects(group, held)
-    for i, place in enumerate(hooks.places):
-        out += place_effects(place, i)
-    for group in hooks.outputs:
-        # of all channels, and at rest before, a late instrument is a late command
-        may_be_late = set(group.columns) != set(channels) or not hooks.commands
-        idx = tuple(channels.index(c) for c in group.columns)
-        out += output_effects(group, idx, may_be_late)
+        out += command_causes(group, system="outside")
+    for place in hooks.places:
+        out += place_effects(place)
+    for instrument in hooks.instruments:
+        out += reading_causes(instrument, system="outside")
     return out
 
 
@@ -57,7 +51,7 @@ def unknown_forces(hooks: Hooks, runs: Sequence[Run]) -> tuple[UnknownForce, ...
     out = []
     for i, place in enumerate(hooks.places):
         effect = Effect(
-            name=f"unknown_force_at_{plain(place.name)}",
+            name=f"unknown_force_at_{spell_plainly(place.name)}",
             form=f"Force at {place.name}, one component per knot in time.",
             family="unknown",
             kind="force",

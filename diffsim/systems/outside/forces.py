@@ -6,45 +6,17 @@ displacement are exact, whatever the integrator.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.causes.ports import OF_FORCES
+from diffsim.core.expression import Expression
+
 SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
-Law = Callable[[float, float, float, float], float]
-
-
-def viscous(size: float, x: float, v: float, scale: float) -> float:
-    """-size v."""
-    return -size * v
-
-
-def quadratic(size: float, x: float, v: float, scale: float) -> float:
-    """-size |v| v."""
-    return -size * abs(v) * v
-
-
-def coulomb(size: float, x: float, v: float, scale: float) -> float:
-    """-size sign(v), smooth within a hundredth of the usual speed ``scale``."""
-    return -size * math.tanh(v / (SHARP * scale))
-
-
-def constant(size: float, x: float, v: float, scale: float) -> float:
-    """size."""
-    return size
-
-
-def stiff(size: float, x: float, v: float, scale: float) -> float:
-    """-size x."""
-    return -size * x
-
-
-def cubic(size: float, x: float, v: float, scale: float) -> float:
-    """-size x^3."""
-    return -size * x * x * x
 
 
 @dataclass(frozen=True)
@@ -53,13 +25,14 @@ class Term:
 
     Attributes:
         place: Index of the place.
-        law: Function (size, position, velocity, scale) -> force.
+        law: Formula of ``OF_FORCES``: size, position x, speed v, and w, below which dry friction
+            fades.
         size: Size of the law, in the effect's unit.
-        scale: Usual speed of the place; laws that are smoothed use it.
+        scale: Usual speed of the place, of which w is a hundredth.
     """
 
     place: int
-    law: Law
+    law: Expression
     size: float
     scale: float = 1.0
 
@@ -106,6 +79,10 @@ class PlaceForces:
         self._terms = tuple(t for t in terms if t.size != 0.0)
         self._knots = tuple(k for k in knots if any(k.values))
         self.acts = bool(self._terms or self._knots)
+        self._laws = [t.law.on_floats(*OF_FORCES) for t in self._terms]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.places, self._terms, self._knots)  # functions stay here
 
     def __call__(
         self,
@@ -121,9 +98,9 @@ class PlaceForces:
             velocities: Their rates.
         """
         out = np.zeros(len(self.places))
-        for t in self._terms:
+        for t, law in zip(self._terms, self._laws, strict=True):
             i = t.place
-            out[i] += t.law(t.size, float(positions[i]), float(velocities[i]), t.scale)
+            out[i] += law(t.size, float(positions[i]), float(velocities[i]), SHARP * t.scale)
         for k in self._knots:
             out[k.place] += k.at(time)
         return out

@@ -3,42 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from diffsim.causes.channel_groups import CLOCK, WHOLE, channel_groups
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.readings import Instrument, spell_plainly
+from diffsim.causes.scales import Scales
+from diffsim.causes.signals import Between
+from diffsim.data.study import Study
 
-from diffsim.causes.channel_groups import WHOLE, channel_groups
-from diffsim.data.study import Run, Study
-
-Array = NDArray[np.float64]
-COMMANDS, OUTPUTS = "commands", "outputs"  # their places in a study's frame
-SHARE = 0.05  # of a command's or channel's range: no surprise
 PER_DISTANCE = {"N": "m", "N m": "rad"}
-
-
-@dataclass(frozen=True)
-class Group:
-    """Commands that go the same way, or channels of one instrument.
-
-    Attributes:
-        name: Ending of the causes' names, as "_motor"; empty: none.
-        columns: Names of the commands or channels.
-        reach: Greatest value of a command in the study, in its unit; range of a channel.
-        unit: Unit of the columns, if they share one, else "command" or "channel".
-        one_sided: No command is ever below zero.
-        longest_s: Duration of the longest run [s].
-        causes: Causes in an instrument that are tried, without what they are of.
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    reach: float
-    unit: str
-    one_sided: bool = False
-    longest_s: float = 1.0
-    causes: tuple[str, ...] = WHOLE
 
 
 @dataclass(frozen=True)
@@ -72,58 +46,73 @@ class Hooks:
     Attributes:
         commands: Groups of commands on their way to the actuators.
         places: Places of forces.
-        outputs: Channels by instrument.
+        instruments: Channels by instrument.
     """
 
-    commands: tuple[Group, ...] = ()
+    commands: tuple[CommandGroup, ...] = ()
     places: tuple[Place, ...] = ()
-    outputs: tuple[Group, ...] = ()
+    instruments: tuple[Instrument, ...] = ()
 
 
-def command_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> tuple[Group, ...]:
+def command_groups(
+    study: Study,
+    by_name: Mapping[str, Sequence[str]] | None,
+    scales: Scales | None = None,
+    between: Between = "smooth",
+) -> tuple[CommandGroup, ...]:
     """Groups of a study's commands: those that are named, else all commands as one.
 
     Args:
         study: Recorded runs with their commands.
         by_name: Names of the commands of each group; None: one group of all.
+        scales: Usual magnitudes; None: of the study.
+        between: What commands do between samples; the simulator hears samples alone.
 
     Raises:
         ValueError: a group without commands, or a command that no run has.
     """
-    if COMMANDS in study.frame:
-        return _kept(study.frame[COMMANDS])
+    scales = scales or Scales.of_runs(study)
     known = list(dict.fromkeys(name for run in study.runs for name in run.command))
     given = {"": known} if by_name is None else by_name
-    out = []
     for name, columns in given.items():
         _require_all(f"hooks.command.{name}", columns, known)
-        if columns:
-            values = [_finite(run, c) for run in study.runs for c in columns]
-            reach = max(float(np.abs(v).max(initial=0.0)) for v in values)
-            one_sided = all((v >= 0.0).all() for v in values)
-            out.append(Group(name, tuple(columns), reach or 1.0, "command", one_sided))
-    return tuple(out)
+    return tuple(
+        CommandGroup(
+            tuple(columns),
+            scales.of_commands(columns),
+            between,
+            scales.is_one_sided(columns),
+            f"_of_{spell_plainly(name)}" if name else "",
+        )
+        for name, columns in given.items()
+        if columns
+    )
 
 
-def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> tuple[Group, ...]:
+def instruments(
+    study: Study,
+    by_name: Mapping[str, Sequence[str]] | None,
+    scales: Scales | None = None,
+    clocks: Collection[tuple[str, ...]] = (),
+) -> tuple[Instrument, ...]:
     """Channels by instrument: as named, else those of one sensor, kind, or one alone.
 
     Args:
         study: Recorded runs with their channels.
-        by_name: Names of the channels of each instrument; None: as ``dials`` has it.
+        by_name: Names of the channels of each instrument; None: as ``channel_groups`` has it.
+        scales: Usual magnitudes; None: of the study.
+        clocks: Channels whose lateness is known or fitted already, sensor by sensor.
 
     Raises:
         ValueError: an instrument without channels, or a channel that the study lacks.
     """
-    if OUTPUTS in study.frame:
-        return _kept(study.frame[OUTPUTS])
+    scales = scales or Scales.of_runs(study)
     known = [c.name for c in study.channels]
-    longest = max(float(run.time_s[-1] - run.time_s[0]) for run in study.runs)
+    is_driven = any(run.command for run in study.runs)
     if by_name is None:
         # nobody knows what a simulator was commanded before: lateness of all is the commands'
-        is_driven = any(run.command for run in study.runs)
         found = channel_groups(study.channels, late_record=not is_driven)
-        given = {d.name or "record": (d.channels, d.causes) for d in found}
+        given = {g.name or "record": (g.channels, g.causes) for g in found}
     else:
         given = {name: (tuple(columns), WHOLE) for name, columns in by_name.items()}
     out = []
@@ -131,54 +120,22 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
         _require_all(f"hooks.output.{name}", columns, known)
         if not columns:
             raise ValueError(f"hooks.output.{name} has no channels")
-        idx = [known.index(c) for c in columns]
-        units = {study.channels[i].unit for i in idx}
-        reach = max(float(np.ptp(v[np.isfinite(v)])) for v in _columns(study, idx))
+        # of all channels, and at rest before, a late instrument is a late command
+        is_late_command = set(columns) == set(known) and is_driven
+        left_out = CLOCK if is_late_command else ("sensor_delay",) if columns in clocks else ()
+        own = tuple(study.channels[known.index(c)] for c in columns)
+        units = {c.unit for c in own}
         out.append(
-            Group(
-                name,
-                tuple(columns),
-                reach or 1.0,
+            Instrument(
+                own,
+                tuple(known.index(c) for c in columns),
+                scales.of_channels(columns),
+                f"_of_{spell_plainly(name)}",
                 units.pop() if len(units) == 1 else "channel",
-                longest_s=longest,
-                causes=causes,
+                tuple(c for c in causes if c not in left_out),
             )
         )
     return tuple(out)
-
-
-def without_clock(group: Group, known: Collection[tuple[str, ...]]) -> Group:
-    """The group without the cause that it is late, if its clock is known or fitted already."""
-    if group.columns not in known:
-        return group
-    return replace(group, causes=tuple(c for c in group.causes if c != "sensor_delay"))
-
-
-def frame_of(hooks: Hooks) -> dict[str, list[dict[str, Any]]]:
-    """What a study of other runs needs for the same groups, with the same reach."""
-    return {
-        COMMANDS: [asdict(group) for group in hooks.commands],
-        OUTPUTS: [asdict(group) for group in hooks.outputs],
-    }
-
-
-def _kept(groups: Sequence[Mapping[str, Any]]) -> tuple[Group, ...]:
-    lists = ("columns", "causes")  # YAML has no tuples
-    out = []
-    for group in groups:
-        given: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in group.items()}
-        out.append(Group(**given))
-    return tuple(out)
-
-
-def _finite(run: Run, command: str) -> Array:
-    values = np.asarray(run.command.get(command, [0.0]), dtype=np.float64)
-    return values[np.isfinite(values)]
-
-
-def _columns(study: Study, idx: Sequence[int]) -> list[Array]:
-    found = [run.measured[:, i] for run in study.runs for i in idx]
-    return [v for v in found if np.isfinite(v).any()] or [np.zeros(1)]
 
 
 def _require_all(where: str, names: Sequence[str], known: Sequence[str]) -> None:

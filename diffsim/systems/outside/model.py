@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.causes.ports import ForceLaw, SignalChange, SignalMap
 from diffsim.causes.readings import PLAY_START
 from diffsim.causes.signals import Grid, smoothly_delayed
 from diffsim.data.study import Run
@@ -26,7 +27,6 @@ from diffsim.systems.outside.source import Predict, Source, offers_of
 
 Array = NDArray[np.float64]
 MAX_KEPT = 64  # records
-SignalMap = Callable[[Tensor, Grid], Tensor]  # signals (width, num_samples), grid -> the same
 
 
 class SimulatorError(PredictionError):
@@ -153,15 +153,50 @@ class OutsideScene:
     output_maps: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
 
     def with_command(self, names: tuple[str, ...], change: SignalMap) -> OutsideScene:
-        """A copy with one more map f(commands (width, num_samples), grid) of some commands."""
+        """A copy with one more map f(commands (width, num_samples), grid) of some commands.
+
+        Args:
+            names: Names of the commands; empty: all.
+            change: The function; one that leaves all as it is is left out.
+        """
+        if isinstance(change, SignalChange) and change.is_none:
+            return self
+        names = names or tuple(self.run.command)
         return replace(self, command_maps=(*self.command_maps, (names, change)))
 
-    def with_output(self, channels: tuple[int, ...], change: SignalMap) -> OutsideScene:
-        """A copy with one more map f(channels (width, num_samples), grid) of some channels."""
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> OutsideScene:
+        """A copy with one more map f(channels (width, num_samples), grid) of some channels.
+
+        Args:
+            channels: Their indices.
+            change: The function; one that leaves all as it is is left out.
+        """
+        if isinstance(change, SignalChange) and change.is_none:
+            return self
         return replace(self, output_maps=(*self.output_maps, (channels, change)))
 
-    def with_term(self, term: Term) -> OutsideScene:
-        """A copy with one more force."""
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> OutsideScene:
+        """A copy in which channels show what was ``delay`` ago [s]."""
+        if not bool(delay.detach().any()):
+            return self
+        return self.with_reading(channels, lambda y, grid: smoothly_delayed(y, grid, delay))
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> OutsideScene:
+        """A copy in which a parameter of the simulator is f(parameter)."""
+        return replace(self, values={**self.values, name: change(self.values[name])})
+
+    def with_force(self, place: str, law: ForceLaw) -> OutsideScene:
+        """A copy with one more force at a place.
+
+        Args:
+            place: Name of the place.
+            law: Formula and size.
+        """
+        size = float(law.size.detach())
+        if size == 0.0:
+            return self
+        at = self.model.places.index(place)
+        term = Term(at, law.formula, size, self.model.speeds[at])
         return replace(self, terms=(*self.terms, term))
 
     def with_knots(self, knots: Knots) -> OutsideScene:
@@ -205,7 +240,7 @@ class OutsideScene:
         for channels, change in self.output_maps:
             shown = list(channels)
             out = out.clone()
-            out[:, shown] = change(out[:, shown].mT, grid).mT
+            out[:, shown] = change(out[:, shown].mT, grid).detach().mT
         return out
 
     def _grid(self) -> Grid:
@@ -219,7 +254,8 @@ class OutsideScene:
             if not held:
                 continue
             rows = torch.from_numpy(np.stack([commands[n] for n in held]))
-            commands |= dict(zip(held, change(rows, self._grid()).numpy(), strict=True))
+            changed = change(rows, self._grid()).detach().numpy()
+            commands |= dict(zip(held, changed, strict=True))
         return commands
 
 
@@ -232,6 +268,7 @@ class OutsideModel(SimModel):
         in_run: Function (values of the base parameters, run) -> values that the simulator gets.
         channels: Names of the channels.
         places: Names of the places where the simulator can add forces.
+        speeds: Usual speed of each place.
         clocks: Indices of the channels that are late by a base parameter of that name.
         workers: Processes that simulate side by side; each makes a simulator of its own.
     """
@@ -244,6 +281,7 @@ class OutsideModel(SimModel):
         *,
         channels: Sequence[str],
         places: Sequence[str] = (),
+        speeds: Sequence[float] = (),
         clocks: Mapping[str, tuple[int, ...]] | None = None,
         workers: int = 1,
     ):
@@ -251,6 +289,7 @@ class OutsideModel(SimModel):
         self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run
         self.channels, self.places, self.workers = tuple(channels), tuple(places), workers
+        self.speeds = tuple(speeds)
         self.predict_run, self.one_at_a_time = source.make(), Lock()
         if places and "force" not in offers_of(self.predict_run):
             raise ValueError(

@@ -8,12 +8,8 @@ from typing import Any
 from torch import Tensor
 
 from diffsim.causes.channel_groups import channels_of, clock_of
-from diffsim.causes.readings import (
-    PLAY_START,
-    paced,
-    sample_of,
-    with_play_start,
-)
+from diffsim.causes.readings import PLAY_START, pace, usual_sample, with_play_start
+from diffsim.causes.scales import SCALES, Scales
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
@@ -26,9 +22,7 @@ from diffsim.systems.outside.hooks import (
     Hooks,
     Place,
     command_groups,
-    frame_of,
-    output_groups,
-    without_clock,
+    instruments,
 )
 from diffsim.systems.outside.model import OutsideModel
 from diffsim.systems.outside.source import Source
@@ -82,22 +76,27 @@ def outside_setup(
     behind = {PLAY_START: START_IN_PLAY, **{clock_of(n): q for n, q in clocks.items()}}
     base, in_run = _parameters(parameters, behind, study)
     names = tuple(c.name for c in study.channels)
-    groups = [without_clock(g, late.values()) for g in output_groups(study, outputs)]
-    hooks = Hooks(command_groups(study, commands), tuple(places), tuple(groups))
+    scales = Scales.kept_in(study) or Scales.of_runs(study)
+    hooks = Hooks(
+        command_groups(study, commands, scales, "held" if held else "smooth"),
+        tuple(places),
+        instruments(study, outputs, scales, tuple(late.values())),
+    )
     model = OutsideModel(
         source,
         base,
         in_run,
         channels=names,
         places=[p.name for p in places],
+        speeds=[1.0 if p.speed is None else p.speed for p in places],
         clocks={key: tuple(names.index(c) for c in own) for key, own in late.items()},
         workers=workers,
     )
-    model.frame = frame_of(hooks)
+    model.frame = {SCALES: scales.saved()}
     return DiagnosisSetup(
         model=model,
         effects=(
-            *paced(outside_library(hooks, names, held=held), sample_of(study.runs)),
+            *pace(outside_library(hooks), usual_sample(study.runs)),
             *more_effects,
         ),
         unknowns=unknown_forces(hooks, study.runs),

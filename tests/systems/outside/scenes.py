@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from diffsim.causes import rows
+from diffsim.causes.ports import OF_FORCES
+from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Channel, Run, Study
 from diffsim.systems.outside.forces import PlaceForces, Term
 from tests.systems.outside.pendulum_sim import Pendulum
@@ -33,6 +36,11 @@ MODEL = {
     },
     "hooks": {"force": {"hinge": {"unit": "N m", "typical": 0.05, "distance": 0.5, "speed": 3.0}}},
 }
+
+
+def law_of(cause: str) -> Expression:
+    """Formula of a force by the name of its row."""
+    return parse_expression(rows("force")[cause].said("law"), OF_FORCES)
 
 
 def run_of(name: str, use: str = "fit", order: int = 0) -> Run:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffsim.systems.outside.forces import PlaceForces, Term, quadratic, stiff, viscous
+from diffsim.systems.outside.forces import PlaceForces, Term
 from tests.systems.outside import scenes
 from tests.systems.outside.pendulum_sim import Pendulum
 
@@ -60,12 +60,12 @@ def test_parameters_act_as_in_the_closed_equation_and_are_forgotten():
     np.testing.assert_array_equal(sim.predict({}, run), before)
 
 
-LAWS = [(viscous, 0.1), (quadratic, 0.05), (stiff, 0.5)]
+LAWS = [("viscous_friction", 0.1), ("square_drag", 0.05), ("added_spring", 0.5)]
 
 
 @pytest.mark.parametrize(("law", "size"), LAWS)
 def test_forces_at_a_joint_act_as_in_the_closed_equation(law, size):
-    run, forces = scenes.run_of("sine"), PlaceForces(["hinge"], [Term(0, law, size)])
+    run, forces = scenes.run_of("sine"), PlaceForces(["hinge"], [Term(0, scenes.law_of(law), size)])
     want = Pendulum(8).predict(OWN, run, forces)
     # asked for at every stage of the integrator: the error is that of the commands
     got = Mjcf(XML, CHANNELS).predict({}, run, forces, time_step=0.5)

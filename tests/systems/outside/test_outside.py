@@ -21,10 +21,6 @@ from diffsim.systems.outside.forces import (
     Knots,
     PlaceForces,
     Term,
-    coulomb,
-    quadratic,
-    stiff,
-    viscous,
 )
 from diffsim.systems.registry import description_of, setup_of
 from tests.systems.outside import scenes
@@ -47,7 +43,7 @@ def predicted(setup, run, name, *size):
 
 
 def test_friction_at_a_hinge_is_named_with_its_size():
-    study = scenes.recorded(Term(0, coulomb, 0.04, scale=3.0))
+    study = scenes.recorded(Term(0, scenes.law_of("dry_friction"), 0.04, scale=3.0))
     setup = setup_of(study)
     rivals = ("lag", "delay", "dead_band", "backlash", "slack")  # beside all that act at the hinge
     causes = [e for e in setup.effects if e.name.endswith("_at_hinge") or e.name in rivals]
@@ -64,17 +60,26 @@ def test_forces_that_the_simulator_adds_equal_those_of_its_own():
     run = scenes.run_of("sine")
     own = Pendulum(4).predict({**scenes.TRUTH, "damping": 0.09}, run)
     added = Pendulum(4).predict(
-        {**scenes.TRUTH, "damping": 0.0}, run, PlaceForces(["hinge"], [Term(0, viscous, 0.09)])
+        {**scenes.TRUTH, "damping": 0.0},
+        run,
+        PlaceForces(["hinge"], [Term(0, scenes.law_of("viscous_friction"), 0.09)]),
     )
     np.testing.assert_allclose(added, own, atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("law", "force"), [(viscous, -1.5), (quadratic, -4.5), (coulomb, -0.5), (stiff, -1.0)]
+    ("law", "force"),
+    [
+        ("viscous_friction", -1.5),
+        ("square_drag", -4.5),
+        ("dry_friction", -0.5),
+        ("added_spring", -1.0),
+    ],
 )
 def test_laws_hold_back_both_ways(law, force):
-    assert law(0.5, 2.0, 3.0, 1.0) == pytest.approx(force, rel=1e-12)
-    assert law(0.5, -2.0, -3.0, 1.0) == pytest.approx(-force, rel=1e-12)
+    at_hinge = PlaceForces(["hinge"], [Term(0, scenes.law_of(law), 0.5, scale=1.0)])
+    assert at_hinge(0.0, [2.0], [3.0])[0] == pytest.approx(force, rel=1e-12)
+    assert at_hinge(0.0, [-2.0], [-3.0])[0] == pytest.approx(-force, rel=1e-12)
 
 
 def test_every_effect_is_nothing_at_size_zero_and_something_beyond():
@@ -375,7 +380,9 @@ def test_a_place_from_python():
     run = study.runs[0]
     sizes = {effect_of(setup, "added_spring_at_hinge"): torch.tensor([0.3], dtype=torch.float64)}
     want = Pendulum().predict(
-        {"inertia": 0.2, "damping": 0.05}, run, PlaceForces(["hinge"], [Term(0, stiff, 0.3)])
+        {"inertia": 0.2, "damping": 0.05},
+        run,
+        PlaceForces(["hinge"], [Term(0, scenes.law_of("added_spring"), 0.3)]),
     )
     got = setup.model.predict(run, setup.model.at_prior(), sizes).numpy()
     np.testing.assert_array_equal(got, want)
