@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,6 +43,8 @@ class Ports:
         numbers: Names of the numbers that may be changed.
         places: Names of the places at which forces may act, with their usual magnitudes: ``force``,
             ``distance``, ``speed``.
+        push: Function (row, place) -> how a force acts; other than through the scene's port where
+            a system writes forces into its formulas.
     """
 
     scales: Scales
@@ -51,6 +53,7 @@ class Ports:
     has_clock: bool = False
     numbers: tuple[str, ...] = ()
     places: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    push: Callable[[Row, str], Apply] = on_place
 
 
 _KINDS = {
@@ -89,8 +92,7 @@ def _offered(row: OwnRow, ports: Ports) -> Sequence[str]:
         "clock": ports.channels if ports.has_clock else (),
         "number": ports.numbers,
         "force": tuple(ports.places),
-        "scene": (),
-    }[row.at]
+    }.get(row.at, ())
 
 
 def _mistakes(where: str, row: OwnRow, ports: Ports) -> Iterator[str]:
@@ -131,7 +133,7 @@ def _acts(row: OwnRow, ports: Ports, study: Study) -> tuple[Apply, Mapping[str, 
         apply = on_clock(places) if row.at == "clock" else on_readings(row, places, scales)
         return apply, scales, units.pop() if len(units) == 1 else None
     if row.at == "force":
-        return on_place(row, row.of[0]), ports.places[row.of[0]], None
+        return ports.push(row, row.of[0]), ports.places[row.of[0]], None
     return on_numbers(row), {}, None
 
 

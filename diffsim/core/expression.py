@@ -201,8 +201,10 @@ _ON_FLOATS: dict[str, Callable[..., float]] = {
     "hypot": math.hypot,
     **{
         name: _nan_outside(getattr(math, name))
-        for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")
-        + ("sinh", "cosh", "tanh", "asinh")
+        for name in (
+            *("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan"),
+            *("sinh", "cosh", "tanh", "asinh"),
+        )
     },
 }
 """The same on plain numbers."""

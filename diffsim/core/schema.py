@@ -79,7 +79,9 @@ def problem_lines(where: str, error: ValidationError) -> list[str]:
     """
     out = []
     for one in error.errors(include_url=False):
-        path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in one["loc"])
+        # "<...>" tells pydantic which of several blocks is meant, and is no key
+        keys = [p for p in one["loc"] if not str(p).startswith("<")]
+        path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in keys)
         path = path.removeprefix(".") if where.endswith(" ") else path
         message = one["msg"].removeprefix("Value error, ")
         for pattern, plain in _PLAIN:

@@ -16,6 +16,7 @@ import torch
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from torch import Tensor
 
+from diffsim.causes.own import OwnRow, Ports, own_causes
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import Part, Said, number
@@ -141,6 +142,9 @@ class EffectChoice(Part):
     typical: dict[str, float] = Field(
         {}, description="Size that would be no surprise, by name of the cause, in its unit"
     )
+    own: tuple[OwnRow, ...] = Field(
+        (), description="Causes of your own: of commands, readings, clocks, numbers or forces"
+    )
 
 
 class Effort(Part):
@@ -262,16 +266,28 @@ def fact_in(run: Run, name: str, unit: str) -> float:
         raise ValueError(f"run {run.name}: setup.{name}: {error}") from None
 
 
-def chosen_effects(library: Sequence[Effect], choice: EffectChoice) -> tuple[Effect, ...]:
-    """Effects of a library as a description chooses them.
+def chosen_effects(
+    library: Sequence[Effect],
+    choice: EffectChoice,
+    study: Study | None = None,
+    ports: Ports | None = None,
+) -> tuple[Effect, ...]:
+    """Effects of a library as a description chooses them, and those that it adds by rows.
 
     Args:
         library: All effects of the system.
         choice: The description's ``effects``.
+        study: Study with the recordings, of which rows are.
+        ports: What the system offers to rows of a user; None: nothing.
 
     Raises:
-        ValueError: a name that the library does not have, or has twice.
+        ValueError: a name that the library does not have, or has twice; a row that cannot act.
     """
+    own = [row for row in choice.own if isinstance(row, OwnRow)]
+    if own and (study is None or ports is None):
+        raise ValueError(f"effects.own: systems of this kind take no rows, such as {own[0].name!r}")
+    if study is not None and ports is not None:
+        library = (*library, *own_causes(own, ports, study))
     known = [e.name for e in library]
     if repeated := sorted({name for name in known if known.count(name) > 1}):
         raise ValueError(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.channel_groups import channels_of, channel_groups
+from diffsim.causes.channel_groups import channel_groups, channels_of
 from diffsim.causes.signals import Grid, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose

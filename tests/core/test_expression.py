@@ -112,3 +112,22 @@ def test_any_text_is_a_formula_or_refused(text):
         parse_expression(text, FUNCTIONS)
     except ValueError as error:
         assert "formula" in str(error)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "-size*tanh(x/0.1)*exp(-(x/0.3)**2)",
+        "clip(x, -1, 1) + (x if x > size else -x)",
+        "sqrt(x) + log(x) + 1/x",
+        "min(max(x, size), 2)*sign(x)*hypot(x, size) + atan2(x, size)",
+        "not x or x > 0 and size >= 1",
+    ],
+)
+def test_on_plain_numbers_a_formula_is_what_it_is_on_tensors(text):
+    formula = parse_expression(text)
+    on_floats = formula.on_floats("x", "size")
+    for x in (-2.0, -0.3, 0.0, 0.4, 3.0):
+        values = {"x": torch.tensor(x, dtype=torch.float64), "size": torch.tensor(0.7).double()}
+        want, got = float(formula(values)), on_floats(x, 0.7)
+        assert got == pytest.approx(want, rel=1e-14, nan_ok=True), (text, x)

@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from diffsim.causes.own import Ports
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -77,7 +78,13 @@ class BenchDescription(FormulaKeys):
                 unknown_steps=1,  # drifts of each run are many columns
             )
         )
-        effects = chosen_effects((*laws, *zeros, *read.own), self.effects)
+        ports = Ports(
+            scales=scales,
+            commands={name: "straight" for name in read.input_held},
+            channels=tuple(c.name for c in study.channels),
+            numbers=tuple(read.quantities),
+        )
+        effects = chosen_effects((*laws, *zeros, *read.own), self.effects, study, ports)
         return DiagnosisSetup(
             model,
             effects,

@@ -104,7 +104,7 @@ class Described:
         readings = self._parsed("readings", keys.readings)
         self._check_places()
         states = tuple(motion.states)
-        self.own = own_effects(keys.effects.own, study, self.known, states, reader)
+        self.own = own_effects(keys.effects.formulas, study, self.known, states, reader)
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
@@ -277,7 +277,7 @@ class Described:
     @property
     def labels(self) -> dict[str, list[str]]:
         """Values of the facts that the user's own causes are sized by."""
-        pers = {block.per for block in self.keys.effects.own if block.per is not None}
+        pers = {block.per for block in self.keys.effects.formulas if block.per is not None}
         return {per: list(labels_of(per, self.study)) for per in sorted(pers)}
 
     def _check_events(self) -> None:

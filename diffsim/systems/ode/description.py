@@ -18,7 +18,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, Motion
-from diffsim.systems.ode.effects import ode_effects
+from diffsim.systems.ode.effects import ode_effects, ports_of
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
     AnyQuantity,
@@ -153,7 +153,8 @@ class OdeDescription(FormulaKeys):
         }
         found = (*ode_effects(library), *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)
-        effects = chosen_effects((*found, *laws, *read.own), self.effects)
+        ports = ports_of(library, tuple(read.quantities))
+        effects = chosen_effects((*found, *laws, *read.own), self.effects, study, ports)
         return DiagnosisSetup(
             model,
             effects,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from diffsim.causes.own import Ports
 from diffsim.causes.readings import pace, usual_sample
-from diffsim.identify.effect import Effect
+from diffsim.causes.row import Row
+from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.ode.input_effects import input_effects
 from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.place_effects import place_effects
+from diffsim.systems.ode.place_effects import magnitudes_at, place_effects, push_at
 from diffsim.systems.ode.sensor_effects import sensor_effects
 from diffsim.systems.ode.store_effects import store_effects
 
@@ -18,4 +20,27 @@ def ode_effects(library: Library) -> tuple[Effect, ...]:
         *place_effects(library),
         *store_effects(library),
         *pace(timed, usual_sample(library.study.runs)),
+    )
+
+
+def ports_of(library: Library, numbers: tuple[str, ...]) -> Ports:
+    """What a system of formulas offers to causes of a user.
+
+    Args:
+        library: Names and magnitudes of the system.
+        numbers: Names of its numbers.
+    """
+    places = {place.name: (place, scale) for place, scale in library.places}
+
+    def push(row: Row, name: str) -> Apply:
+        return push_at(library, *places[name], row, row.name)
+
+    return Ports(
+        scales=library.scales,
+        commands={name: "held" if held else "straight" for name, held in library.held.items()},
+        channels=tuple(c.name for c in library.study.channels),
+        has_clock=True,
+        numbers=numbers,
+        places={name: magnitudes_at(scale) for name, (_, scale) in places.items()},
+        push=push,
     )

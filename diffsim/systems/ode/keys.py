@@ -5,8 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
+from diffsim.causes.own import OwnRow
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
@@ -262,10 +271,28 @@ class OwnEffect(Part):
         return self
 
 
+def _way_of(given: Any) -> str:
+    is_row = "at" in given if isinstance(given, Mapping) else isinstance(given, OwnRow)
+    return "<row>" if is_row else "<formulas>"
+
+
+AnyOwn = Annotated[
+    Annotated[OwnRow, Tag("<row>")] | Annotated[OwnEffect, Tag("<formulas>")],
+    Discriminator(_way_of),
+]
+
+
 class OwnEffects(EffectChoice):
     """Which candidate causes are judged, and causes of your own."""
 
-    own: tuple[OwnEffect, ...] = Field((), description="Causes of your own")
+    own: tuple[AnyOwn, ...] = Field(
+        (), description="Causes of your own: by formulas, or as rows with `at`"
+    )
+
+    @property
+    def formulas(self) -> tuple[OwnEffect, ...]:
+        """Those that are written as formulas."""
+        return tuple(block for block in self.own if isinstance(block, OwnEffect))
 
 
 class FormulaKeys(Description):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from diffsim.causes.catalogue import rows
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, symbol
 from diffsim.systems.ode.keys import Place
@@ -116,7 +116,25 @@ def _letters(library: Library, place: Place, scale: PlaceScale, name: str) -> di
 
 
 def _add_force(library: Library, place: Place, scale: PlaceScale, row: Row, ending: str) -> Effect:
-    name = row.name + ending
+    return row.effect(
+        push_at(library, place, scale, row, row.name + ending),
+        magnitudes_at(scale),
+        system="ode",
+        ending=ending,
+        unit=_unit_at(place, row.unit),
+    )
+
+
+def push_at(library: Library, place: Place, scale: PlaceScale, row: Row, name: str) -> Apply:
+    """How a force at a place enters the formulas.
+
+    Args:
+        library: Names and magnitudes of the system.
+        place: Where it acts.
+        scale: Usual magnitudes there.
+        row: Cause with ``at: force``.
+        name: Name of the effect.
+    """
     parts = _letters(library, place, scale, name)
     slow = f"slow state of {name}"
     letters = parse_expression(row.said("law", "ode"), parts)
@@ -126,13 +144,7 @@ def _add_force(library: Library, place: Place, scale: PlaceScale, row: Row, endi
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
-    return row.effect(
-        by_formulas(change, symbol(name)),
-        magnitudes_at(scale),
-        system="ode",
-        ending=ending,
-        unit=_unit_at(place, row.unit),
-    )
+    return by_formulas(change, symbol(name))
 
 
 def pushed(place: Place, force: Expression, known: Iterable[str]) -> Change:

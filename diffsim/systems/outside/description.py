@@ -11,6 +11,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
 from diffsim.causes.holding import looks_held
+from diffsim.causes.own import Ports
+from diffsim.causes.scales import Scales
+from diffsim.causes.signals import Between
 from diffsim.core.units import in_si, in_unit
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -190,9 +193,28 @@ class OutsideDescription(Description):
         )
         return DiagnosisSetup(
             model=made.model,
-            effects=chosen_effects(made.effects, self.effects),
+            effects=chosen_effects(made.effects, self.effects, study, self._ports(study)),
             unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
+        )
+
+    def _ports(self, study: Study) -> Ports:
+        """What the simulator offers to causes of a user."""
+        between: Between = "held" if self._held(study) else "smooth"
+        return Ports(
+            scales=Scales.kept_in(study) or Scales.of_runs(study),
+            commands={name: between for run in study.runs for name in run.command},
+            channels=tuple(c.name for c in study.channels),
+            has_clock=True,
+            numbers=(*self.parameters, *self.start),
+            places={
+                name: {
+                    "push": place.typical,
+                    "distance": place.distance or 1.0,
+                    "speed": place.speed or 1.0,
+                }
+                for name, place in self.hooks.force.items()
+            },
         )
 
     def _held(self, study: Study) -> bool:

@@ -1,0 +1,59 @@
+"""The tables of causes: each cause once, every row able to act, words complete."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+import diffsim
+from diffsim.causes import all_rows, domains, rows
+from diffsim.causes.row import Row
+
+LETTERS = re.compile(r"[a-z][a-z0-9_]*")
+
+
+def test_no_cause_is_defined_twice():
+    names = Counter(row.name for _, row in all_rows())
+    assert len(names) > 150
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_causes_are_defined_in_tables_alone():
+    """No Effect is written out in code, but what is no cause: unknown courses, numerics."""
+    allowed = {"unknown.py", "numerics.py", "effect.py", "row.py", "own_effects.py"}
+    found = []
+    for path in Path(diffsim.__file__).parent.rglob("*.py"):
+        if path.name not in allowed and re.search(r"(?<![\w.])Effect\(\n", path.read_text()):
+            found.append(path.name)
+    assert sorted(found) == sorted(KNOWN)
+
+
+# courses without a form, which have a component per knot and no row
+KNOWN = ("effects.py", "event_effects.py")
+
+
+@pytest.mark.parametrize("domain", domains())
+def test_every_row_is_said_in_words(domain):
+    for row in rows(domain).values():
+        assert LETTERS.fullmatch(row.name), row.name
+        assert row.form.endswith("."), row.name
+        assert all(not like.endswith(".") for like in row.like), row.name
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"map": None}, "stated by map alone"),
+        ({"add": "mass"}, "stated by map alone"),
+        ({"typical": {"ode": 1.0}}, "what holds for any"),
+        ({"words": "{nothing}"}, "cannot be filled in"),
+        ({"at": "scene"}, "has no map"),
+    ],
+)
+def test_a_row_that_cannot_act_is_refused(change, said):
+    given = {"name": "x", "at": "command", "kind": "actuator", "map": "u", "typical": 0.1, **change}
+    with pytest.raises(ValueError, match=said):
+        Row.model_validate({k: v for k, v in given.items() if v is not None})
