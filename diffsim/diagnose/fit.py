@@ -1,4 +1,7 @@
-"""What is given to a diagnosis, and the fit of the plain model with its noise floor."""
+"""What is given to a diagnosis, and the fit of the plain model with its noise floor.
+
+Its numerical settings are checked at the fit and refined, as long as the budget allows it.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
+from diffsim.diagnose.gates import GateResult, numerics_changes, numerics_gate
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
+from diffsim.diagnose.refine import (
+    names_of_failed,
+    note_numerics,
+    refine_within,
+    time_simulation,
+)
 from diffsim.diagnose.store import Store
 from diffsim.diagnose.windows import first_fit
 from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
@@ -30,6 +40,7 @@ from diffsim.identify.unknown import Unknown
 Array = NDArray[np.float64]
 Progress = Callable[[str, float, str], None]
 """Stage, share of the whole that is done, message."""
+MAX_REFITS = 3  # of the plain model: each may show that settings are still too coarse for it
 
 
 def silent(stage: str, fraction: float, message: str) -> None:
@@ -114,6 +125,21 @@ class Null:
         return replace(self, noise=noise, fit=fit, at=at)
 
 
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The plain model under settings that are fine enough, or as fine as the budget allows.
+
+    Attributes:
+        null: Fit of the plain model under these settings.
+        changes: Change of the record by refining each setting further, by its name, (N,) each.
+        gates: The numerics gate at the end; notes say what was refined and what it costs.
+    """
+
+    null: Null
+    changes: dict[str, Array]
+    gates: tuple[GateResult, ...]
+
+
 def null_fit(case: Case) -> Null:
     """Fit the plain model, remove spikes, estimate the noise of the residuals, fit again.
 
@@ -155,3 +181,45 @@ def residual_of(fit: Fit, run: Run) -> Array:
     """Measured minus predicted in a run, (num_samples, num_channels) [unit of the channel]."""
     with torch.no_grad():
         return run.measured - fit.problem.predict(run, torch.from_numpy(fit.x)).numpy()
+
+
+def check_numerics(null: Null) -> Refined:
+    """Check the settings at the null fit; refine and fit again where the gate fails.
+
+    Args:
+        null: The plain model, fitted with the model's own settings.
+    """
+    changes = numerics_changes(null.fit.problem, null.at)
+    gates = tuple(numerics_gate(null.fit, changes))
+    settings = null.case.settings
+    if settings.accept_numerics or settings.refine_budget <= 1.0 or not names_of_failed(gates):
+        gates = note_numerics(gates, null.fit.problem.numerics, 1.0, settings.refine_budget)
+        return Refined(null, changes, gates)
+    once = time_simulation(null.fit.problem, null.at.x)
+    paid = 1.0
+    for _ in range(MAX_REFITS):
+        null.case.progress("null fit", 0.1, f"refining {', '.join(names_of_failed(gates))}")
+        numerics, changes, gates, ratio = refine_within(
+            null.fit, settings.refine_budget, changes, gates, once
+        )
+        paid = max(paid, ratio)
+        if numerics == (null.fit.problem.numerics or Numerics()):
+            break  # the budget allows no finer ones
+        null = refit_under(null, numerics)
+        changes = numerics_changes(null.fit.problem, null.at)
+        gates = tuple(numerics_gate(null.fit, changes))
+        if not names_of_failed(gates):
+            break
+    return Refined(
+        null, changes, note_numerics(gates, null.fit.problem.numerics, paid, settings.refine_budget)
+    )
+
+
+def refit_under(null: Null, numerics: Numerics) -> Null:
+    """The plain model fitted again under other settings, with the noise of what it leaves."""
+    case = replace(null.case, numerics=numerics)
+    problem = case.problem(null.noise.whitener)
+    fit, at = gauss_newton(problem, linearization_at(problem, null.at.x))
+    residuals = residuals_by_run(case.study.fit_runs, at.record)
+    noise = noise_floor(case.study.fit_runs, case.study.channels, residuals)
+    return replace(null, case=case, fit=fit, at=at).under(noise)

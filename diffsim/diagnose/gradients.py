@@ -26,7 +26,6 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.gates import ROUNDING, GateResult
 from diffsim.identify import Jacobian, Problem
 from diffsim.identify.effect import Effect
@@ -83,17 +82,21 @@ class _Slopes:
         )
 
 
-def gradient_gate(linear: LaplaceEvidence, seconds: float = np.inf) -> list[GateResult]:
+def gradient_gate(
+    problem: Problem, x: Array, residual: Array, jacobian: Array, seconds: float = np.inf
+) -> list[GateResult]:
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
     Args:
-        linear: Whitened slopes of all candidates at the null fit.
+        problem: Problem with all candidates.
+        x: Standardized coordinates of the null fit, (n,).
+        residual, jacobian: Whitened, with the slopes of all candidates, (num_valid,) and
+            (num_valid, n).
         seconds: CPU time that the check may take beyond its first run [s]; what it leaves out is
             said.
     """
     start = process_time()
-    problem, x = linear.problem, linear.x0
-    parts = _by_run(linear)
+    parts = _split_by_run(problem, x, residual, jacobian)
     whole = _Slopes.joined(parts)
     effects = [e for e in problem.effects if e.smooth and whole.moved(e) > ROUNDING]
     if not effects:
@@ -122,17 +125,11 @@ def gradient_gate(linear: LaplaceEvidence, seconds: float = np.inf) -> list[Gate
     return gates
 
 
-def _by_run(linear: LaplaceEvidence) -> list[_Slopes]:
+def _split_by_run(problem: Problem, x: Array, residual: Array, jacobian: Array) -> list[_Slopes]:
     """Rows of each run."""
-    problem = linear.problem
-    rows = zip(
-        problem.runs,
-        problem.by_run(linear.residual),
-        problem.by_run(linear.jacobian),
-        strict=True,
-    )
+    rows = zip(problem.runs, problem.by_run(residual), problem.by_run(jacobian), strict=True)
     return [
-        _Slopes(replace(problem, runs=(run,)), linear.x0, r, j, _cotangent(problem, r, j))
+        _Slopes(replace(problem, runs=(run,)), x, r, j, _cotangent(problem, r, j))
         for run, r, j in rows
     ]
 

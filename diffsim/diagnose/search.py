@@ -27,7 +27,7 @@ from diffsim.diagnose.from_sheet import (
     has_left,
     promising_sets,
 )
-from diffsim.diagnose.refine import numerics_of
+from diffsim.diagnose.refine import check_numerics_of_set
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.diagnose.weighed_sets import Search
@@ -87,7 +87,7 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
     if accepted or members == NONE or members in search.numerics:
         return search
     record = search.simulations.fitted[members].record
-    found = numerics_of(search.null, search.fit_of(members), record, is_late=is_late)
+    found = check_numerics_of_set(search.fit_of(members), record, case.settings, is_late=is_late)
     return replace(search, numerics={**search.numerics, members: found})
 
 

@@ -7,10 +7,9 @@ import pytest
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, refine
-from diffsim.diagnose.fit import Case, null_fit
+from diffsim.diagnose.fit import Case, check_numerics, null_fit, refit_under
 from diffsim.diagnose.gates import effort_gate, numerics_changes
 from diffsim.diagnose.records import CERTAIN, LIKELY
-from diffsim.diagnose.refine import checked_numerics
 from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
 from diffsim.identify.effort import FIT_RTOL
 from diffsim.identify.linearization import Linearization, record_at
@@ -33,7 +32,7 @@ def case(settings=QUICK, step=0.01):
 
 def test_a_coarse_time_step_is_refined_until_it_passes():
     null = null_fit(case())
-    found = checked_numerics(null)
+    found = check_numerics(null)
     assert all(g.passed for g in found.gates)
     numerics = found.null.case.numerics
     assert 1 / 16 <= numerics.time_step <= 0.5 and numerics.mesh == numerics.tolerance == 1.0
@@ -53,16 +52,16 @@ def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(
     settings = replace(QUICK, refine_budget=budget)
     null = null_fit(case(settings, step=0.01 if numerics is None else 0.04))
     if numerics is not None:
-        null = refine.under(null, Numerics(time_step=numerics))
+        null = refit_under(null, Numerics(time_step=numerics))
 
     def timed(problem, x):
         return record_at(problem, x), 1.0 / (problem.numerics or Numerics()).time_step
 
-    monkeypatch.setattr(refine, "_timed", timed)
+    monkeypatch.setattr(refine, "_time_record", timed)
     count, found = null.case.model.simulations, []
     for is_late in (False, True):
         before = count.count
-        made = refine.numerics_of(null, null.fit, null.at.record, is_late=is_late)
+        made = refine.check_numerics_of_set(null.fit, null.at.record, settings, is_late=is_late)
         found.append((made, count.count - before))
     (sought, many), (late, few) = found
     assert not all(g.passed for g in sought.gates)
@@ -105,7 +104,7 @@ def test_a_budget_that_is_spent_is_said_with_figures(monkeypatch):
     def build(values, run, numerics):  # it costs as its number of steps
         return Costly(plain.build(values, run, numerics), clock, 0.02 / numerics.time_step)
 
-    found = checked_numerics(null_fit(replace(coarse, model=SimModel(build, plain.base))))
+    found = check_numerics(null_fit(replace(coarse, model=SimModel(build, plain.base))))
     gate = next(g for g in found.gates if g.name == "time_step")
     assert not gate.passed and "budget of 1.2 times" in gate.note
 
@@ -120,7 +119,7 @@ def test_a_setting_beyond_the_budget_does_not_keep_others_coarse(monkeypatch):
         return Costly(plain.build(values, run, numerics), clock, seconds, 50.0 * numerics.mesh)
 
     null = null_fit(replace(coarse, model=SimModel(build, plain.base)))
-    numerics = checked_numerics(null).null.case.numerics
+    numerics = check_numerics(null).null.case.numerics
     assert numerics.mesh == 1.0 and numerics.time_step < 1.0
 
 
@@ -128,7 +127,7 @@ def test_a_setting_beyond_the_budget_does_not_keep_others_coarse(monkeypatch):
 def test_settings_that_pass_or_are_accepted_stay(settings):
     step = 0.01 if settings.accept_numerics else None
     null = null_fit(case(settings, step))
-    found = checked_numerics(null)
+    found = check_numerics(null)
     assert found.null is null and null.case.numerics is None
 
 
