@@ -22,9 +22,9 @@ from diffsim.cli.arguments import add_executor, names
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core import interruptible, open_executor, run_each
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.averaging import HALF_90, MODEL_FORM, widening
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.averaging import HALF_90, MODEL_FORM, widening
 from diffsim.diagnose.refit import fit_null, refit
 from diffsim.identify import Fit
 from diffsim.identify.coordinates import effect_coordinates

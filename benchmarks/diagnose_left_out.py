@@ -27,8 +27,8 @@ from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.frozen import judge_saved
-from diffsim.diagnose.unseen import Unseen
+from diffsim.diagnose.judge.frozen import judge_saved
+from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.identify.model_file import read_extended
 
 SECOND = (0.95, 1.05)  # where a step has settled [s]

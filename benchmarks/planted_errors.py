@@ -23,8 +23,8 @@ of 5 to 15 CPU seconds for each, so that one numerical module takes hours. Many 
 mistakes, for a tolerance, a preconditioner, a first guess or a cache may be changed and every
 answer stays right; someone has to read which. What hurts this package are mistakes of meaning
 (another frame, another clock, a test run among those that were fitted), which are not one token.
-For a module of pure decisions, such as ``diffsim/diagnose/judge.py``, mutmut would do; it was not
-needed to compare two states of one suite.
+For a module of pure decisions, such as ``diffsim/diagnose/judge/judge.py``, mutmut would do; it was
+not needed to compare two states of one suite.
 """
 
 from __future__ import annotations

@@ -38,6 +38,7 @@ FRONT = """<!doctype html>
 <a href="{version}/index.html">diffsim {version}</a>
 """
 _LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)]*)?\))")
+_TO_DOCS = re.compile(r"(\]\(|^\[[^\]]+\]: )docs/", re.M)  # links of files at the root
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -65,7 +66,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, uri in AT_ROOT.items():
         if uri != "index.md":
             text = (ROOT / name).read_text(encoding="utf-8")
-            files.append(File.generated(config, uri, content=text.replace("](docs/", "](")))
+            files.append(File.generated(config, uri, content=_TO_DOCS.sub(r"\1", text)))
     for room in rooms():
         text = f"---\ntitle: {room}\n---\n\n::: diffsim.{room}\n"
         files.append(File.generated(config, f"reference/{room}.md", content=text))
@@ -172,8 +173,8 @@ def build() -> str:
     Returns:
         The version.
     """
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    version = re.findall(r'^version = "([^"]+)"', project, re.M)[0]
+    stated = (ROOT / "diffsim" / "core" / "version.py").read_text(encoding="utf-8")
+    version = re.findall(r'^__version__ = "([^"]+)"', stated, re.M)[0]
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet"]
     subprocess.run(
         [*command, "--site-dir", str(TARGET / version)],

@@ -23,7 +23,7 @@ from diffsim.data.labs.sealed import OPTIONS_FILE
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.report import Report
+from diffsim.diagnose.say.report import Report
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Numerics, SimModel
 

@@ -14,10 +14,10 @@ from diffsim.core.threads import one_thread
 from diffsim.data.labs.sealed import Bench, study_of
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
-from diffsim.diagnose.fit import Case, Null, null_fit, residual_of
-from diffsim.diagnose.gain import gain
-from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.gain import gain
+from diffsim.diagnose.search.fit import Case, Null, null_fit, residual_of
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.linearization import linearization_at

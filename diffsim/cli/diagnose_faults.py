@@ -12,7 +12,7 @@ from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.faults import FaultReport, FaultVerdict, judge_faults
 from diffsim.diagnose.faults.groups import groups_of
-from diffsim.diagnose.progress import progress_bar
+from diffsim.diagnose.say.progress import progress_bar
 from diffsim.systems.registry import setup_of
 
 FAULTS_FILE = "faults.json"

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffsim.core.files import write_text_atomic
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.unseen import Array, Unseen, shown_unit
+from diffsim.diagnose.judge.unseen import Array, Unseen, shown_unit
 
 FOLDER = "judged"
 MODELS = ("measured", "before", "after")

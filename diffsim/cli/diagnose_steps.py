@@ -29,14 +29,14 @@ from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
-from diffsim.diagnose.frozen import judge_saved
-from diffsim.diagnose.headline import judged_headline
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.next_run import Narrowing, NextRun
-from diffsim.diagnose.progress import progress_bar
-from diffsim.diagnose.records import OutsideRow
+from diffsim.diagnose.judge.frozen import judge_saved
+from diffsim.diagnose.judge.records import OutsideRow
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
-from diffsim.diagnose.report import Report
+from diffsim.diagnose.say.headline import judged_headline
+from diffsim.diagnose.say.next_run import Narrowing, NextRun
+from diffsim.diagnose.say.progress import progress_bar
+from diffsim.diagnose.say.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 from diffsim.identify.numerics import Numerics
 

@@ -7,20 +7,20 @@ order:
    and causes: ``cli/diagnose_inputs``.
 2. What is fitted: ``identify/model``, ``effect``, ``sizes``, ``problem``, ``jacobian``,
    ``linearization``, ``fitting``, ``unknown``.
-3. The pipeline, in the order of its steps: ``diagnose/diagnosis``.
-4. ``separate``, ``gates``, ``gradients``, ``refine``: data, numerical settings, repeatability.
-5. ``noise``: the noise floor and its whitening.
-6. ``fit``, ``gauss_newton``, ``windows``: the plain model, by Gauss-Newton in a trust region.
-7. ``screen``: scores of all candidates at the null fit.
-8. ``evidence``, ``optimum``, ``simulations``, ``search``, ``scan``: Laplace evidence of sets of
-   effects, and what was simulated for it.
-9. ``judge``: one verdict; unknown causes face the repeats (``crosscheck``), names face a
-   ``referee``: runs with use: select, or fit runs left out (``left_out``).
-10. ``averaging``, ``form``, ``wrong_sheet``, ``causes``, ``data_sheet``: a verdict per cause; the
-    answer is frozen here.
-11. ``unseen``, ``gain``, ``outside``: test runs, looked at once; ``frozen``: new runs later.
-12. ``answer``, ``headline``, ``wording``, ``records``, ``tables``, ``assemble``, ``report``,
-    ``force_map``: the answer as it is read and saved.
+3. The pipeline, in the order of its steps: ``diagnose/diagnosis``. Each of the four folders below
+   imports only from those before it.
+4. ``checks``: ``separate``, ``gates``, ``gradients``, ``refine`` (data, numerical settings,
+   repeatability), ``noise`` (the noise floor and its whitening).
+5. ``search``: ``fit``, ``gauss_newton``, ``windows`` (the plain model, by Gauss-Newton in a trust
+   region), ``screen`` (scores of all candidates at the null fit), ``evidence``, ``optimum``,
+   ``simulations``, ``search``, ``scan`` (Laplace evidence of sets of effects, and what was
+   simulated for it).
+6. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face a
+   ``referee``: runs with use: select, or fit runs left out, ``left_out``), ``averaging``, ``form``,
+   ``wrong_sheet``, ``data_sheet``. The answer is frozen here. Test runs are looked at once:
+   ``unseen``, ``gain``, ``outside``; new runs later: ``frozen``.
+7. ``say``: ``causes`` (a verdict per cause), ``answer``, ``headline``, ``wording``, ``tables``,
+   ``assemble``, ``report``, ``force_map``: the answer as it is read and saved.
 
 ``faults`` is a way of its own through the same parts: groups of runs with a fault each.
 
@@ -28,14 +28,14 @@ One record passes on to the next, and none is changed: ``Case`` (what is given),
 floor and null fit), ``Search`` (what was weighed), ``Judgment`` (what may be said), ``Report``.
 """
 
+from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.diagnosis import diagnose
-from diffsim.diagnose.force_map import ForceMap, force_map
-from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.gates import GateResult
-from diffsim.diagnose.next_run import NextRun, next_run
-from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, Interval, OutsideRow
-from diffsim.diagnose.report import Report
-from diffsim.diagnose.tables import EffectRow, HypothesisRow
+from diffsim.diagnose.judge.gain import Gain, gain
+from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, Interval, OutsideRow
+from diffsim.diagnose.say.force_map import ForceMap, force_map
+from diffsim.diagnose.say.next_run import NextRun, next_run
+from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
 
 __all__ = [
     "BaseRow",

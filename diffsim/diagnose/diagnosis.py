@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.assemble import Checks, report_of, tested
-from diffsim.diagnose.coarse import Told, begun, coarse_gate, corrected, renewed_at
-from diffsim.diagnose.fit import Case, Null, Progress, null_fit, silent
-from diffsim.diagnose.gates import (
+from diffsim.diagnose.checks.gates import (
     NUMERICS_LAMBDA,
     GateResult,
     data_gate,
@@ -26,18 +23,29 @@ from diffsim.diagnose.gates import (
     repeatability_gate,
     scan_gate,
 )
-from diffsim.diagnose.gauss_newton import gauss_newton
-from diffsim.diagnose.gradients import GRADIENT_SHARE, gradient_gate
-from diffsim.diagnose.judge import Decision, Judgment, decision_of, judge
-from diffsim.diagnose.noise import noise_floor
-from diffsim.diagnose.referee import Referee, referee_of
-from diffsim.diagnose.refine import Refined, checked_numerics, under
-from diffsim.diagnose.report import Report
-from diffsim.diagnose.screen import Screen, screen
-from diffsim.diagnose.search import begin, search_sets, with_numerics
-from diffsim.diagnose.simulations import NONE, Center, Simulations
-from diffsim.diagnose.store import Store, key_of
-from diffsim.diagnose.weighed_sets import Search
+from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
+from diffsim.diagnose.checks.noise import noise_floor
+from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
+from diffsim.diagnose.judge.referee import Referee, referee_of
+from diffsim.diagnose.say.assemble import Checks, report_of, tested
+from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.search.coarse import Told, begun, coarse_gate, corrected, renewed_at
+from diffsim.diagnose.search.fit import (
+    Case,
+    Null,
+    Progress,
+    Refined,
+    check_numerics,
+    null_fit,
+    refit_under,
+    silent,
+)
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.screen import Screen, screen
+from diffsim.diagnose.search.search import begin, search_sets, with_numerics
+from diffsim.diagnose.search.simulations import NONE, Center, Simulations
+from diffsim.diagnose.search.store import Store, key_of
+from diffsim.diagnose.search.weighed_sets import Search
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
@@ -190,7 +198,7 @@ def _settled(null: Null, simulations: Simulations) -> Search:
         if is_late:
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
-        null = _stored_anew(under(null, checked.finer), simulations)
+        null = _stored_anew(refit_under(null, checked.finer), simulations)
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
 
@@ -239,7 +247,7 @@ def _checked(
     if once > 0.0:
         null, found = corrected(null, once)
     else:
-        found = checked_numerics(null)
+        found = check_numerics(null)
         null = found.null
     changes = found.changes
     gates = (*gates, *found.gates)
@@ -255,7 +263,11 @@ def _checked(
     spent = process_time() - started
     share = GRADIENT_SHARE if once == 0.0 else FIRST_SHARE * GRADIENT_SHARE
     case.progress("checks", 0.2, "gradients")
-    gates = (*gates, *gradient_gate(center.evidence, share * spent))
+    linear = center.evidence
+    gates = (
+        *gates,
+        *gradient_gate(linear.problem, linear.x0, linear.residual, linear.jacobian, share * spent),
+    )
     case.progress("checks", 0.25, "gradients are checked")
     return null, Checks(gates, changes, center), simulations
 

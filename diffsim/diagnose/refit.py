@@ -14,13 +14,13 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.core.threads import one_thread
 from diffsim.data.study import Study
-from diffsim.diagnose.fit import Case, null_fit
-from diffsim.diagnose.gain import Gain, gain
+from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.next_run import Narrowing, NextRun, narrowing, next_run
-from diffsim.diagnose.noise import NoiseFloor
-from diffsim.diagnose.records import CERTAIN, EFFECT
-from diffsim.diagnose.report import fit_to_dict, save_model
+from diffsim.diagnose.judge.gain import Gain, gain
+from diffsim.diagnose.judge.records import CERTAIN, EFFECT
+from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
+from diffsim.diagnose.say.report import fit_to_dict, save_model
+from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
 from diffsim.identify.coordinates import effect_coordinates

@@ -31,7 +31,7 @@ class WhiteNoise:
         if missing:
             raise ValueError(
                 f"channels {missing} have no sd; state it, or estimate it from repeats with "
-                "diffsim.diagnose.noise.noise_floor"
+                "diffsim.diagnose.checks.noise.noise_floor"
             )
         self.sd = np.array([c.sd for c in channels], dtype=np.float64)
         self._made: dict[int, tuple[Run, sparse.csr_array]] = {}  # by identity: runs do not change

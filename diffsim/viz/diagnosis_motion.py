@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from diffsim.diagnose.report import Report
+from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit, MovingShape
 from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.diagnosis_series import PredictedRun

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffsim.data.study import Channel
-from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.records import ErrorRow
+from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.records import ErrorRow
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_series import PredictedRun

@@ -13,7 +13,7 @@ from diffsim.viz.scene import rgb, write_recording
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
-    from diffsim.diagnose.report import Report
+    from diffsim.diagnose.say.report import Report
 
 _CLOCK = "time"
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose.own_values import held_out_point
+from diffsim.diagnose.judge.own_values import held_out_point
 from diffsim.identify import Fit
 
 Array = NDArray[np.float64]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from diffsim.diagnose.answer import component_words
-from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.records import (
+from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.records import (
     HIDDEN,
     REFUTED,
     UNJUDGED,
@@ -18,7 +17,8 @@ from diffsim.diagnose.records import (
     Interval,
     OutsideRow,
 )
-from diffsim.diagnose.report import Report
+from diffsim.diagnose.say.answer import component_words
+from diffsim.diagnose.say.report import Report
 from diffsim.viz.numbers import figure, signed, unit_of, with_interval, with_sd
 from diffsim.viz.report import Table
 

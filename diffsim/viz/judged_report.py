@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffsim.data.study import Channel, Study
-from diffsim.diagnose.headline import judged_headline
-from diffsim.diagnose.unseen import Unseen
+from diffsim.diagnose.judge.unseen import Unseen
+from diffsim.diagnose.say.headline import judged_headline
 from diffsim.identify.model_file import SavedModel
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables

@@ -239,7 +239,7 @@ def test_killed_at_any_file_an_explanation_goes_on_to_the_same(
     "stopped",
     [
         "diffsim.diagnose.diagnosis.tested",
-        "diffsim.diagnose.report.save_model",
+        "diffsim.diagnose.say.report.save_model",
         "diffsim.viz.diagnosis_report.write_diagnosis",
         "diffsim.viz.diagnosis_recording.write_recording_of",
     ],

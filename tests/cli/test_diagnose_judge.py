@@ -16,10 +16,10 @@ from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.cli.diagnose_judged import file_name, write_judged
 from diffsim.data import save_study
 from diffsim.data.study_file import load_study
-from diffsim.diagnose.frozen import judge_saved
-from diffsim.diagnose.gain import held_out_residual
+from diffsim.diagnose.judge.frozen import judge_saved
+from diffsim.diagnose.judge.gain import held_out_residual
+from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.refit import extend, fit_null
-from diffsim.diagnose.unseen import Unseen
 from diffsim.identify import DiagnosisSetup, Numerics, fit, save_extended
 from diffsim.identify.model_file import SavedModel, read_extended, rebuilt
 from tests.diagnose import toy, toy_setup

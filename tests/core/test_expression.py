@@ -128,6 +128,9 @@ def test_on_plain_numbers_a_formula_is_what_it_is_on_tensors(text):
     formula = parse_expression(text)
     on_floats = formula.on_floats("x", "size")
     for x in (-2.0, -0.3, 0.0, 0.4, 3.0):
-        values = {"x": torch.tensor(x, dtype=torch.float64), "size": torch.tensor(0.7, dtype=torch.float64)}
+        values = {
+            "x": torch.tensor(x, dtype=torch.float64),
+            "size": torch.tensor(0.7, dtype=torch.float64),
+        }
         want, got = float(formula(values)), on_floats(x, 0.7)
         assert got == pytest.approx(want, rel=1e-14, nan_ok=True), (text, x)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.data.study import Study
-from diffsim.diagnose.gain import held_out_residual
+from diffsim.diagnose.judge.gain import held_out_residual
 from diffsim.identify import Effect, Fit, Problem, SimModel, fit
 from tests.diagnose import toy
 from tests.diagnose.confusion import Case

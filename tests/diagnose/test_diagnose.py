@@ -10,14 +10,14 @@ import yaml
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, next_run
-from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.gates import (
+from diffsim.diagnose.checks.gates import (
     data_gate,
     numerical_effects,
     numerical_shift,
     numerics_gate,
 )
-from diffsim.diagnose.next_run import Narrowing, narrowing
+from diffsim.diagnose.judge.crosscheck import swap_probability
+from diffsim.diagnose.say.next_run import Narrowing, narrowing
 from diffsim.identify import (
     DiagnosisSettings,
     Numerics,

@@ -11,8 +11,8 @@ import torch
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.identify import fit
 from diffsim.identify.model_file import read_extended
 from diffsim.systems.registry import setup_of

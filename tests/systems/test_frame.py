@@ -11,7 +11,7 @@ import torch
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.data.study import Channel, Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.frozen import judge_saved
+from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.identify.model_file import read_extended
 from diffsim.systems import setup_of
 from tests.systems.test_bench_description import NOISE, bench, found

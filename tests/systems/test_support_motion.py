@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.gauss_newton import gauss_newton
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Jacobian, Problem, SearchSettings, WhiteNoise
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import linearization_at

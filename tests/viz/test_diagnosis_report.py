@@ -12,7 +12,7 @@ import torch
 from diffsim import mesh
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import EffectRow, ForceMap, Gain, GateResult, NextRun, Report
-from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, Interval, OutsideRow
+from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, Interval, OutsideRow
 from diffsim.identify import MovingShape, Parameter, SimModel, WhiteNoise
 from diffsim.viz import charts as plotting
 from diffsim.viz import diagnosis_charts as charts

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.headline import judged_headline
-from diffsim.diagnose.records import ErrorRow, OutsideRow
-from diffsim.diagnose.unseen import Unseen
+from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.records import ErrorRow, OutsideRow
+from diffsim.diagnose.judge.unseen import Unseen
+from diffsim.diagnose.say.headline import judged_headline
 from diffsim.identify.model_file import SavedModel
 from diffsim.viz.judged_report import judgment_page, write_judgment
 from tests.optional import needs

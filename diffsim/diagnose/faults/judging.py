@@ -30,8 +30,8 @@ from diffsim.diagnose.faults.verdict import (
     Weighed,
     verdict_of,
 )
-from diffsim.diagnose.records import Interval
-from diffsim.diagnose.screen import VISIBLE
+from diffsim.diagnose.judge.records import Interval
+from diffsim.diagnose.search.screen import VISIBLE
 from diffsim.identify.effect import Effect
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup

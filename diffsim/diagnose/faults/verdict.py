@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.faults.candidates import Candidate
 from diffsim.diagnose.faults.evidence import Evidence
 from diffsim.diagnose.faults.groups import Group
-from diffsim.diagnose.records import CERTAIN, LIKELY, UNTOLD, Interval
+from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, Interval
 from diffsim.identify.effect import Effect
 from diffsim.identify.sizes import PRIOR_WIDTH
 

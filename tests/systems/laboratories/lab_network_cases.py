@@ -20,7 +20,7 @@ from diffsim.core.files import write_text_atomic
 from diffsim.data.labs import DECOYS, NetworkLab
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.report import Report
+from diffsim.diagnose.say.report import Report
 from diffsim.systems.registry import setup_of
 
 Sizes = Mapping[str, float | tuple[float, ...] | None]

@@ -14,7 +14,7 @@ from diffsim.data.labs import NetworkLab
 from diffsim.data.labs.channel_network import LENGTH_M, TAP_M, WIDTH_M
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.gradients import GRADIENT_RTOL
+from diffsim.diagnose.checks.gradients import GRADIENT_RTOL
 from diffsim.identify import Fit, SimModel, fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.setup import DiagnosisSetup

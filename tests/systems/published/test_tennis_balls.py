@@ -8,7 +8,7 @@ import torch
 
 from diffsim.cli.diagnose_inputs import read_study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.gain import gain
+from diffsim.diagnose.judge.gain import gain
 from diffsim.identify import fit
 from diffsim.systems.registry import setup_of
 from diffsim.systems.rigid_body.ball_setup import CLICKS

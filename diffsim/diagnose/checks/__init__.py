@@ -1,0 +1,1 @@
+"""Before any physics is blamed: recordings, numerical settings, gradients, noise, repeatability."""

@@ -1,0 +1,176 @@
+"""Numerical settings, refined until the gate passes or a budget is spent.
+
+A diagnosis with coarse settings would name causes for what the solver does wrong. So each setting
+that moves the record by more than its limit is refined, as long as one simulation costs less than
+``DiagnosisSettings.refine_budget`` times what it did. All that follows uses the refined settings.
+
+Steps that follow the plain model may be too coarse for a cause, such as friction that fades within
+a fraction of the usual velocity, and another cause would be named for the rest. So the gate is
+asked again at the best set of a search (``check_numerics_of_set``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.diagnose.checks.gates import GateResult, numerics_changes, numerics_gate
+from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.linearization import Linearization, record_at
+from diffsim.identify.numerics import REFINEMENTS, Numerics
+
+Array = NDArray[np.float64]
+TIMINGS = 2  # of the plain simulation; the shorter counts
+
+
+@dataclass(frozen=True, eq=False)
+class SetNumerics:
+    """Numerical settings at the fit of a set of causes.
+
+    Attributes:
+        changes: Change of the record by refining each setting, by its name, (N,) each.
+        gates: The numerics gate there.
+        finer: Settings from which it passes, or the finest within the budget; None: it passes, or
+            none finer are allowed.
+    """
+
+    changes: dict[str, Array]
+    gates: tuple[GateResult, ...]
+    finer: Numerics | None
+
+    def postponed(self) -> SetNumerics:
+        """The same, where no further search is made with the finer settings."""
+        left = "; the search was not repeated with finer settings"
+        gates = (g if g.passed else replace(g, note=g.note + left) for g in self.gates)
+        return SetNumerics(self.changes, tuple(gates), None)
+
+
+def check_numerics_of_set(
+    fit: Fit, record: Array, settings: DiagnosisSettings, *, is_late: bool = False
+) -> SetNumerics:
+    """Check the numerical settings at the fit of a set of causes.
+
+    Args:
+        fit: Fit of the set.
+        record: Its prediction, (N,).
+        settings: Budget of refinement.
+        is_late: Nobody will search with finer settings: ``finer`` is no more than some within the
+            budget, from which the gate may not pass yet.
+    """
+    here = Linearization(fit.x, record, (), np.zeros((len(record), 0)))
+    changes = numerics_changes(fit.problem, here)
+    gates = tuple(numerics_gate(fit, changes))
+    used = fit.problem.numerics or Numerics()
+    finer, paid = used, 1.0
+    if not settings.accept_numerics and settings.refine_budget > 1.0 and names_of_failed(gates):
+        once = time_simulation(replace(fit.problem, numerics=None), fit.x)
+        # what refined settings cost is said of them
+        is_enough = is_late and not any(getattr(used, name) < 1.0 for name in REFINEMENTS)
+        budget = settings.refine_budget
+        finer, _, _, paid = refine_within(
+            fit, budget, changes, gates, once, is_any_enough=is_enough
+        )
+    noted = note_numerics(gates, fit.problem.numerics, paid, settings.refine_budget, finer == used)
+    noted = tuple(replace(g, note=f"{g.note}; with the named causes") for g in noted)
+    return SetNumerics(changes, noted, None if finer == used else finer)
+
+
+def refine_within(
+    fit: Fit,
+    budget: float,
+    changes: dict[str, Array],
+    gates: tuple[GateResult, ...],
+    once: float,
+    *,
+    is_any_enough: bool = False,
+) -> tuple[Numerics, dict[str, Array], tuple[GateResult, ...], float]:
+    """Settings from which the gate passes at the same parameters, within the budget; or any finer
+    ones within it, where these are enough.
+
+    Args:
+        fit: Fit whose parameters are kept.
+        budget: Cost of a simulation over the plain one, at most.
+        changes: Change of the record by refining each setting, by its name, (N,) each.
+        gates: The numerics gate, which fails.
+        once: CPU seconds of a plain simulation.
+        is_any_enough: Whether any finer settings are.
+
+    Returns:
+        The settings, the changes and gates there, and the cost of a simulation over the plain one.
+    """
+    problem, x, paid = fit.problem, fit.x, 1.0
+    numerics = problem.numerics or Numerics()
+    dear: set[str] = set()  # beyond the budget: what is left of it goes to the others
+    while failing := [name for name in names_of_failed(gates) if name not in dear]:
+        record = None
+        for name in failing:
+            finer = numerics.refined(REFINEMENTS[name])
+            tried, seconds = _time_record(replace(problem, numerics=finer), x)
+            if seconds > budget * once:
+                dear.add(name)
+            else:
+                numerics, paid, record = finer, seconds / once, tried
+                if is_any_enough:
+                    return numerics, changes, gates, paid
+        if record is None:
+            break
+        there = Linearization(x, record, (), np.zeros((len(record), 0)))
+        # what passed is checked again at the next fit
+        changes = {
+            **changes,
+            **numerics_changes(replace(problem, numerics=numerics), there, failing),
+        }
+        gates = tuple(numerics_gate(fit, changes))
+    return numerics, changes, gates, paid
+
+
+def names_of_failed(gates: Sequence[GateResult]) -> list[str]:
+    """Settings that move the record by more than their limit."""
+    return [g.name for g in gates if not g.passed]
+
+
+def time_simulation(problem: Problem, x: Array) -> float:
+    """CPU seconds of a simulation, the shortest of some."""
+    return min(_time_record(problem, x)[1] for _ in range(TIMINGS))
+
+
+def _time_record(problem: Problem, x: Array) -> tuple[Array, float]:
+    """Record at x and the CPU seconds that it took."""
+    start = process_time()
+    record = record_at(problem, x)
+    return record, max(process_time() - start, 1e-9)
+
+
+def note_numerics(
+    gates: Sequence[GateResult],
+    numerics: Numerics | None,
+    paid: float,
+    budget: float,
+    is_spent: bool = True,
+) -> tuple[GateResult, ...]:
+    """Gates with a note on how fine the settings in use are, and what they cost.
+
+    Args:
+        gates: The numerics gate.
+        numerics: Settings in use; None: the model's own.
+        paid: Cost of a simulation over the plain one.
+        budget: Largest such cost.
+        is_spent: Whether finer settings than those in use were beyond the budget.
+    """
+    out = []
+    for gate in gates:
+        factor = getattr(numerics or Numerics(), gate.name)
+        note = gate.note
+        if factor > 1.0:
+            note += f"; {factor:g} times as coarse as the model's own"
+        if factor < 1.0:
+            note += f"; refined by {1.0 / factor:g}, a simulation costs {paid:.2g} times as much"
+        if not gate.passed and is_spent:
+            note += f"; finer would cost more than the budget of {budget:g} times"
+        out.append(replace(gate, note=note))
+    return tuple(out)

@@ -1,0 +1,1 @@
+"""What may be said of the causes: one verdict, faced with runs that were not fitted."""

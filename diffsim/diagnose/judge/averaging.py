@@ -1,0 +1,302 @@
+"""Bayesian model averaging: probability and size of a cause over all sets that were weighed.
+
+A set of evidence E has the weight exp(E) over the sum of all; the price of the choice is in E
+already. Sizes are mixtures, one normal per set that holds the cause, in scaled coordinates: where
+an unknown force or drift has the evidence, its sets have the weight, so the sizes are those beside
+it. Normals are widened to the spread over fits without a part of the runs (``widening``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, special
+
+from diffsim.diagnose.checks.gates import numerical_shift
+from diffsim.diagnose.judge.left_out import (
+    Folds,
+    blocks_of,
+    determined,
+    groups_of,
+    known_alone,
+    moved,
+)
+from diffsim.diagnose.judge.records import Interval
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
+from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.identify import Fit
+from diffsim.identify.effect import Effect, is_of_run
+
+Array = NDArray[np.float64]
+MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
+HALF_90 = 1.645  # half-width of a 90 % interval in standard deviations
+POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """Weights of all sets in play.
+
+    Attributes:
+        search: Sets that were weighed.
+        weights: Weight of each set, unknown causes that repeats refuted left out; sums to one.
+        sized: The same with them: sizes are not to depend on whether repeats are many enough.
+        factors: How many times wider than noise makes them intervals are, by coordinate of the
+            best fit.
+        spread: Standard deviation of these scaled coordinates by the jackknife.
+        usual: Factor of all other coordinates.
+        changes: Change of the record by refining each numerical setting, (N,) each.
+    """
+
+    search: Search
+    weights: Mapping[Hypothesis, float]
+    sized: Mapping[Hypothesis, float]
+    factors: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
+    usual: float = 1.0
+    changes: Mapping[str, Array] = field(default_factory=dict)
+    _posteriors: dict[Hypothesis, tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _centers: dict[frozenset[int], LaplaceEvidence] = field(default_factory=dict, repr=False)
+
+    @property
+    def reach(self) -> tuple[Hypothesis, ...]:
+        """Sets within 3 nats of the best one, best first."""
+        least = max(self.weights.values()) * np.exp(-ALONE_NATS)
+        found = [h for h, w in self.weights.items() if w >= least]
+        return tuple(sorted(found, key=lambda h: -self.weights[h]))
+
+    def probability(self, i: int) -> float:
+        """Probability that an effect, by index, acts."""
+        return float(sum(w for h, w in self.weights.items() if i in h.effects))
+
+    def unknown_probability(self, u: int) -> float:
+        """Probability that an unknown cause, by index, acts."""
+        return float(sum(w for h, w in self.weights.items() if h.unknown == u))
+
+    def added(self, members: frozenset[int], i: int) -> float:
+        """Nats that an effect adds to a set, by linear evidence at it; below zero: it costs.
+
+        Beside the unknown cause of the best of all sets: what that takes up asks for no effect.
+        """
+        search, u = self.search, max(self.weights, key=lambda h: self.weights[h]).unknown
+        made = search.simulations
+        if (members, u) not in made.unknown_slopes:
+            u = None
+        without, both = Hypothesis(members, u), Hypothesis(members | {i}, u)
+        known = {**search.linear, **search.weighed}
+        if both in known and without in known:
+            return known[both].nats - known[without].nats
+        if members not in made.screened:
+            return 0.0
+        if members not in self._centers:
+            families, at = search.num_families, made.screened[members]
+            self._centers[members] = (
+                made.center(members, at, families).evidence
+                if u is None
+                else made.beside(members, search.unknowns[u], u, families)
+            )
+        evidence, only = self._centers[members], None if u is None else 0
+        both, without = replace(both, unknown=only), replace(without, unknown=only)
+        return evidence.weigh(both).nats - evidence.weigh(without).nats
+
+    def size(self, i: int) -> dict[str, Interval]:
+        """Size of an effect by component; empty where no set with it was weighed."""
+        return self._sizes(i, widened=True)
+
+    def factor(self, i: int) -> float:
+        """How many times wider than without leaving out parts the widest interval is."""
+        pairs = zip(self.size(i).values(), self._sizes(i, widened=False).values(), strict=True)
+        ratios = [(a.high - a.low) / (b.high - b.low) for a, b in pairs if b.high > b.low]
+        return max([1.0, *ratios])
+
+    def _sizes(self, i: int, *, widened: bool) -> dict[str, Interval]:
+        wide = self.search.wide
+        effect = wide.effects[i]
+        holding = [h for h in self.sized if i in h.effects]
+        weights = np.array([self.sized[h] for h in holding])
+        if not len(weights) or not weights.sum() > 0.0:
+            return {}
+        columns = wide.columns_of(effect)
+        names = [wide.names[c] for c in columns]
+        parts = [self._part(h, i, names if widened else None) for h in holding]
+        out = {}
+        fitted = {f"@{run.name}" for run in wide.runs}
+        for k, component in enumerate(effect.components):
+            if is_of_run(component) and component not in fitted:
+                continue  # of a run that nothing was fitted to
+            unit = float(wide.size_units[columns[k] - wide.num_base])
+            mean = np.array([p[0][k] for p in parts])
+            sd = np.hypot([p[1][k] for p in parts], MODEL_FORM * mean)
+            out[component] = _interval(weights, unit * mean, unit * sd, effect)
+        return out
+
+    def differs_jointly(self, i: int) -> bool:
+        """Whether the components of an effect are together not zero, whatever each is alone.
+
+        A size for all and one for each propeller share what they say: of neither alone zero can be
+        excluded, of their sum it can. By the heaviest set with a fit, at 90 %, widened as intervals
+        are.
+        """
+        fits = {h: w.fit for h, w in self.search.weighed.items() if i in h.effects}
+        held = [h for h, fit in fits.items() if fit is not None and self.weights.get(h, 0.0) > 0.0]
+        if not held:
+            return False
+        fit = fits[max(held, key=lambda h: self.weights[h])]
+        assert fit is not None
+        own = fit.problem.columns_of(self.search.wide.effects[i])
+        u, stretch = fit.problem.scaled(fit.x)[own], fit.problem.stretch(fit.x)[own]
+        spread = fit.covariance[np.ix_(own, own)] * np.outer(stretch, stretch)
+        widest = max(self.factors.get(fit.problem.names[c], self.usual) for c in own)
+        away = float(u @ np.linalg.solve(spread, u)) / widest**2
+        return away > float(special.chdtri(len(own), 0.1))  # 90 % of chi squared
+
+    def _part(self, h: Hypothesis, i: int, names: Sequence[str] | None) -> tuple[Array, Array]:
+        """Mean and sd of an effect's scaled coordinates in a set.
+
+        Args:
+            h: Set with or without an unknown cause.
+            i: Index of the effect.
+            names: Coordinates to widen; None: the statistical sd alone.
+        """
+        effect, fit = self.search.wide.effects[i], self._weighed(h).fit
+        own = (self.search.wide if fit is None else fit.problem).columns_of(effect)
+        mean, sd = (values[own] for values in self._posterior(h))
+        if names is None:
+            return mean, sd
+        if h.unknown is None:
+            return mean, sd * [self.factors.get(n, self.usual) for n in names]
+        # the unknown cause takes up what makes fits differ: the spread is a floor, no factor
+        return mean, np.maximum(sd, [self.spread.get(n, 0.0) for n in names])
+
+    def _posterior(self, h: Hypothesis) -> tuple[Array, Array]:
+        """Mean and sd of all scaled coordinates of a set's problem."""
+        if h not in self._posteriors:
+            weighed = self._weighed(h)
+            fit = weighed.fit
+            if fit is None:
+                problem, x, sd = self.search.wide, weighed.x, weighed.sd
+            else:
+                problem, x = fit.problem, fit.x
+                shift = numerical_shift(fit, self.changes)
+                sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
+            self._posteriors[h] = problem.scaled(x), sd * problem.stretch(x)
+        return self._posteriors[h]
+
+    def _weighed(self, h: Hypothesis) -> Weighed:
+        found = self.search.weighed.get(h)
+        return self.search.linear[h] if found is None else found
+
+
+def averaged(
+    search: Search,
+    withdrawn: frozenset[int],
+    refuted: frozenset[int],
+    fit: Fit,
+    changes: Mapping[str, Array],
+    instead: Mapping[frozenset[int], float] | None = None,
+) -> Averaged:
+    """Weights of all sets and the widening of intervals.
+
+    Args:
+        search: Sets that were weighed.
+        withdrawn: Effects that unseen runs refuted; sets with them are out of play.
+        refuted: Unknown causes, by index, that repeats refuted.
+        fit: Fit of the best set, whose parts are left out one after the other.
+        changes: Change of the record by refining each numerical setting.
+        instead: Evidence of sets beside a wrong data sheet, where it is more [nats].
+    """
+    nats = {h: w.nats for h, w in {**search.linear, **search.weighed}.items()}
+    nats = {h: e for h, e in nats.items() if not h.effects & withdrawn}
+    nats |= {Hypothesis(members): e for members, e in (instead or {}).items()}
+    wider = widening(fit)
+    kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in refuted}
+    return Averaged(
+        search,
+        _weights(kept),
+        _weights(nats),
+        wider.factors,
+        wider.spread,
+        wider.usual,
+        changes,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Widening:
+    """How fits without a part of the runs spread; fields as of ``Averaged``."""
+
+    factors: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
+    usual: float = 1.0
+
+
+def widening(fit: Fit) -> Widening:
+    """How many times wider than noise alone makes them intervals have to be, by coordinate.
+
+    The spread of K linear refits, each without one part, gives the variance of the whole fit by the
+    jackknife, (K - 1) / K sum (x_k - mean)^2, without any model of the noise. It has K - 1 degrees
+    of freedom; where it is small, four more come from what is usual among the fit's parameters.
+    Parts are groups of runs; blocks of time for what is known from one group alone.
+
+    Returns:
+        Factors, at least 1, of coordinates that all runs share.
+    """
+    known = determined(fit)
+    groups, blocks = groups_of(fit.problem), blocks_of(fit.problem)
+    alone = dict.fromkeys(known, True)
+    if groups is not None:
+        alone = dict(zip(known, known_alone(fit, groups).tolist(), strict=True))
+    sd = np.sqrt(np.diag(fit.covariance)) * fit.problem.stretch(fit.x)
+    factors: dict[str, float] = {}
+    for folds, own in (
+        (groups, [i for i in known if not alone[i]]),
+        (blocks, [i for i in known if alone[i]]),
+    ):
+        if folds is not None and own:
+            found = _factors(fit, folds, own)
+            factors |= {fit.problem.names[i]: f for i, f in zip(own, found, strict=True)}
+    usual = float(np.median(list(factors.values()))) if factors else 1.0
+    place = {name: i for i, name in enumerate(fit.problem.names)}
+    return Widening(factors, {n: f * float(sd[place[n]]) for n, f in factors.items()}, usual)
+
+
+def _factors(fit: Fit, folds: Folds, own: Sequence[int]) -> list[float]:
+    """Factors of some coordinates by leaving out parts."""
+    problem, count = fit.problem, len(folds.parts)
+    ends = np.array([problem.scaled(moved(fit, ~fold.rows))[own] for fold in folds.parts])
+    variance = (count - 1) / count * np.sum((ends - ends.mean(axis=0)) ** 2, axis=0)
+    sd = (np.sqrt(np.diag(fit.covariance)) * problem.stretch(fit.x))[own]
+    ratio, freedom = variance / sd**2, count - 1.0
+    usual = float(np.median(ratio)) / (float(special.chdtri(freedom, 0.5)) / freedom)
+    pooled = (freedom * ratio + POOLED_FREEDOM * usual) / (freedom + POOLED_FREEDOM)
+    # a spread of its own is never shrunk: a size may differ from run to run where others do not
+    return np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0)).tolist()
+
+
+def _weights(nats: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
+    values = np.array(list(nats.values()))
+    total = special.logsumexp(values)
+    return dict(zip(nats, np.exp(values - total).tolist(), strict=True))
+
+
+def _interval(weights: Array, mean: Array, sd: Array, effect: Effect) -> Interval:
+    """Mean and quantiles of a mixture of normals; unsigned sizes are cut at zero."""
+    weights = weights / weights.sum()
+    keep = weights > 1e-6
+    weights, mean, sd = weights[keep], mean[keep], np.maximum(sd[keep], 1e-300)
+    low, high = (float((mean - 9.0 * sd).min()), float((mean + 9.0 * sd).max()))
+
+    def quantile(p: float) -> float:
+        def above(q: float) -> float:
+            return float(weights @ special.ndtr((q - mean) / sd)) - p
+
+        return float(optimize.brentq(above, low, high, xtol=1e-9 * (high - low)))
+
+    ends = [quantile(0.05), quantile(0.95)]
+    value = float(weights @ mean) / float(weights.sum())
+    if not effect.signed:
+        value, ends = max(value, 0.0), [max(q, 0.0) for q in ends]
+    return Interval(value, ends[0], ends[1])

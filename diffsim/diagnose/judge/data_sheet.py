@@ -1,0 +1,184 @@
+"""Base parameters beside their data sheets: those far off are findings, like causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from diffsim.data.study import Run
+from diffsim.diagnose.judge.averaging import HALF_90, Widening
+from diffsim.diagnose.judge.records import BaseRow
+from diffsim.identify import Fit
+from diffsim.identify.model import Parameter
+
+Array = NDArray[np.float64]
+PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
+FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
+WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
+TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
+
+
+def pull_limit(parameters: Sequence[Parameter]) -> float:
+    """Distance from the data sheet from which on a parameter is a finding [prior sd].
+
+    Of many parameters one is far off by chance: the limit grows with their number, so that one
+    right description in a hundred has a finding (Bonferroni).
+
+    Args:
+        parameters: All base parameters; those that each run has of its own count once.
+    """
+    num = len({p.name.partition("@")[0] for p in parameters})
+    return max(PULLED, -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num)))))
+
+
+def words_of(name: str) -> str:
+    """A code name in plain words: "drag[frame=A]" is "drag (frame A)"."""
+    stem, _, run = name.partition("@")
+    stem, _, fact = stem.partition("[")
+    words = stem.replace("_", " ").replace(".", " ")
+    if fact:
+        words += f" ({fact.rstrip(']').replace('=', ' ')})"
+    return f"{words} of {run}" if run else words
+
+
+def far_off(fit: Fit) -> dict[str, float]:
+    """Parameters further off than 99 % even of wrong data sheets are.
+
+    Where something unknown acts besides, a set may get there by standing in for it.
+
+    Args:
+        fit: Fit of a set.
+
+    Returns:
+        Distance from the data sheet by the parameter's words [prior sd].
+    """
+    base, limit = fit.problem.model.base, -WIDE * float(ndtri(FALSE_FINDINGS / 2.0))
+    return {
+        words_of(p.name): float(x)
+        for p, x in zip(base, fit.x[: len(base)], strict=True)
+        if "@" not in p.name and abs(x) > limit
+    }
+
+
+def base_rows(
+    fit: Fit,
+    runs: Sequence[Run],
+    wider: Widening,
+    *,
+    judged: bool,
+    wrong: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[BaseRow, ...]:
+    """Base parameters of the runs that were fitted, with what their data sheets say.
+
+    A data sheet that is wrong holds its parameter back, and that bends all it is fitted with:
+    intervals hold what is found both with it and without.
+
+    Args:
+        fit: Fit of the best set.
+        runs: Runs that were fitted.
+        wider: Widening of intervals.
+        judged: Whether findings may be stated: repeats and numerical settings are in order.
+        wrong: Value and sd of parameters without the pull of a data sheet that is wrong, in its
+            standard deviations, by name; None: none.
+    """
+    sd, names = np.sqrt(np.diag(fit.covariance)), {run.name for run in runs}
+    base, rows = fit.problem.model.base, []
+    limit = pull_limit(base)
+    moved, free_sd = _without_wrong(fit, limit)
+    for i, p in enumerate(base):
+        run = p.name.partition("@")[2] or None
+        if run is not None and run not in names:
+            continue
+        factor = wider.factors.get(p.name, wider.usual if run is None else 1.0)
+        x, spread = (wrong or {}).get(p.name, (float(fit.x[i]), float(sd[i])))
+        row = _base_row(p, x, spread * factor, run, limit)
+        if moved[i] and p.name not in (wrong or {}):
+            free = _base_row(p, x + float(moved[i]), float(free_sd[i]) * factor, run, limit)
+            row = replace(row, low=min(row.low, free.low), high=max(row.high, free.high))
+        rows.append(row)
+    if not judged:
+        return tuple(rows)
+    alone = (replace(r, finding=r.run is None and _is_off(r)) for r in rows)
+    return (*alone, *_pulled_together(rows))
+
+
+def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
+    """Where a fit goes, by its slopes, if data sheets that it has left do not hold it.
+
+    Returns:
+        Change of the coordinates, (n,), and their standard deviations there, (n,).
+    """
+    base, covariance = fit.problem.model.base, fit.covariance
+    left = [j for j, p in enumerate(base) if "@" not in p.name and abs(fit.x[j]) > limit]
+    if not left:
+        return np.zeros(len(fit.x)), np.sqrt(np.diag(covariance))
+    share = 1.0 - WIDE**-2  # of their priors' precision that is taken away: a change of low rank
+    columns = covariance[:, left]
+    inner = np.eye(len(left)) / share - covariance[np.ix_(left, left)]
+    free = covariance + columns @ np.linalg.solve(inner, columns.T)
+    return free[:, left] @ (share * fit.x[left]), np.sqrt(np.diag(free))
+
+
+def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) -> BaseRow:
+    def at(q: float) -> float:
+        return float(p.value_at(torch.tensor(q, dtype=torch.float64)))
+
+    scale = at(x) * p.sd if p.log else p.sd
+    return BaseRow(
+        name=p.name,
+        words=words_of(p.name),
+        unit=p.unit,
+        value=at(x),
+        sd=scale * sd,
+        low=at(x - HALF_90 * sd),
+        high=at(x + HALF_90 * sd),
+        prior_value=p.value,
+        prior_sd=p.sd * p.value if p.log else p.sd,
+        pull=x,
+        limit=limit,
+        run=run,
+    )
+
+
+def _is_off(row: BaseRow) -> bool:
+    """Whether a parameter ended far off, and its interval does not hold the data sheet's value."""
+    is_held = row.low <= row.prior_value <= row.high
+    return abs(row.pull) > row.limit and not is_held
+
+
+def pull_of(pulls: Sequence[float]) -> float:
+    """Pull of one parameter, or of what several runs have each [prior sd of their mean]."""
+    return float(np.mean(pulls) * np.sqrt(len(pulls)))
+
+
+def _pulled_together(rows: Sequence[BaseRow]) -> tuple[BaseRow, ...]:
+    """Parameters of single runs that lie on one side of their data sheet in all runs: a row for
+    each, with the mean over the runs; its interval holds those of all runs."""
+    stems: dict[str, list[BaseRow]] = {}
+    for row in rows:
+        if row.run is not None:
+            stems.setdefault(row.name.partition("@")[0], []).append(row)
+    found = []
+    for stem, own in stems.items():
+        pulls = [row.pull for row in own]
+        same_side = len(own) >= TOGETHER and abs(np.sign(pulls).sum()) == len(own)
+        if same_side and abs(pull_of(pulls)) > own[0].limit:
+            together = replace(
+                own[0],
+                name=stem,
+                words=f"{words_of(stem)} in all runs",
+                value=float(np.mean([row.value for row in own])),
+                sd=float(np.sqrt(np.mean([row.sd**2 for row in own]))),  # of one run
+                low=min(row.low for row in own),
+                high=max(row.high for row in own),
+                pull=pull_of(pulls),
+                run=None,
+                finding=True,
+            )
+            found.append(together)
+    return tuple(found)

@@ -1,0 +1,165 @@
+"""A saved model on new runs: nothing is fitted to them but what is unknown of each run."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from diffsim.core.check import require_choice
+from diffsim.core.threads import one_thread
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.checks.noise import ArWhitener
+from diffsim.diagnose.checks.separate import BLOCK_OF, require_separate, shared_with, stretches_of
+from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.outside import Span, spans_of
+from diffsim.diagnose.judge.unseen import At, Unseen, on_unseen
+from diffsim.identify import Problem
+from diffsim.identify.extended import ExtendedModel
+from diffsim.identify.model_file import (
+    SavedModel,
+    rebuilt,
+    without_effects,
+    without_values_of,
+)
+
+
+def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
+    """What judging new runs needs beside the model: noise floor, seen runs, and their range.
+
+    Args:
+        study: Study that was fitted; test runs are left out.
+        noise: Noise under which it was fitted.
+    """
+    seen = (*study.fit_runs, *study.select_runs)
+    return {
+        "noise": {
+            channel.name: {"sd": float(sd), "coefficients": a.tolist()}
+            for channel, sd, a in zip(study.channels, noise.sd, noise.coefficients, strict=True)
+        },
+        "seen_runs": {run.name: _seen(run) for run in seen},
+        "range": {
+            what: {**asdict(span), "labels": list(span.labels)}
+            for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
+        },
+    }
+
+
+def _seen(run: Run) -> dict[str, Any]:
+    """What tells later that a run, or a part of it, was seen."""
+    known = {"use": run.use, "content": content_of(run), "stretches": " ".join(stretches_of(run))}
+    return known | ({BLOCK_OF: run.setup[BLOCK_OF]} if BLOCK_OF in run.setup else {})
+
+
+def content_of(run: Run) -> str:
+    """Hash of what was measured, whatever the run is called."""
+    measured = np.where(np.isfinite(run.measured), run.measured + 0.0, np.nan)
+    return hashlib.sha256(np.ascontiguousarray(measured).tobytes()).hexdigest()[:16]
+
+
+@one_thread
+def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) -> Unseen:
+    """Judge a saved model on runs of a study, which may be another one than it was fitted to.
+
+    Args:
+        inputs: Study and setup of the same system.
+        saved: Content of the model's file.
+        names: Runs to judge; empty: all with use: test.
+
+    Raises:
+        ValueError: no such runs, runs that were fitted, another system's file, or one of before.
+    """
+    study, facts = inputs.study, saved.facts
+    runs = _chosen(study, saved, names)
+    saved = without_values_of(saved, [run.name for run in runs])
+    models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved)]
+    noise = _noise_of(saved, study)
+    spans = {
+        what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
+    }
+    plain, extended = (_at(model, noise, inputs) for model in models)
+    unmet = [p.name for p in inputs.setup.model.base if "[" in p.name]
+    return on_unseen(
+        plain,
+        extended,
+        runs,
+        study.channels,
+        noise.sd,
+        spans,
+        seed=inputs.seed,
+        commands=study.commands,
+        unmet=[name for name in unmet if name not in saved.parameters],
+    )
+
+
+def _chosen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:
+    """Runs to judge, none of which the model has seen."""
+    by_name = {run.name: run for run in study.runs}
+    for name in names:
+        require_choice("--runs", name, by_name)
+    runs = tuple(by_name[n] for n in dict.fromkeys(names)) or study.test_runs
+    if not runs:
+        raise ValueError(
+            f"study {study.name} has no run with use: test; name runs to judge with --runs"
+        )
+    seen = saved.facts.get("seen_runs", {})
+    contents = {entry["content"]: name for name, entry in seen.items()}
+    for run in runs:
+        if (known := contents.get(content_of(run))) is not None:
+            use = seen[known]["use"]
+            raise ValueError(
+                f"run {run.name} was used to {use} the model (as {known}): its error proves nothing"
+            )
+        _require_new(run, seen)
+    # a few samples alike: only if the study still holds the runs that were seen
+    chosen = {run.name for run in runs}
+    others = [r for r in study.runs if r.name not in chosen and r.name in seen]
+    asked = [replace(r, use="test") for r in runs]
+    require_separate(replace(study, runs=(*others, *asked)))
+    return runs
+
+
+def _require_new(run: Run, seen: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse a run that is in part one which the model has seen, unless both are declared blocks.
+
+    Raises:
+        ValueError: it is; the message names the run that was seen.
+    """
+    block = run.setup.get(BLOCK_OF)
+    known = {
+        key: name
+        for name, entry in seen.items()
+        if block is None or entry.get(BLOCK_OF) != block
+        for key in entry.get("stretches", "").split()
+    }
+    if (shared := shared_with(run, known)) is not None:
+        name, count = shared
+        raise ValueError(
+            f"run {run.name} holds at least {count} samples of run {name}, which was used to "
+            f"{seen[name]['use']} the model: its error there proves nothing. Cut them off (from_s, "
+            f"until_s), or declare blocks of one run with setup: {{{BLOCK_OF}: NAME}}"
+        )
+
+
+def _noise_of(saved: SavedModel, study: Study) -> ArWhitener:
+    """The noise floor under which the model was fitted.
+
+    Raises:
+        ValueError: the file knows no noise of a channel of the study.
+    """
+    known: Mapping[str, Any] = saved.facts.get("noise", {})
+    for channel in study.channels:
+        require_choice(f"{saved.path}: channel with a noise floor", channel.name, known)
+    own = [known[channel.name] for channel in study.channels]
+    coefficients = [np.array(entry["coefficients"], dtype=np.float64) for entry in own]
+    return ArWhitener(np.array([entry["sd"] for entry in own]), coefficients)
+
+
+def _at(model: ExtendedModel, noise: ArWhitener, inputs: Inputs) -> At:
+    """The model at the saved values, which are the middle of its priors."""
+    settings = inputs.setup.settings
+    problem = Problem(model, (), noise, (), settings.jacobian)
+    return At(problem, model.at_prior().numpy())

@@ -1,0 +1,245 @@
+"""What a diagnosis says, as records: causes, base parameters, errors on unseen runs.
+
+They are the content of ``report.json`` under ``causes``, ``base``, ``errors`` and ``outside``.
+Every interval is one of 90 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from math import isfinite
+
+from diffsim.core.units import factor
+from diffsim.diagnose.judge.gain import Gain
+
+CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
+REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
+STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
+EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
+SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these
+WRONG_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
+RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
+SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
+UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
+ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
+
+
+def small_unit(unit: str, values: Iterable[float]) -> str:
+    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g.
+
+    Args:
+        unit: SI unit of the values.
+        values: Values that are read together.
+    """
+    return SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its 90 % interval.
+
+    Attributes:
+        value: Mean over the sets of causes that were weighed, in the row's unit.
+        low, high: 90 % interval, in the row's unit.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class CauseRow:
+    """What is known of one candidate cause.
+
+    Attributes:
+        name: Name of the effect, the base parameter or the unknown cause.
+        words: The same in plain words, such as "sliding friction".
+        origin: "effect" of the library, "data sheet" (a base parameter beyond the ``limit``
+            of its row), or "unknown" (a smooth force or drift without a name).
+        status: One of ``STATUSES``. "certain": in every set of causes within reach; "likely":
+            in sets of 80 % probability; "cannot be told from": of the causes in ``rivals``;
+            "refuted": by runs that it was not fitted to, or by the evidence although it would be
+            visible; "not visible below": the data do not ask for it, and could not show it below
+            ``smallest_visible``.
+        probability: Probability that it acts, over all sets that were weighed; None: not weighed.
+        size: Size by component, averaged over the sets that hold it; empty without one. A
+            "data sheet" cause has its value here, under its own name.
+        unit: SI unit of the size, "-" if none.
+        rivals: Names of the causes that it cannot be told from, or that act in its place.
+        smallest_visible: Smallest size that these runs could show, by component, in ``unit``.
+        gain: Share of the error that it removes from runs that it was not fitted to (those with
+            use: select, or fit runs left out one after the other); None: not computed.
+        helps: Whether the extended model holds it although it is not certain: it removes error, its
+            name is not known.
+        factor: How many times wider the interval is than noise alone would make it.
+        note: What else is to be said, in a sentence.
+        shown_unit: Unit in which a user reads the size; None: ``unit``.
+        shown_times: What a size is multiplied by to be read in it; None: as the units say.
+    """
+
+    name: str
+    words: str
+    origin: str
+    status: str
+    probability: float | None
+    size: Mapping[str, Interval]
+    unit: str
+    rivals: tuple[str, ...] = ()
+    smallest_visible: Mapping[str, float] = field(default_factory=dict)
+    gain: Gain | None = None
+    helps: bool = False
+    factor: float = 1.0
+    note: str = ""
+    shown_unit: str | None = None
+    shown_times: float | None = None
+
+    @property
+    def read_unit(self) -> str:
+        """Unit in which its size is read: ``shown_unit``, else small lengths in mm and so on."""
+        if self.shown_unit is not None:
+            return self.shown_unit
+        ends = [end for size in self.size.values() for end in (size.low, size.high)]
+        return small_unit(self.unit, ends or self.smallest_visible.values())
+
+    def as_read(self) -> CauseRow:
+        """The same with sizes in the unit in which a user reads them."""
+        unit = self.read_unit
+        if unit == self.unit:
+            return self
+        times = self.shown_times or factor(self.unit, unit)
+        size = {
+            c: replace(s, value=times * s.value, low=times * s.low, high=times * s.high)
+            for c, s in self.size.items()
+        }
+        visible = {c: times * v for c, v in self.smallest_visible.items()}
+        return replace(self, size=size, smallest_visible=visible, unit=unit, shown_unit=unit)
+
+
+@dataclass(frozen=True)
+class BaseRow:
+    """A base parameter: what the data sheet says and what the recordings say.
+
+    Attributes:
+        name: Name of the parameter; "offset@run_3" is one of run_3 only.
+        words: The same in plain words.
+        unit: SI unit, "-" if none.
+        value: Fitted value, in ``unit``.
+        sd: Its standard deviation, in ``unit``.
+        low, high: 90 % interval, in ``unit``.
+        prior_value: Value of the data sheet, in ``unit``.
+        prior_sd: Its standard deviation, in ``unit``.
+        pull: Distance from the data sheet in prior standard deviations, with sign.
+        limit: Distance from which on it is a finding: at least 3, more where many parameters could
+            be off by chance.
+        run: Run that it belongs to; None: all runs.
+        finding: Whether it is a cause of its own: beyond ``limit``.
+    """
+
+    name: str
+    words: str
+    unit: str
+    value: float
+    sd: float
+    low: float
+    high: float
+    prior_value: float
+    prior_sd: float
+    pull: float
+    limit: float
+    run: str | None = None
+    finding: bool = False
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the recordings say anything of it: a shape of a cause that is absent is not."""
+        return abs(self.pull) > UNTOLD_PULL or self.sd < UNTOLD_SHARE * self.prior_sd
+
+    @property
+    def shown_unit(self) -> str:
+        """Unit in which it is read: small lengths in mm, short times in ms, small masses in g."""
+        return small_unit(self.unit, (self.value, self.prior_value, self.prior_sd))
+
+    def as_read(self) -> BaseRow:
+        """The same in the unit in which it is read."""
+        unit = self.shown_unit
+        times = 1.0 if unit == self.unit else factor(self.unit, unit)
+        names = ("value", "sd", "low", "high", "prior_value", "prior_sd")
+        return replace(self, unit=unit, **{name: times * getattr(self, name) for name in names})
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """Error on a run that was not fitted, root mean square over channels of one kind.
+
+    Attributes:
+        run: Name of the run.
+        kind: Kind of the channels, such as "position".
+        unit: Unit of the recordings' file.
+        before: Error of the plain model at its own fit.
+        after: Error of the extended model.
+        noise: What noise alone leaves.
+        num_samples: Number of samples that were compared.
+        num_fitted: Number of values that were fitted to this run for either model: what the study
+            declares unknown per run.
+        use: "test", or "select" where there is no test run.
+    """
+
+    run: str
+    kind: str
+    unit: str
+    before: float
+    after: float
+    noise: float
+    num_samples: int
+    num_fitted: int
+    use: str = "test"
+
+
+@dataclass(frozen=True)
+class OutsideRow:
+    """A quantity of a test run beside the range that was fitted.
+
+    Attributes:
+        run: Name of the test run.
+        what: What was compared, such as "level of force_N", "rate of force_N", "payload_kg".
+        value: Value in the test run; a label as text.
+        low, high: Range over the fitted runs; None for labels.
+        times: How far outside, at most 1 is inside: strokes and rates over the largest fitted one,
+            else from the middle of the range over half its width; infinite for an unknown label.
+        unit: Unit of value and range.
+    """
+
+    run: str
+    what: str
+    value: float | str
+    low: float | None
+    high: float | None
+    times: float
+    unit: str = ""
+
+    @property
+    def is_fact(self) -> bool:
+        """Whether it is a fact of the set-up, and nothing of a signal."""
+        return not self.what.startswith(SIGNALS)
+
+    @property
+    def words(self) -> str:
+        """The row in a sentence."""
+        unit = f" {self.unit}" if self.unit not in ("", "-") else ""
+        if isinstance(self.value, str) or self.low is None or self.high is None:
+            return f"Run {self.run}: no fitted run has {self.what} {self.value}."
+        per, unit = (1000.0, " mm") if self._in_mm else (1.0, unit)
+        numbers = [f"{per * v:.3g}" for v in (self.value, self.low, self.high)]
+        said = f"Run {self.run}: {self.what} is {numbers[0]}{unit}, fitted runs have "
+        if self.low == self.high:
+            return f"{said}{numbers[1]}{unit}."
+        of = "the largest" if self.what.startswith(RATIOS) else "as far from the middle"
+        far = f" ({self.times:.2g} times {of})" if isfinite(self.times) else ""
+        return f"{said}{numbers[1]} to {numbers[2]}{unit}{far}."
+
+    @property
+    def _in_mm(self) -> bool:
+        ends = (self.value, self.low, self.high)
+        return self.unit == "m" and all(abs(v) < 1.0 for v in ends if isinstance(v, float))

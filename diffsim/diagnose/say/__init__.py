@@ -1,0 +1,1 @@
+"""The answer as it is read and saved: probabilities, sizes, tables, sentences, the report."""

@@ -1,0 +1,371 @@
+"""The frozen answer as a report, then its errors on test runs."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy
+import torch
+from numpy.typing import NDArray
+
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.checks.gates import NUMERICS_GATES, GateResult
+from diffsim.diagnose.checks.noise import UNREPEATABLE
+from diffsim.diagnose.checks.refine import SetNumerics
+from diffsim.diagnose.judge.averaging import Averaged, averaged, widening
+from diffsim.diagnose.judge.data_sheet import base_rows, far_off
+from diffsim.diagnose.judge.form import without_forms
+from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
+from diffsim.diagnose.judge.outside import spans_of
+from diffsim.diagnose.judge.own_values import unmet_by
+from diffsim.diagnose.judge.records import CERTAIN, LIKELY, BaseRow, CauseRow
+from diffsim.diagnose.judge.referee import Referee
+from diffsim.diagnose.judge.unseen import on_unseen
+from diffsim.diagnose.judge.wrong_sheet import without_wrong_sheets
+from diffsim.diagnose.say.answer import Answer
+from diffsim.diagnose.say.causes import Told, cause_rows, certain_of, open_rivals, vetoed
+from diffsim.diagnose.say.force_map import ForceMap, force_map
+from diffsim.diagnose.say.headline import headline
+from diffsim.diagnose.say.next_run import next_run
+from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
+from diffsim.diagnose.say.wording import sentences
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.fit import Null
+from diffsim.diagnose.search.screen import Screen
+from diffsim.diagnose.search.search import refit, with_numerics
+from diffsim.diagnose.search.simulations import NONE, Center
+from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.identify import Fit
+from diffsim.identify.unknown import UnknownForce
+
+Array = NDArray[np.float64]
+MUCH_LEFT = 3.0  # noise sd, root mean square: nothing is certain that leaves more to the unknown
+
+
+@dataclass(frozen=True, eq=False)
+class Checks:
+    """Gates before any physics is blamed, and what they simulated.
+
+    Attributes:
+        gates: Data, numerical settings, gradients; then repeatability and the judgment's.
+        changes: Change of the record by refining each numerical setting, by its name, (N,) [unit of
+            the channel].
+        center: The plain model with everything linearized there.
+    """
+
+    gates: tuple[GateResult, ...]
+    changes: dict[str, Array]
+    center: Center
+
+    @property
+    def numerics_failed(self) -> bool:
+        """Whether numerical settings move the record by more than their limit."""
+        return any(not g.passed for g in self.gates if g.name in NUMERICS_GATES)
+
+    @property
+    def unrefined(self) -> dict[str, Array]:
+        """Changes by refining settings for which the gate failed."""
+        failed = [g.name for g in self.gates if g.name in NUMERICS_GATES and not g.passed]
+        return {name: self.changes[name] for name in failed if name in self.changes}
+
+    def at_set(self, found: SetNumerics | None) -> Checks:
+        """The checks with numerical settings as they are at the fit of a set of causes.
+
+        Args:
+            found: What was found there; None: nothing was checked.
+        """
+        if found is None:
+            return self
+        now = {g.name: g for g in found.gates}
+        gates = tuple(now.get(g.name, g) for g in self.gates)
+        return replace(self, gates=gates, changes=found.changes)
+
+    def joined(self, more: Sequence[GateResult]) -> Checks:
+        """The checks with further gates."""
+        return replace(self, gates=(*self.gates, *more))
+
+
+def report_of(
+    null: Null,
+    checks: Checks,
+    judgment: Judgment,
+    screened: Screen,
+    seed: int,
+    bank: Sequence[Run],
+    referee: Referee | None = None,
+) -> Report:
+    """The answer of a diagnosis, before any test run is looked at.
+
+    Args:
+        null: The plain model under its noise floor.
+        checks: Gates, and what they simulated.
+        judgment: The verdict and the search behind it.
+        screened: Scores of all candidates at the plain model.
+        seed: Seed of the bootstraps.
+        bank: Runs that could be recorded next.
+        referee: What names were held against.
+    """
+    case = null.case
+    search, effects = judgment.search, case.effects
+    if search is not None and judgment.decision.best:
+        search = with_numerics(search, judgment.decision.best, is_late=True)
+        checks = checks.at_set(search.numerics.get(judgment.decision.best))
+        judgment = _with_forms(judgment, search, checks.unrefined)
+        search = judgment.search
+    decision = judgment.decision
+    members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
+    best = null.fit if search is None or not members else search.fit_of(members)
+    if search is not None:
+        search = with_numerics(search, members, is_late=True)
+        judgment = replace(judgment, search=search)
+        checks = checks.at_set(search.numerics.get(members))
+    gates = checks.gates
+    if members and not best.converged:
+        why = f"of the extended model: its sizes are not to be trusted ({best.message})"
+        gates = (*gates, GateResult("fit_converged", False, 0.0, 1.0, why))
+    about = _averaged(search, judgment, best, checks)
+    certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
+    base = _base(best, judgment)
+    rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
+    strained = {} if decision.beside is None else far_off(best)
+    left = None if decision.beside is None else _much_left(best)
+    may_stand_in = bool(strained) or left is not None
+    surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
+    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals, surest)
+    causes = cause_rows(told, base)
+    findings = tuple(row.name for row in base if row.finding)
+    refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
+    verdict, named = _verdict(judgment, certain, findings, stands_in=bool(refused))
+    # of a verdict that names what all sets share, the sets are all told
+    sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
+    names = tuple(set_names(h, effects, case.unknowns) for h in sets)
+    rows = effect_rows(effects, judgment, screened, checks.changes)
+    case.progress("done", 1.0, verdict)
+    return Report(
+        verdict=verdict,
+        sentences=(),
+        named=tuple(effects[i].name for i in sorted(named)),
+        rivals=names,
+        hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
+        table=rows,
+        confounding_names=screened.names,
+        confounding=screened.confounding,
+        cannot_see=cannot_see(effects, screened, case.unmet, rows),
+        gates=gates,
+        noise={
+            "sd": dict(
+                zip([c.name for c in case.study.channels], null.noise.sd.tolist(), strict=True)
+            ),
+            "source": null.noise.source,
+            "scatter_ratio": null.noise.scatter_ratio,
+            "num_spikes": null.num_spikes,
+        },
+        gain=judgment.gain,
+        chi2_null=null.fit.chi2,
+        chi2_best=best.chi2,
+        num_samples=null.fit.num_samples,
+        settings=_settings(null, search, seed),
+        null=null.fit,
+        best=best,
+        study=case.study,
+        model=case.model,
+        next_run=_advice(judgment, best, bank),
+        force_map=None if search is None else _force_map(search),
+        causes=causes,
+        findings=findings,
+        base=base,
+        unknown_share=_unknown_share(null, best, judgment),
+        interval_factor=_interval_factor(causes, about),
+        chosen_by="" if referee is None else referee.words,
+        answer=Answer(
+            verdict=verdict,
+            decision=decision,
+            causes=causes,
+            rivals=names,
+            gates=gates,
+            noise=null.noise,
+            named=tuple(effects[i].name for i in sorted(named)),
+            best_names=tuple(effects[i].name for i in sorted(decision.best)),
+            beside=_beside(judgment),
+            strained=strained,
+            left=left,
+            chosen_by="" if referee is None else referee.words,
+        ),
+    )
+
+
+def tested(frozen: Report, study: Study, seed: int) -> Report:
+    """The frozen answer with its errors on test runs, and in words.
+
+    Without test runs errors are those of select runs, and no gain is known.
+
+    Args:
+        frozen: Report whose answer does not change any more.
+        study: Study with its test runs.
+        seed: Seed of the bootstrap.
+    """
+    seen, is_test = frozen.study, bool(study.test_runs)
+    sd = np.array(list(frozen.noise["sd"].values()))
+    found = on_unseen(
+        frozen.null,
+        frozen.best,
+        study.test_runs or seen.select_runs,
+        seen.channels,
+        sd,
+        spans_of(seen.fit_runs, seen.channels, seen.commands),
+        seed=seed,
+        use="test" if is_test else "select",
+        commands=seen.commands,
+        unmet=unmet_by(frozen.best.problem),
+    )
+    gain = found.gain if frozen.best.problem.effects else None
+    gained = gain if is_test else None  # runs that chose between causes prove none
+    assert frozen.answer is not None  # of the same diagnosis
+    return replace(
+        frozen,
+        study=replace(study, runs=(*seen.runs, *study.test_runs)),
+        errors=found.errors,
+        outside=found.outside,
+        gain=gained,
+        headline=headline(frozen.answer, found.errors, found.failed, gain),
+        sentences=sentences(frozen.answer, gained, found.errors, found.failed),
+    )
+
+
+def _averaged(
+    search: Search | None, judgment: Judgment, best: Fit, checks: Checks
+) -> Averaged | None:
+    if search is None:
+        return None
+    instead = {members: nats for members, (_, nats) in judgment.decision.instead.items()}
+    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes, instead)
+
+
+def _much_left(best: Fit) -> float | None:
+    """What a fit leaves, root mean square [noise sd]; None where it is not much."""
+    left = float(np.sqrt(best.chi2 / best.num_samples))
+    return left if left > MUCH_LEFT else None
+
+
+def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
+    judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
+    wrong = judgment.decision.sheets
+    return base_rows(best, best.problem.runs, widening(best), judged=judged, wrong=wrong)
+
+
+def _verdict(
+    judgment: Judgment, certain: frozenset[int], findings: Sequence[str], *, stands_in: bool
+) -> tuple[str, frozenset[int]]:
+    """Verdict of the causes that are certain, and the effects that it names.
+
+    Where rivals share causes that are certain, these are named: only the rest cannot be told. Where
+    none is certain and an unknown cause has the evidence beside the best set, or the set may stand
+    in for what unseen runs refused, something unknown is the verdict. A best set of which nothing
+    is certain, and that leaves much, is not named either. What a data sheet has wrong is no noise,
+    and no cause that the model lacks: a verdict of its own.
+    """
+    decision = judgment.decision
+    if decision.verdict == "named" and not certain:
+        if decision.beside is not None or stands_in:
+            return "unknown", NONE
+        if decision.share < EXPLAINED:
+            return "ambiguous", decision.best
+    if decision.verdict == "ambiguous":
+        return ("named", certain) if certain else ("ambiguous", decision.best)
+    if decision.verdict == "none" and findings:
+        return "data_sheet", NONE
+    return decision.verdict, decision.best if decision.verdict == "named" else NONE
+
+
+def _with_forms(judgment: Judgment, search: Search, unrefined: Mapping[str, Array]) -> Judgment:
+    """The judgment, what may be another cause's form left open; the set without it is fitted."""
+    decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best), unrefined)
+    decision = without_wrong_sheets(decision, search)
+    if decision.forms:  # of several forms, the search need not have come by
+        search = refit(search, decision.best - set(decision.forms))
+    return replace(judgment, decision=decision, search=search)
+
+
+def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
+    """The run of a bank that separates rivals best; None where there are none."""
+    search, fits = judgment.search, [best]
+    if search is not None:
+        rivals = [h for h in judgment.decision.rivals if h.unknown is None]
+        fits += [search.fit_of(h.effects) for h in rivals if h in search.weighed]
+    return next_run(fits, bank) if bank and len(fits) > 1 else None
+
+
+def _unknown_share(null: Null, best: Fit, judgment: Judgment) -> float | None:
+    """Share of the misfit above the noise that is left; None where nothing was searched."""
+    if judgment.search is None:
+        return None
+    missing = null.fit.chi2 - null.fit.num_samples
+    if missing <= 0.0 or judgment.decision.verdict == "none":
+        return 0.0
+    return float(np.clip((best.chi2 - best.num_samples) / missing, 0.0, 1.0))
+
+
+def _interval_factor(causes: Sequence[CauseRow], about: Averaged | None) -> float:
+    """The largest widening among causes that have a status of their own."""
+    shown = [row.factor for row in causes if row.probability is not None and row.rivals]
+    shown += [row.factor for row in causes if row.status in ("certain", "likely")]
+    return max(shown, default=1.0 if about is None else about.usual)
+
+
+def _beside(judgment: Judgment) -> str:
+    """Name of the unknown cause that leads beside the named set."""
+    h, search = judgment.decision.beside, judgment.search
+    if h is None or h.unknown is None or search is None:
+        return ""
+    return search.unknowns[h.unknown].name
+
+
+def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:
+    """Thresholds, seed, effort, versions."""
+    case = null.case
+    return {
+        "seed": seed,
+        "keep_nats": KEEP_NATS,
+        "alone_nats": ALONE_NATS,
+        "explained": EXPLAINED,
+        "unrepeatable": UNREPEATABLE,
+        "num_simulations": case.model.simulations.count - case.num_simulated,
+        "search": asdict(case.settings.search),
+        "numerics": None if (made := null.fit.problem.stands_for) is None else asdict(made),
+        **({} if search is None else _trouble(search)),
+        "versions": {
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "torch": torch.__version__,
+        },
+    }
+
+
+def _trouble(search: Search) -> dict[str, list[str]]:
+    """Sets that failed, did not converge, or borrowed slopes."""
+
+    def name(h: Hypothesis) -> str:
+        return " + ".join(set_names(h, search.wide.effects, search.unknowns)) or "no effect"
+
+    weighed: Mapping[Hypothesis, Any] = search.weighed
+    return {
+        "could_not_be_simulated": [name(h) for h in search.failed],
+        "not_converged": [name(h) for h, w in weighed.items() if w.fit and not w.fit.converged],
+        "slopes_borrowed_at": [name(Hypothesis(m)) for m in search.borrowed],
+    }
+
+
+def _force_map(search: Search) -> ForceMap | None:
+    """Map of the first unknown force, at the plain model; its slopes were simulated for the
+    search."""
+    for u, cause in enumerate(search.unknowns):
+        slopes = search.simulations.unknown_slopes.get((NONE, u))
+        if isinstance(cause, UnknownForce) and slopes is not None:
+            return force_map(search.wide, cause, slopes, search.plain.evidence.residual)
+    return None

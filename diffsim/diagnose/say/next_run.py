@@ -1,0 +1,161 @@
+"""Which run to record next: the one on which rivals differ most, whatever is refitted.
+
+Where nothing is open: the one that narrows most what is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.data.study import Run
+from diffsim.diagnose.search.evidence import ALONE_NATS
+from diffsim.identify import Fit
+from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.problem import PredictionError
+
+Array = NDArray[np.float64]
+TELLING = 2.0 * ALONE_NATS  # expected chi2 from which on a set would be named alone
+NARROWER = 0.95  # of an interval's width: what narrows less is not worth a run
+MAX_NARROWED = 3  # names in a sentence
+
+
+@dataclass(frozen=True)
+class NextRun:
+    """Advice which run to record next.
+
+    Attributes:
+        best: Name of the run of the bank that separates the rivals best.
+        chi2_gain: Expected chi2 between the nearest pair of rivals, by name of the run in the bank.
+        over_median: The best one's over the bank's median.
+    """
+
+    best: str
+    chi2_gain: dict[str, float]
+    over_median: float
+
+    @property
+    def words(self) -> str:
+        """What to record, or that no run of the bank tells the rivals apart."""
+        most = self.chi2_gain[self.best]
+        if most < TELLING:
+            return (
+                f"none of these runs tells them apart: expected chi2 {most:.2g} at most, "
+                f"{TELLING:g} is needed; measure by other means what they differ in"
+            )
+        times = f"{self.over_median:.3g} times the bank's median"
+        return f"record {self.best}: expected chi2 {most:.4g}, {times}"
+
+
+@dataclass(frozen=True)
+class Narrowing:
+    """What a further run would narrow where no cause is open.
+
+    Attributes:
+        best: Name of the run of the bank that narrows the named parameters most.
+        shares: Width of each one's interval after that run over its width now, by name of the
+            parameter, by name of the run: what noise alone leaves.
+    """
+
+    best: str
+    shares: dict[str, dict[str, float]]
+
+    @property
+    def words(self) -> str:
+        """What to record to know more exactly, or that it is not worth it."""
+        shares = self.shares[self.best]
+        least = [n for n in sorted(shares, key=lambda n: shares[n]) if shares[n] < NARROWER]
+        if not least:
+            return "none of these runs narrows an interval by more than 5 %"
+        said = ", of ".join(f"{n} to {shares[n]:.2g}" for n in least[:MAX_NARROWED])
+        return f"for more, record {self.best}: it narrows the interval of {said} of its width"
+
+    def width(self, run: str) -> float:
+        """Geometric mean of the widths that are left after a run."""
+        return _mean_width(self.shares[run])
+
+
+def narrowing(fit: Fit, bank: Sequence[Run], names: Sequence[str]) -> Narrowing:
+    """Posterior sd of parameters with each run of a bank, over that without it.
+
+    Args:
+        fit: Fit of the answer.
+        bank: Runs that could be recorded; ``measured`` only gives the shape (any finite values).
+        names: Parameters and sizes of the fit, one or more.
+
+    Raises:
+        ValueError: no such parameters, or no run of the bank can be simulated.
+    """
+    if not names:
+        raise ValueError("names is empty; give at least one parameter of the fit")
+    index = [fit.problem.names.index(name) for name in names]
+    now = np.sqrt(np.diagonal(fit.covariance))[index]
+    shares = {}
+    for run in bank:
+        try:
+            _, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
+        except PredictionError:  # a run that the model cannot follow is no advice
+            continue
+        then = posterior_covariance(np.vstack([fit.jacobian, jacobian]))
+        left = np.sqrt(np.diagonal(then))[index] / now
+        shares[run.name] = dict(zip(names, left.tolist(), strict=True))
+    if not shares:
+        raise ValueError(f"none of the {len(bank)} runs of the bank can be simulated")
+    return Narrowing(min(shares, key=lambda name: _mean_width(shares[name])), shares)
+
+
+def _mean_width(shares: Mapping[str, float]) -> float:
+    return float(np.exp(np.mean(np.log(list(shares.values())))))
+
+
+def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
+    """Projected distance of rivals on every run of a bank.
+
+    d^2 = D' (1 + J C J')^-1 D, D = W (S_a - S_b), J and posterior covariance C of the parameters of
+    both rivals: what refitting either could absorb does not count.
+
+    Args:
+        rivals: Fits of the rival sets, two or more.
+        bank: Runs that could be recorded; ``measured`` only gives the shape (any finite values).
+    """
+    if len(rivals) < 2:
+        raise ValueError(f"rivals must hold at least two fits, got {len(rivals)}")
+    if not bank:
+        raise ValueError("bank is empty; give at least one run that could be recorded")
+    gains = {}
+    for run in bank:
+        try:
+            gains[run.name] = _nearest_pair(rivals, run)
+        except PredictionError:  # a run that the model cannot follow is no advice
+            continue
+    if not gains:
+        raise ValueError(f"none of the {len(bank)} runs of the bank can be simulated")
+    best = max(gains, key=lambda name: gains[name])
+    median = float(np.median(list(gains.values())))
+    return NextRun(best, gains, gains[best] / median if median > 0.0 else float("inf"))
+
+
+def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
+    linear = []
+    for fit in rivals:
+        residual, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
+        linear.append(
+            (residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True))
+        )
+    distances = []
+    for a in range(len(linear)):
+        for b in range(a + 1, len(linear)):
+            apart = linear[a][0] - linear[b][0]
+            blur = np.hstack([linear[a][1], linear[b][1]])
+            inner = np.eye(blur.shape[1]) + blur.T @ blur
+            seen = blur.T @ apart
+            distances.append(float(apart @ apart - seen @ np.linalg.solve(inner, seen)))
+    return min(distances)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,170 @@
+"""The answer of a diagnosis: the verdict in sentences with its evidence, ready to be saved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.files import to_plain, write_json_atomic
+from diffsim.data.study import Study
+from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.noise import ArWhitener
+from diffsim.diagnose.judge.frozen import facts_of
+from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, OutsideRow
+from diffsim.diagnose.say.answer import Answer
+from diffsim.diagnose.say.force_map import ForceMap
+from diffsim.diagnose.say.next_run import NextRun
+from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
+from diffsim.identify import Fit
+from diffsim.identify.extended import extended_model
+from diffsim.identify.model import SimModel
+from diffsim.identify.model_file import MODEL_FILE, save_extended
+
+Array = NDArray[np.float64]
+
+VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """The verdict with its evidence.
+
+    Attributes:
+        verdict: One of ``VERDICTS``.
+        sentences: The verdict in words, with numbers and units.
+        named: Effects of the best set; empty unless "named" or "ambiguous".
+        rivals: Sets within 3 nats of it, each a tuple of effect names; a generic unknown cause
+            stands as "unknown force" or the like.
+        hypotheses: Sets of effects by evidence, best first.
+        table: Candidate causes by evidence, best first.
+        confounding_names: Components, in the order of ``confounding``.
+        confounding: (n, n) cosines between what base parameters cannot absorb.
+        cannot_see: Effect or component -> why, or the smallest visible size.
+        gates: Checks of data, gradients and numerics.
+        noise: Source of the noise floor, sd by channel, repeat scatter over sensor noise.
+        gain: Gain of the extended model on test runs; None without such runs.
+        chi2_null, chi2_best, num_samples: Misfit |W (y - S)|^2 without and with the best set, and
+            the number of samples, of the runs fitted.
+        next_run: Advice, None if no bank of commands was given.
+        force_map: Where and when a force is missing; None without an ``UnknownForce``.
+        settings: Thresholds, seed and versions that decided the answer.
+        null, best: Fits of the plain model and of the best set.
+        study, model: Study and model as given.
+        headline: The answer in at most 25 plain words, with the error on unseen runs before and
+            after in the recordings' own unit.
+        causes: Every candidate cause with its status, probability and size.
+        findings: Base parameters that ended beyond the limit of their row, 3 prior sd or more.
+        base: Base parameters: fitted value, data sheet, and how far apart they are.
+        errors: Error before and after on every test run, by kind of channel.
+        outside: Where test runs lie outside of what was fitted.
+        unknown_share: Share of the misfit above the noise that no named cause explains.
+        interval_factor: How many times wider the widest interval is than noise alone makes it.
+        chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
+            after the other", "leaving out blocks of 2.5 s".
+        answer: What headline and sentences are made from.
+    """
+
+    verdict: str
+    sentences: tuple[str, ...]
+    named: tuple[str, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    hypotheses: tuple[HypothesisRow, ...]
+    table: tuple[EffectRow, ...]
+    confounding_names: tuple[str, ...]
+    confounding: Array
+    cannot_see: Mapping[str, str]
+    gates: tuple[GateResult, ...]
+    noise: Mapping[str, Any]
+    gain: Gain | None
+    chi2_null: float
+    chi2_best: float
+    num_samples: int
+    settings: Mapping[str, Any]
+    null: Fit
+    best: Fit
+    study: Study
+    model: SimModel
+    next_run: NextRun | None = None
+    force_map: ForceMap | None = None
+    headline: str = ""
+    causes: tuple[CauseRow, ...] = ()
+    findings: tuple[str, ...] = ()
+    base: tuple[BaseRow, ...] = ()
+    errors: tuple[ErrorRow, ...] = ()
+    outside: tuple[OutsideRow, ...] = ()
+    unknown_share: float | None = None
+    interval_factor: float = 1.0
+    chosen_by: str = ""
+    answer: Answer | None = None
+
+    def extended_model(self) -> SimModel:
+        """The model with the named effects; base parameters and sizes at their posterior."""
+        return extended_model(self.best)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the fits' matrices and the recordings, in types that JSON has."""
+        plain = {
+            name: getattr(self, name)
+            for name in self.__dataclass_fields__
+            if name not in ("null", "best", "study", "model", "answer")
+            and name not in ("next_run", "gain", "force_map")
+        }
+        for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
+            plain[name] = [asdict(row) for row in plain[name]]
+        for name in ("next_run", "force_map", "gain"):
+            value = getattr(self, name)
+            plain[name] = None if value is None else asdict(value)
+        plain["study"], plain["model"] = self.study.name, self.model.name
+        for name in ("null", "best"):
+            plain[name] = fit_to_dict(getattr(self, name))
+        return to_plain(plain)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write report.json and extended_model.yaml.
+
+        Returns:
+            ``folder``.
+        """
+        folder = Path(folder)
+        write_json_atomic(folder / "report.json", self.to_dict())
+        save_model(self.best, self.null, folder, study=self.study, verdict=self.verdict)
+        return folder
+
+
+def save_model(best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str) -> Path:
+    """Write extended_model.yaml with all that judging new runs needs.
+
+    Args:
+        best: Fit of the extended model.
+        null: Fit of the plain model to the same runs.
+        folder: Folder of the file.
+        study: Study that was fitted.
+        verdict: Verdict of the diagnosis.
+    """
+    noise = null.problem.whitener
+    facts = facts_of(study, noise) if isinstance(noise, ArWhitener) else None
+    return save_extended(
+        best, folder / MODEL_FILE, study=study, verdict=verdict, plain=null, facts=facts
+    )
+
+
+def fit_to_dict(fit: Fit) -> dict[str, Any]:
+    """A fit without its matrices but the correlations."""
+    return {
+        "values": dict(fit.values),
+        "sd": dict(fit.sd),
+        "names": list(fit.problem.names),
+        "correlation": fit.correlation,
+        "chi2": fit.chi2,
+        "num_samples": fit.num_samples,
+        "at_bound": fit.at_bound,
+        "undetermined": fit.undetermined,
+        "converged": fit.converged,
+        "message": fit.message,
+    }

@@ -1,0 +1,283 @@
+"""Rows of the report's tables: candidates by evidence, weighed sets, and what cannot be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.diagnose.checks.gates import numerical_shift
+from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.judge import Decision, Judgment
+from diffsim.diagnose.search.evidence import Hypothesis, Weighed
+from diffsim.diagnose.search.screen import Screen
+from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.identify.coordinates import effect_coordinates
+from diffsim.identify.effect import Effect
+from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.identify.unknown import Unknown
+
+Array = NDArray[np.float64]
+MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
+BLIND = 3.0  # smallest visible size over the typical one
+TWINS = 0.995  # confounding from which two effects are the same to these data
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """One candidate cause in the table.
+
+    Attributes:
+        effect, family, kind, unit: Name, family, kind and unit of the effect.
+        status: "named", "rival", "mimic" (explains part of an unknown cause), "withdrawn" (the
+            evidence asked for it, unseen runs refuted it), "screened", or "not judged".
+        size: Size by component, in the effect's unit; from the refit where there was one, else from
+            the screen.
+        sd: Standard deviation of the sizes: statistical, numerical (shift under refined settings)
+            and 1 % model form.
+        nats: Evidence of the best hypothesis with this effect minus that of the best without it.
+        z: Score over its standard deviation at the null fit, the length for a vector.
+        smallest_visible: Smallest visible size by component, in the effect's unit: 6 /
+            sqrt(information).
+        gain: Gain on runs with use: select, or on fit runs left out, of having this effect in the
+            best set; None if not computed.
+        share: Share of the misfit, chi2_null - N, that this effect alone explains; None if it was
+            not refitted alone.
+        aliases: Physical causes that these data may not distinguish from it.
+        note: Why it was not judged, or that its gain is not confirmed.
+    """
+
+    effect: str
+    family: str
+    kind: str
+    unit: str
+    status: str
+    size: Mapping[str, float]
+    sd: Mapping[str, float]
+    nats: float | None
+    z: float
+    smallest_visible: Mapping[str, float]
+    gain: Gain | None
+    share: float | None
+    aliases: tuple[str, ...]
+    note: str = ""
+
+    def label(self, component: str) -> str:
+        """Name of a component: the effect's own where it has only one."""
+        return self.effect if len(self.size) == 1 else f"{self.effect}.{component}"
+
+
+@dataclass(frozen=True)
+class HypothesisRow:
+    """A set of effects, with or without a generic unknown cause.
+
+    Attributes:
+        effects: Names of the effects in the set.
+        unknown: Name of the generic cause or wrong data sheet, or None.
+        nats: Evidence relative to the plain model.
+        chi2: |W (y - S)|^2, after the unknown cause's part.
+        refitted: False: linear evidence of a set that is too far behind to be refitted.
+    """
+
+    effects: tuple[str, ...]
+    unknown: str | None
+    nats: float
+    chi2: float
+    refitted: bool = True
+
+
+def effect_rows(
+    effects: Sequence[Effect],
+    judgment: Judgment,
+    screened: Screen,
+    changes: Mapping[str, Array],
+) -> tuple[EffectRow, ...]:
+    """One row per effect, by evidence.
+
+    Args:
+        effects: Candidates that were judged.
+        judgment: The verdict and the search behind it; no search: effects were only screened.
+        screened: Scores at the plain model.
+        changes: Change of the record by refining each numerical setting, (N,) each; it widens the
+            intervals.
+    """
+    decision, search = judgment.decision, judgment.search
+    in_rivals = {i for h in decision.rivals for i in h.effects}
+    rows, k = [], 0
+    for i, effect in enumerate(effects):
+        c = slice(k, k + len(effect.components))
+        k = c.stop
+        size, sd = screened.size[c], np.full(len(effect.components), np.nan)
+        nats = share = None
+        if search is not None:
+            nats = evidence_for(search, i)
+            share = _share_alone(search, i)
+            size, sd = _refitted(search, decision, i, size, sd, changes)
+        gained = judgment.gains.get(i)
+        rows.append(
+            EffectRow(
+                effect=effect.name,
+                family=effect.family,
+                kind=effect.kind,
+                unit=effect.unit,
+                status=_status(i, decision, in_rivals, judgment.withdrawn),
+                size=_by_component(effect, size),
+                sd=_by_component(effect, np.hypot(sd, MODEL_FORM * size)),
+                nats=nats,
+                z=float(screened.block_z[i]),
+                smallest_visible=_by_component(effect, screened.smallest_visible[c]),
+                gain=gained,
+                share=share,
+                aliases=(*effect.also_looks_like, *_twins(effects, screened, i)),
+                note=_note(i, gained, judgment.withdrawn),
+            )
+        )
+    return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))
+
+
+def evidence_for(search: Search, i: int) -> float:
+    """Best evidence with an effect minus the best without it.
+
+    Linear evidence stands for an effect that no refitted set holds.
+    """
+    plain = {h: w.nats for h, w in search.weighed.items() if h.unknown is None}
+    linear = {h: w.nats for h, w in search.linear.items() if i in h.effects}
+    with_it = [n for h, n in plain.items() if i in h.effects] or list(linear.values())
+    return max(with_it) - max(n for h, n in plain.items() if i not in h.effects)
+
+
+def hypothesis_rows(
+    search: Search | None,
+    effects: Sequence[Effect],
+    unknowns: Sequence[Unknown],
+    instead: Mapping[frozenset[int], tuple[str, float]] | None = None,
+) -> tuple[HypothesisRow, ...]:
+    """Rows of all weighed sets: refitted ones best first, then the rest.
+
+    Args:
+        search: Sets that were weighed; None: nothing was searched.
+        effects: Candidates, in the order of their indices.
+        unknowns: Generic causes, in theirs.
+        instead: Sets beside a wrong data sheet: its words and the evidence [nats].
+    """
+    if search is None:
+        return ()
+    base = search.nats(Hypothesis())
+
+    def row(h: Hypothesis, weighed: Weighed, refitted: bool) -> HypothesisRow:
+        return HypothesisRow(
+            effects=tuple(effects[i].name for i in sorted(h.effects)),
+            unknown=None if h.unknown is None else unknowns[h.unknown].name,
+            nats=weighed.nats - base,
+            chi2=weighed.chi2,
+            refitted=refitted,
+        )
+
+    rows = [row(h, w, True) for h, w in search.weighed.items()]
+    rows += [row(h, w, False) for h, w in search.linear.items()]
+    for members, (words, nats) in (instead or {}).items():
+        plain = row(Hypothesis(members), search.weighed[Hypothesis(members)], True)
+        rows.append(replace(plain, unknown=words, nats=nats - base))
+    return tuple(sorted(rows, key=lambda r: (not r.refitted, -r.nats)))
+
+
+def cannot_see(
+    effects: Sequence[Effect],
+    screened: Screen,
+    unmet: Mapping[str, str],
+    rows: Sequence[EffectRow] = (),
+) -> dict[str, str]:
+    """Effects that these data could not show, and why.
+
+    Args:
+        effects: Candidates that were judged.
+        screened: Scores at the plain model.
+        unmet: What the study lacks for candidates that were left out, by name.
+        rows: Candidates by evidence; those that were considered with a size have been seen.
+    """
+    seen = {row.effect for row in rows if row.status in ("named", "rival", "mimic", "withdrawn")}
+    out = {name: f"not judged: {why}" for name, why in unmet.items()}
+    names = effect_coordinates(effects)
+    units = [(e.unit, e.typical) for e in effects for _ in e.components]
+    owners = [e.name for e in effects for _ in e.components]
+    for name, owner, (unit, typical), smallest in zip(
+        names, owners, units, screened.smallest_visible, strict=True
+    ):
+        if owner in seen:
+            continue
+        if not np.isfinite(smallest):
+            out[name] = "leaves no trace that the base parameters could not absorb"
+        elif smallest > BLIND * typical:
+            size = f"{smallest:.3g}" if unit == "-" else f"{smallest:.3g} {unit}"
+            out[name] = f"below {size} ({smallest / typical:.3g} times a usual size)"
+    return out
+
+
+def set_names(
+    h: Hypothesis, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+) -> tuple[str, ...]:
+    """Names of the effects in a hypothesis."""
+    names = tuple(effects[i].name for i in sorted(h.effects))
+    return names if h.unknown is None else (*names, unknowns[h.unknown].name)
+
+
+def _refitted(
+    search: Search,
+    decision: Decision,
+    i: int,
+    size: Array,
+    sd: Array,
+    changes: Mapping[str, Array],
+) -> tuple[Array, Array]:
+    """Size and sd from the best refit that holds the effect; the decision's set comes first."""
+    holding = [h for h in search.weighed if h.unknown is None and i in h.effects]
+    if not holding:
+        return size, sd
+    best = max(holding, key=lambda h: (h.effects == decision.best, search.nats(h)))
+    fit = search.fit_of(best.effects)
+    effect = search.wide.effects[i]
+    names = effect_coordinates([effect])
+    own = fit.problem.columns_of(effect)
+    stretch = PRIOR_WIDTH * effect.typical * fit.problem.stretch(fit.x)[own]
+    statistical = np.array([fit.sd[n] for n in names])
+    fitted = np.array([fit.values[n] for n in names])
+    return fitted, np.hypot(statistical, stretch * numerical_shift(fit, changes)[own])
+
+
+def _share_alone(search: Search, i: int) -> float | None:
+    alone = search.weighed.get(Hypothesis(frozenset({i})))
+    null = search.weighed[Hypothesis()]
+    missing = null.chi2 - search.fit_of(frozenset()).num_samples
+    if alone is None or missing <= 0.0:
+        return None
+    return (null.chi2 - alone.chi2) / missing
+
+
+def _note(i: int, gained: Gain | None, withdrawn: Set[int]) -> str:
+    if i in withdrawn:
+        return "worse on unseen runs"
+    return "" if gained is None or gained.status == "confirmed" else gained.status
+
+
+def _status(i: int, decision: Decision, in_rivals: set[int], withdrawn: Set[int]) -> str:
+    if i in withdrawn:
+        return "withdrawn"
+    if i in decision.best:
+        return {"unknown": "mimic", "unrepeatable": "mimic"}.get(decision.verdict, "named")
+    return "rival" if i in in_rivals else "screened"
+
+
+def _twins(effects: Sequence[Effect], screened: Screen, i: int) -> tuple[str, ...]:
+    """Other effects of the library that these data cannot distinguish from this one."""
+    owner = [k for k, e in enumerate(effects) for _ in e.components]
+    own = [c for c, k in enumerate(owner) if k == i]
+    close = np.abs(screened.confounding[own]).max(axis=0) > TWINS
+    return tuple(
+        dict.fromkeys(effects[owner[c]].name for c in np.flatnonzero(close) if owner[c] != i)
+    )
+
+
+def _by_component(effect: Effect, values: Iterable[float]) -> dict[str, float]:
+    return {c: float(v) for c, v in zip(effect.components, values, strict=True)}

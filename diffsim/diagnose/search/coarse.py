@@ -1,0 +1,247 @@
+"""First answers about dear simulations: coarse ones, which are told what finer ones would say.
+
+A simulation of all fitted runs that takes longer than ``DiagnosisSettings.dear_seconds`` begins
+with larger cells and longer steps. At the plain fit settings are refined, one at a time, until what
+is left to refine is below the limit of the numerics gate. What they change becomes a ``Correction``
+of the coarse records; nothing else is simulated so finely. At the answer the same is simulated
+again: where the correction would be another one there, the search goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.errors import DiffsimError
+from diffsim.diagnose.checks.gates import COARSE, NUMERICS_LAMBDA, GateResult, numerics_gate
+from diffsim.diagnose.search.fit import Case, Null
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.identify import Fit, Problem, WhiteNoise
+from diffsim.identify.correction import Correction, Finer
+from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.linearization import record_at, whitened
+from diffsim.identify.numerics import REFINEMENTS, Numerics
+
+Array = NDArray[np.float64]
+PAYS = 1.5  # times that a simulation with larger cells is quicker, from which it is worth it
+MAX_LEVELS = 4  # refinements of one setting
+SHIFTS = 2  # steps to the parameters that make coarse records like finer ones
+FINER_COSTS = 4.0  # times as much, about
+SECOND_ORDER, SLOWEST = 0.25, 0.7  # ratio of a change to the one before, as far as it is taken
+NEGLIGIBLE = 0.1  # noise and prior sd that a setting moves: no correction is needed
+CHEAP = 2.0  # times the first simulation: to refine more than is needed
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A correction, with what is left beyond it.
+
+    Attributes:
+        correction: What the refined settings change.
+        changes: What further refining would change, by setting, (N,) each: extrapolated.
+        gates: One per setting.
+    """
+
+    correction: Correction
+    changes: dict[str, Array]
+    gates: tuple[GateResult, ...]
+
+
+def begun(case: Case) -> tuple[Case, float]:
+    """The case with the cells that a first answer begins with.
+
+    Returns:
+        The case, and the CPU seconds of a simulation of all fitted runs with the cells that it was
+        given; 0 where that is not dear.
+    """
+    settings = case.settings
+    if not np.isfinite(settings.dear_seconds) or settings.accept_numerics:
+        return case, 0.0
+    once = _seconds(case)
+    if once is None or once < settings.dear_seconds:
+        return case, 0.0
+    if settings.first_mesh == 1.0:
+        return case, once
+    larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
+    coarse = replace(case, numerics=larger)
+    quicker = _seconds(coarse)
+    return (coarse if quicker is not None and PAYS * quicker < once else case), once
+
+
+def _seconds(case: Case) -> float | None:
+    """CPU seconds of the plain model at its prior, by one run; None: it cannot be simulated."""
+    channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
+    problem = case.problem(WhiteNoise(channels))
+    x, one = np.zeros(problem.num_base), replace(problem, runs=problem.runs[:1])
+    try:
+        record_at(one, x)  # what is built once
+        start = process_time()
+        record_at(one, x)
+    except (DiffsimError, ValueError):
+        return None
+    samples = [len(run.time_s) for run in problem.runs]
+    return (process_time() - start) * sum(samples) / samples[0]
+
+
+def corrected(null: Null, once: float) -> tuple[Null, Told]:
+    """The plain model with the correction that its fit asks for, and fitted again.
+
+    Args:
+        null: The plain model, fitted with coarse settings.
+        once: CPU seconds of a simulation of all runs with the cells that were given.
+    """
+    told = _told(null, once)
+    case = replace(null.case, correction=told.correction)
+    x = null.at.x - told.correction.shift.numpy()
+    problem = case.problem(null.noise.whitener)
+    x = np.clip(x, *problem.bounds)
+    fit, at = gauss_newton(problem, replace(null.at, x=x, record=record_at(problem, x)))
+    return replace(null, case=case, fit=fit, at=at), told
+
+
+def _told(null: Null, once: float) -> Told:
+    refined = [_refined(null, name, once) for name in REFINEMENTS]
+    coarse = null.fit.problem.numerics or Numerics()
+    finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
+    total = np.sum([r.added for r in refined], axis=0)
+    correction = Correction(null.fit.problem, null.at.x, finer)
+    gates = tuple(_gate(r.name, r.left, coarse, r.numerics) for r in refined)
+    changes = {r.name: _next(r.sizes) * r.change for r in refined}
+    return Told(correction.known(null.fit.problem.runs, total), changes, gates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """One setting, refined step by step at the plain fit.
+
+    Attributes:
+        name: Of the setting.
+        numerics: The finest that was simulated.
+        shift: Base parameters that make coarse records most like those, standardized.
+        added: What is left of the change then, (N,) [unit of the channel].
+        change: The last step's change of the record, as if records were linear, (N,).
+        sizes: Of every step's change, as the numerics gate measures it.
+    """
+
+    name: str
+    numerics: Numerics
+    shift: Array
+    added: Array
+    change: Array
+    sizes: tuple[float, ...] = ()
+
+    @property
+    def left(self) -> float:
+        """What one more refinement would change, extrapolated [noise and prior sd]."""
+        return _next(self.sizes) * self.sizes[-1]
+
+
+def _refined(null: Null, name: str, once: float) -> _Refined:
+    """Refine a setting until what is left is well below the limit, or too dear."""
+    problem, at = null.fit.problem, null.at
+    coarse, dearest = problem.numerics or Numerics(), null.case.settings.refine_budget
+    nothing = np.zeros_like(at.record)
+    here = _Refined(name, coarse, np.zeros(problem.num_base), nothing, nothing)
+    for _ in range(MAX_LEVELS):
+        start = process_time()
+        there = here.numerics.refined(REFINEMENTS[name])
+        record = record_at(replace(problem, numerics=there), at.x)
+        seconds = process_time() - start
+        raw = numerics_gate(null.fit, {name: record - at.record})[0].value
+        if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
+            return replace(here, sizes=(raw,), change=record - at.record)
+        shift, added = _mapped(null, record, here.shift)
+        change = at.columns @ (shift - here.shift) + added - here.added
+        size = numerics_gate(null.fit, {name: change})[0].value
+        here = _Refined(name, there, shift, added, change, (*here.sizes, size))
+        enough = here.left < NUMERICS_LAMBDA
+        if min(size, here.left) < 0.5 * NUMERICS_LAMBDA:
+            break
+        if FINER_COSTS * seconds > once * (CHEAP if enough else dearest):
+            break
+    return here
+
+
+def _mapped(null: Null, record: Array, shift: Array) -> tuple[Array, Array]:
+    """Base parameters at which coarse records are most like a finer one, and what is left of it.
+
+    Args:
+        null: The plain model, fitted with coarse settings.
+        record: Finer record of all runs at its fit, (N,) [unit of the channel].
+        shift: First guess, (num_base,).
+    """
+    problem, x = null.fit.problem, null.at.x
+    left = record - record_at(problem, x + shift)
+    for _ in range(SHIFTS):
+        moved = shift + _shift(null.fit, left)
+        after = record - record_at(problem, x + moved)
+        if np.linalg.norm(whitened(problem, after)) >= np.linalg.norm(whitened(problem, left)):
+            break
+        shift, left = moved, after
+    return shift, left
+
+
+def _next(sizes: Sequence[float]) -> float:
+    """What one more refinement would change, over the last change; of second order, where one
+    change alone is known."""
+    if len(sizes) < 2 or sizes[-2] == 0.0:
+        return SECOND_ORDER
+    return float(np.clip(sizes[-1] / sizes[-2], SECOND_ORDER, SLOWEST))
+
+
+def _gate(name: str, left: float, coarse: Numerics, finest: Numerics) -> GateResult:
+    begun, ended = getattr(coarse, name), getattr(finest, name)
+    if begun == ended:
+        note = "noise and prior sd that refining would move, extrapolated"
+        return GateResult(name, left < NUMERICS_LAMBDA, left, NUMERICS_LAMBDA, note)
+    note = (
+        f"noise and prior sd that refining beyond {ended:g} times the model's own would move, "
+        f"extrapolated; simulated with {begun:g} times and corrected"
+    )
+    return GateResult(name, left < NUMERICS_LAMBDA, left, NUMERICS_LAMBDA, note)
+
+
+def _shift(fit: Fit, change: Array) -> Array:
+    """(num_base,) parameters that make coarse records most like finer ones."""
+    j = fit.jacobian
+    return np.asarray(posterior_covariance(j) @ (j.T @ whitened(fit.problem, change)))
+
+
+def renewed_at(fit: Fit) -> tuple[Correction, Array, float]:
+    """The correction told at a fit, by how much it differs there, and that in noise sd.
+
+    Args:
+        fit: Fit of a corrected problem.
+
+    Returns:
+        The new correction; what it adds to records of the fitted runs, (N,); and its length as the
+        numerics gate measures it [noise and prior sd].
+    """
+    problem = fit.problem
+    assert problem.correction is not None
+    new = problem.correction.at(problem, fit.x)
+    moved = new.over(problem.runs) - problem.correction.over(problem.runs)
+    return new, moved, numerics_gate(fit, {COARSE: moved})[0].value
+
+
+def coarse_gate(size: float, problem: Problem) -> GateResult:
+    """What coarse simulations still have wrong at the answer."""
+    assert problem.correction is not None
+    coarse, finest = problem.numerics or Numerics(), problem.correction.finest
+    words = [
+        f"{what} {getattr(coarse, name) / getattr(finest, name):g} times as coarse"
+        for name, what in (("time_step", "time steps"), ("mesh", "cells"))
+        if getattr(coarse, name) != getattr(finest, name)
+    ]
+    note = (
+        f"simulated with {' and '.join(words) or 'a looser tolerance'} and corrected by finer "
+        f"simulations at the plain fit and at the answer, where {size:.2g} noise sd were left"
+    )
+    return GateResult(COARSE, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA, note)
+
+
+__all__ = ["Told", "begun", "coarse_gate", "corrected", "renewed_at"]

@@ -1,0 +1,264 @@
+"""Laplace evidence of hypotheses, in nats, from one linearization of everything.
+
+With W S ~ W S(x0) + A (u - u0) in scaled coordinates u (``Problem.scaled``: base parameters, prior
+N(0, 1), and sizes, heavy-tailed), and an unknown cause H z with z ~ N(0, a^2), columns
+B = [A_base, A_effects / sqrt(w), a H] and r = W (y - S(x0)) + A u0:
+
+    E = -1/2 r' (1 + B B')^-1 r - 1/2 ln|1 + B'B| + sum_sizes ln(tilt)
+        - (number of effects + unknown) ln(number of families) - unknown ln(number of unknowns)
+
+N(0, 1 / w) stands for the prior of a size at the optimum (``sizes.precision_at``), and the tilt
+puts the prior itself in its place (``optimum.log_tilt``), its sign included: exact for one size in
+a problem that is linear in sizes, however large. Bounds of base parameters cost the share of the
+normal beyond them. Where several bounds are active they cost together what the optimum within them
+has lost, so no model is credited with a fit beyond its bounds. The amplitude a is averaged over
+``AMPLITUDES``. Constants are left out: -N/2 ln(2 pi) + ln|W|, and the share of the base parameters'
+prior within the bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, special
+
+from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
+from diffsim.identify import Fit, Problem
+from diffsim.identify.effect import Effect
+from diffsim.identify.problem import PredictionError
+from diffsim.identify.sizes import precision_at
+from diffsim.identify.unknown import Unknown
+
+Array = NDArray[np.float64]
+# root mean square of the unknown's part of the record, in noise standard deviations
+AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+# Slopes say nothing of sizes far beyond those that were simulated, and the prior hardly holds them
+# back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
+REACH = 20.0  # scaled sizes
+FARTHER = 4.0
+NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet
+KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
+ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects and at most one unknown cause, by index."""
+
+    effects: frozenset[int] = frozenset()
+    unknown: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Evidence of a hypothesis and where its posterior lies.
+
+    Attributes:
+        nats: Logarithm of the Laplace evidence [nats].
+        x: Standardized coordinates of the optimum within the bounds, (n,); zero for effects not in
+            the set.
+        sd: Posterior standard deviation of the coordinates, (n,); zero for effects not in the set.
+        chi2: |r - B x|^2, after the unknown cause's part.
+        amplitude: Most probable amplitude of the unknown cause [noise sd]; 0 without.
+        fit: Fit of a set that was refitted; None where linear evidence stands, as it does for sets
+            with an unknown cause.
+    """
+
+    nats: float
+    x: Array
+    sd: Array
+    chi2: float
+    amplitude: float
+    fit: Fit | None = None
+
+
+class LaplaceEvidence:
+    """Evidence of any hypothesis from the Gram matrix of all columns at a point; no simulation.
+
+    Args:
+        problem: Fitted problem with the effects that may be members.
+        x: Standardized coordinates where it was linearized, (n,).
+        residual: Whitened residual at x, (num_valid,).
+        jacobian: Whitened slopes d(W S)/dx at x, (num_valid, n).
+        responses: Whitened responses of each unknown cause, (num_valid, m).
+        num_families: Families of effects and unknown causes, for the price of a choice.
+        num_unknowns: Unknown causes to choose from, where not all are in ``responses``.
+
+    Raises:
+        PredictionError: the linearization is not of finite numbers.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        x: Array,
+        residual: Array,
+        jacobian: Array,
+        responses: Sequence[Array],
+        num_families: int,
+        num_unknowns: int | None = None,
+    ):
+        self.num_unknowns = len(responses) if num_unknowns is None else num_unknowns
+        self.problem, self.x0, self.num_families = problem, x, num_families
+        self.scaled0 = problem.scaled(x)
+        self.residual, self.jacobian = residual, jacobian
+        slopes = jacobian / problem.stretch(x)
+        right = residual + slopes @ problem.scaled(x)
+        blocks = [_unit_power(h) for h in responses]
+        stacked = np.hstack([slopes, *blocks])
+        edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
+        self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
+        with np.errstate(over="ignore", invalid="ignore"):
+            gram, self.projection = stacked.T @ stacked, stacked.T @ right
+            self.power = float(right @ right)
+        if not (np.isfinite(gram).all() and np.isfinite(self.power)):
+            raise PredictionError(
+                "slopes or misfit left the range of numbers: the simulation there means nothing"
+            )
+        self.gram = kept_definite(gram)
+        self.columns = [problem.columns_of(e) for e in problem.effects]
+        self.bounds = problem.bounds
+
+    def weigh(self, hypothesis: Hypothesis, wide: Mapping[int, float] = NORMAL) -> Weighed:
+        """Evidence of a hypothesis and its optimum.
+
+        Args:
+            hypothesis: Effects, and an unknown cause.
+            wide: How many times wider the prior of a base parameter is, by its index.
+        """
+        price = price_of_family(self.num_families)
+        members = sorted(hypothesis.effects)
+        free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
+        if hypothesis.unknown is None:
+            nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0, wide)
+            return Weighed(nats - len(members) * price, x, sd, chi2, 0.0)
+        extra = self.unknown_columns[hypothesis.unknown]
+        tried = [self._gaussian(free, members, extra, a, wide) for a in AMPLITUDES]
+        evidences = np.array([t[0] for t in tried])
+        best = int(np.argmax(evidences))
+        mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
+        _, x, sd, chi2 = tried[best]
+        # the unknown causes share what one more family may claim
+        price_unknown = price + np.log(self.num_unknowns)
+        return Weighed(mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best])
+
+    def _gaussian(
+        self,
+        free: list[int],
+        members: list[int],
+        extra: list[int],
+        amplitude: float,
+        wide: Mapping[int, float],
+    ) -> tuple[float, Array, Array, float]:
+        idx = free + extra
+        count, is_size = len(free), np.array([i >= self.problem.num_base for i in free], dtype=bool)
+        low, high = (bound[free] for bound in self.bounds)
+        reach = np.where(is_size, np.maximum(REACH, FARTHER * np.abs(self.scaled0[free])), np.inf)
+        scale = np.concatenate([np.ones(count), np.full(len(extra), amplitude)])
+        b = scale * self.projection[idx]
+        gram = self.gram[np.ix_(idx, idx)] * np.outer(scale, scale)
+        precision = np.ones(count)
+        if is_size.any():
+            near = np.maximum(low, -reach), np.minimum(high, reach)
+            best = optimum(*_without(gram, b, count), *near, is_size, self.scaled0[free])
+            precision[is_size] = precision_at(best[is_size])
+        width = np.concatenate([1.0 / np.sqrt(precision), np.ones(len(extra))])
+        for j, factor_of_sd in wide.items():  # base parameters come first, all of them
+            width[j] = factor_of_sd
+        b, gram = width * b, gram * np.outer(width, width)
+        unbounded = np.full(len(extra), np.inf)
+        low = np.concatenate([low / width[:count], -unbounded])
+        high = np.concatenate([high / width[:count], unbounded])
+        reach = np.concatenate([reach / width[:count], unbounded])
+        factor = linalg.cho_factor(gram + np.eye(len(idx)), lower=True)
+        mean = linalg.cho_solve(factor, b)
+        log_det = 2.0 * np.log(np.diag(factor[0])).sum()
+        nats = -0.5 * (self.power - b @ mean) - 0.5 * log_det
+        sd = np.sqrt(np.diag(linalg.cho_solve(factor, np.eye(len(idx)))))
+        gained = _log_share(mean, sd, low, high)
+        signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
+        for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
+            gained[k] = log_tilt(mean[k], sd[k], precision[k], is_signed)
+        mean, lost = _within(mean, sd, gram, b, low, high, reach)
+        chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
+        u, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
+        u[free] = (width * mean)[:count]
+        x = self.problem.standardized(u)
+        deviation[free] = (width * sd)[:count] / self.problem.stretch(x)[free]
+        return float(nats + gained.sum() - lost), x, deviation, float(chi2)
+
+
+def _without(gram: Array, b: Array, count: int) -> tuple[Array, Array]:
+    """Misfit in the first coordinates, the others N(0, 1) and at their best."""
+    if len(b) == count:
+        return gram, b
+    outer = gram[count:, :count]
+    inner = linalg.cho_factor(gram[count:, count:] + np.eye(len(b) - count))
+    solved = linalg.cho_solve(inner, np.column_stack([outer, b[count:]]))
+    return gram[:count, :count] - outer.T @ solved[:, :-1], b[:count] - outer.T @ solved[:, -1]
+
+
+def _within(
+    mean: Array, sd: Array, gram: Array, b: Array, low: Array, high: Array, reach: Array
+) -> tuple[Array, float]:
+    """The optimum within bounds and reach, and the nats lost beyond what each bound costs alone.
+
+    Args:
+        mean, sd: (n,) of the posterior without bounds.
+        gram, b: Quadratic and linear part of the misfit; the prior is N(0, 1).
+        low, high: Bounds of the coordinates, (n,).
+        reach: Distance from zero up to which slopes are believed, (n,).
+    """
+    inside = np.clip(mean, low, high)
+    near = np.maximum(low, -reach), np.minimum(high, reach)
+    if (np.clip(mean, *near) == mean).all():
+        return mean, 0.0
+    hessian = gram + np.eye(len(b))
+    x = quadratic_optimum(hessian, b, *near)
+    # together the bounds cost what the optimum lost, not each one's share of it once more
+    lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
+    return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))
+
+
+def price_of_family(num_families: int) -> float:
+    """Nats that the choice of one more family costs."""
+    return float(np.log(max(num_families, 1)))
+
+
+def unrealized(fit: Fit, weighed: Weighed) -> float:
+    """Nats that a Gauss-Newton step from a fit promises but the fit did not reach.
+
+    The evidence from a linearization holds at its optimum; a fit that stopped elsewhere (a kink, a
+    fold, too few steps) must not be credited with an optimum that was not simulated.
+
+    Args:
+        fit: Fit that was linearized.
+        weighed: Evidence from that linearization.
+    """
+    return 0.5 * (fit.chi2 + fit.prior - weighed.chi2 - float(weighed.x @ weighed.x))
+
+
+def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:
+    """Number of families that the candidates belong to."""
+    return len({e.family for e in effects}) + (1 if unknowns else 0)
+
+
+def _log_share(mean: Array, sd: Array, low: Array, high: Array) -> Array:
+    """ln of a normal's share between bounds."""
+    above, below = (low - mean) / sd, (high - mean) / sd
+    swap = above > 0.0  # the tail that has digits
+    upper, lower = np.where(swap, -above, below), np.where(swap, -below, above)
+    wide = special.log_ndtr(upper)
+    with np.errstate(divide="ignore"):
+        return np.asarray(wide + np.log1p(-np.exp(special.log_ndtr(lower) - wide)))
+
+
+def _unit_power(responses: Array) -> Array:
+    """Scaled so that N(0, 1) coefficients move a sample by one noise sd, root mean square."""
+    power = np.sqrt(np.sum(responses**2) / len(responses))
+    return responses / power if power > 0.0 else responses

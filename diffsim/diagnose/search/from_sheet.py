@@ -1,0 +1,143 @@
+"""Sets of causes fitted from the data sheet, where the plain model's fit has left it.
+
+A cause that is missing drives the base parameters away from what is known of them. Where it is
+large they end in another valley, a mass at a tenth of its value, and no cause helps from there: of
+two that are missing neither shows. At the values of the data sheet the truth is near in all but its
+causes, and linear evidence ranks pairs of them without a simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
+from diffsim.diagnose.search.evidence import Weighed
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
+from diffsim.identify import Fit, Problem, Whitener
+from diffsim.identify.effort import SearchSettings
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    record_at,
+    whitened,
+)
+
+Array = NDArray[np.float64]
+FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
+LEAST_REFITS = 4  # sets that are fitted from there
+LINEARIZED = 2.0  # of the scans' time, that slopes there may take
+SHARE = 0.5  # of the CPU time of scans, for those at the data sheet
+WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
+PAIRED = 12  # causes that are best alone, each paired with every other
+
+
+def has_left(fit: Fit) -> bool:
+    """Whether a fit of the plain model took a base parameter far from its prior."""
+    base = np.abs(fit.x[: fit.problem.num_base])
+    return bool(base.max(initial=0.0) > FAR)
+
+
+def center_at_sheet(
+    simulations: Simulations, settings: SearchSettings, num_families: int
+) -> tuple[Center | None, Simulations]:
+    """The plain model at its prior as a center, with the scans of effects with kinks.
+
+    Args:
+        simulations: Simulations made so far.
+        settings: Effort of the search.
+        num_families: Families of effects, for the evidence.
+
+    Returns:
+        The center, None where it cannot be simulated, and the simulations with the time it took.
+    """
+    wide, spent = simulations.wide, simulations.scan_seconds
+    budget = SHARE * (settings.scan_seconds - spent)
+    x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
+    # kept apart: scans are known by the set that they start from, here as at the plain model's fit
+    apart = replace(simulations, scans=simulations.sheet_scans, place=" at the data sheet")
+    settings = replace(settings, scan_seconds=spent + budget)
+    try:
+        if simulations.sheet is None and not _is_affordable(wide, x, LINEARIZED * budget):
+            return None, simulations
+        at = simulations.sheet or apart.remembered("slopes", lambda: _slopes(wide, x))
+        center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
+    except DiffsimError:
+        return None, simulations
+    spent = made.scan_seconds
+    return center, replace(simulations, scan_seconds=spent, sheet=at, sheet_scans=made.scans)
+
+
+def _slopes(wide: Problem, x: Array) -> Linearization:
+    return linearization_at(wide, x, list(range(len(x))), screen=True)
+
+
+def _is_affordable(wide: Problem, x: Array, seconds: float) -> bool:
+    """Whether all slopes at a point take no longer, by the time of one simulation of all runs; the
+    rest of them is left out once it is known."""
+    start = process_time()
+    for run in wide.runs:
+        record_at(replace(wide, runs=(run,)), x)
+        if (process_time() - start) * len(x) > seconds:
+            return False
+    return True
+
+
+class _Warm:
+    """A whitener for noise that is larger by a factor: what is known beforehand holds longer."""
+
+    def __init__(self, whitener: Whitener, factor: float):
+        self._whitener, self._factor = whitener, factor
+        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels)."""
+        if id(run) not in self._made:  # the run is kept, so its id stays its own
+            self._made[id(run)] = (run, self._whitener.matrix(run) * (1.0 / self._factor))
+        return self._made[id(run)][1]
+
+
+def cooled(problem: Problem, start: Linearization) -> Linearization:
+    """Where a fit begins that first trusts the data sheet, then the record more and more.
+
+    Under noise so large that the record at the start is no surprise, the base parameters stay near
+    their priors and the sizes move; then under the geometric mean of that noise and the true one.
+
+    Args:
+        problem: Problem of a set.
+        start: Start point in its coordinates.
+    """
+    residual = whitened(problem, measured_of(problem) - start.record)
+    excess = float(residual @ residual) / max(len(residual), 1)
+    if not np.isfinite(excess) or excess < WARM:
+        return start
+    at = start
+    for factor in (excess**0.5, excess**0.25):
+        warm = replace(problem, whitener=_Warm(problem.whitener, factor))
+        _, at = gauss_newton(warm, at)
+        at = linearization_at(problem, at.x)
+    return at
+
+
+def promising_sets(center: Center, max_effects: int) -> list[tuple[Members, Weighed]]:
+    """Single causes and pairs by their linear evidence at a center, best first."""
+    count = len(center.evidence.problem.effects)
+    alone = _ranked(center, (frozenset({i}) for i in range(count)))
+    if max_effects < 2:
+        return alone
+    best = [next(iter(members)) for members, _ in alone[:PAIRED]]
+    pairs = {frozenset({i, j}) for i in best for j in range(count) if i != j}
+    return sorted([*alone, *_ranked(center, pairs)], key=lambda entry: -entry[1].nats)
+
+
+def _ranked(center: Center, sets: Iterable[Members]) -> list[tuple[Members, Weighed]]:
+    weighed = [(members, center.weigh(members)) for members in sets]
+    return sorted(weighed, key=lambda entry: (-entry[1].nats, sorted(entry[0])))

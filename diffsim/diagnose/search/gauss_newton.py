@@ -1,0 +1,220 @@
+"""Gauss-Newton with as few simulations as it can.
+
+Steps are Gauss-Newton within a trust region, in scaled coordinates (``Problem.scaled``). Each costs
+one simulation of every run: the slopes are kept by Broyden updates (Broyden 1965, "A class of
+methods for solving nonlinear simultaneous equations") and simulated again only where the linear
+prediction was too far off. Then they also show how the misfit bends beyond Gauss-Newton (``bend``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.core.errors import DiffsimError
+from diffsim.core.record import Ended
+from diffsim.diagnose.search.bend import Point, definite, learned
+from diffsim.diagnose.search.optimum import optimum
+from diffsim.identify import Fit, Problem
+from diffsim.identify.fitting import summary
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    record_at,
+    whitened,
+)
+
+Array = NDArray[np.float64]
+GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
+OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
+SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
+SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
+REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
+MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
+MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """An iterate of the minimization.
+
+    Attributes:
+        problem: Fitting problem that is minimized.
+        at: Linearization with the slopes of all coordinates.
+        residual: Whitened residual, (num_valid,).
+        jacobian: Whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n).
+        bend: Second-order part of half of |r|^2, (n, n).
+        exact: The last point with slopes of its own; None: there was none yet.
+        num_refreshed: How often slopes were simulated again.
+        radius: Radius of the trust region, in scaled coordinates.
+    """
+
+    problem: Problem
+    at: Linearization
+    residual: Array
+    jacobian: Array
+    bend: Array
+    exact: Point | None = None
+    num_refreshed: int = 0
+    radius: float = MAX_RADIUS
+
+    @property
+    def scaled(self) -> Array:
+        """Scaled coordinates, (n,)."""
+        return self.problem.scaled(self.at.x)
+
+    @property
+    def misfit(self) -> float:
+        """chi2 above what noise alone leaves."""
+        return max(float(self.residual @ self.residual) - len(self.residual), 0.0)
+
+    @property
+    def cost(self) -> float:
+        """Sum of chi2 and prior, |r|^2 + |x|^2."""
+        return float(self.residual @ self.residual + self.at.x @ self.at.x)
+
+    @property
+    def has_exact_slopes(self) -> bool:
+        """Whether the error of the slopes is below tolerance, relative and for this misfit."""
+        error = self.at.slope_error
+        return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
+
+    def refreshed(self) -> _Iterate:
+        """The iterate with slopes simulated here, and what they show since the last ones."""
+        at = linearization_at(self.problem, self.at.x)
+        here = Point(self.scaled, self.residual, whitened(self.problem, at.columns))
+        bend = self.bend if self.exact is None else learned(self.bend, self.exact, here)
+        count = self.num_refreshed + 1
+        new = replace(self, at=at, jacobian=here.slopes, bend=bend, exact=here)
+        return replace(new, num_refreshed=count)
+
+    def promised(self, step: Array) -> float:
+        """Nats that a step gains by the slopes and the bend."""
+        linear, there = self.residual - self.jacobian @ step, self.scaled + step
+        x = self.problem.standardized(there)
+        beyond = float(step @ self.curved @ step - np.sum((self.jacobian @ step) ** 2))
+        return 0.5 * (self.cost - float(linear @ linear + x @ x) - beyond)
+
+    @property
+    def curved(self) -> Array:
+        """Curvature of half of |r|^2 as steps use it, (n, n): Gauss-Newton's, until that creeps."""
+        gram, after = self.jacobian.T @ self.jacobian, self.problem.bend_after
+        if after is None or self.num_refreshed < after:
+            return gram
+        return definite(gram, self.bend)
+
+    def tried(self, step: Array) -> tuple[_Iterate, bool]:
+        """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
+
+        Args:
+            step: In scaled coordinates, (n,).
+
+        Returns:
+            The next iterate, and whether the cost is lower there.
+        """
+        x = self.problem.standardized(self.scaled + step)
+        longest = float((np.abs(step) / self.problem.step_factors).max())
+        shorter = replace(self, radius=0.25 * longest)
+        try:
+            record = record_at(self.problem, x)
+        except DiffsimError:  # too far to be simulated
+            return shorter, False
+        r = whitened(self.problem, measured_of(self.problem) - record)
+        with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
+            cost = float(r @ r + x @ x)
+        if not cost < self.cost:
+            return shorter, False
+        after = self._updated(x, step, record, r)
+        if after.at.slope_error - self.at.slope_error > REFRESH_RTOL:
+            return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), True
+        if longest > 0.9 * self.radius:
+            return replace(after, radius=2.0 * longest), True
+        return after, True
+
+    def _updated(self, x: Array, step: Array, record: Array, residual: Array) -> _Iterate:
+        """At x, the end of a step; Broyden's update of the slopes."""
+        here = self.at
+        off = record - here.record - here.columns @ step
+        white_off = whitened(self.problem, off)
+        moved = float(linalg.norm(self.jacobian @ step))
+        along = step / float(step @ step)
+        at = Linearization(
+            x,
+            record,
+            here.idx,
+            here.columns + np.outer(off, along),
+            here.slope_error + float(linalg.norm(white_off)) / max(moved, 1.0),
+        )
+        jacobian = self.jacobian + np.outer(white_off, along)
+        return replace(self, at=at, residual=residual, jacobian=jacobian)
+
+
+def gauss_newton(
+    problem: Problem, start: Linearization, *, best_cost: float | None = None
+) -> tuple[Fit, Linearization]:
+    """The minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
+
+    Args:
+        problem: Model, runs, noise and effects that are fitted.
+        start: Start point, with the slopes of all coordinates.
+        best_cost: Half the cost of the best set so far [nats]: the further behind it, the larger
+            the tolerance; None: nothing to compare with.
+
+    Returns:
+        The fit, and the linearization where it ended.
+
+    Raises:
+        DiffsimError: the slopes cannot be simulated.
+    """
+    low, high = problem.bounds
+    s = _first(problem, start)
+    ended: Ended = "budget"
+    evaluations, message = 0, f"no end after {MAX_STEPS} steps"
+    for _ in range(MAX_STEPS):
+        behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
+        step = _step(s, low, high)
+        promised = s.promised(step)
+        if promised < max(problem.fit_nats, 0.5 * problem.fit_rtol * s.misfit, GAP_RTOL * behind):
+            if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
+                ended, message = "converged", f"a further step promises {promised:.1g} nats"
+                break
+            s = s.refreshed()
+            continue
+        evaluations += 1
+        s, is_lower = s.tried(step)
+        if not is_lower and s.radius < MIN_RADIUS:
+            ended, message = "stalled", "no step along the slopes lowers the cost"
+            break
+        if s.at.slope_error > (REFRESH_RTOL if is_lower else 0.0):
+            s = s.refreshed()
+    slopes = s.jacobian * problem.stretch(s.at.x)
+    return summary(problem, s.at.x, s.residual, slopes, ended, message, evaluations), s.at
+
+
+def _first(problem: Problem, start: Linearization) -> _Iterate:
+    coordinates = tuple(range(len(start.x)))
+    slopes = start.slopes(coordinates)
+    at = replace(start, idx=coordinates, columns=slopes)
+    residual = whitened(problem, measured_of(problem) - at.record)
+    first = _Iterate(
+        problem, at, residual, whitened(problem, slopes), np.zeros((len(start.x),) * 2)
+    )
+    if at.slope_error > 0.0:
+        return first
+    return replace(first, exact=Point(first.scaled, residual, first.jacobian))
+
+
+def _step(s: _Iterate, low: Array, high: Array) -> Array:
+    """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius f_i,
+    f_i below 1 for parameters that move edges."""
+    u = s.scaled
+    gram = s.curved
+    is_size = np.arange(len(u)) >= s.problem.num_base
+    reach = s.radius * s.problem.step_factors
+    least, most = np.maximum(low, u - reach), np.minimum(high, u + reach)
+    end = optimum(gram, s.jacobian.T @ s.residual + gram @ u, least, most, is_size, u)
+    return np.asarray(end - u)

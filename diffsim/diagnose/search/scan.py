@@ -1,0 +1,330 @@
+"""Scans over decades: where fits of effects with kinks start.
+
+The slope at zero of a slack, a dead band or a rate limit says little about large sizes, and of two
+that hide each other neither helps alone. Their sizes are simulated from a tenth to thirty times the
+typical one, all else refitted linearly; the best is linearized and serves as a center of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
+from diffsim.diagnose.search.optimum import optimum
+from diffsim.identify import Problem
+from diffsim.identify.effect import Effect
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    records_at,
+    whitened,
+)
+from diffsim.identify.numerics import NumericalEffect
+from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
+
+Array = NDArray[np.float64]
+Members = frozenset[int]
+TIMES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of the typical size
+COARSE_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)  # in pairs, and for effects of several components
+SCAN_NATS = 10.0  # misfit below which nothing large can hide
+CLOSE = 30  # sizes from which the best are sought in one run
+BEST = 3  # of them, that are looked around and then tried in all runs
+ROUNDS = 3  # of looking around, each a third as far as the one before
+FEW = 5  # of them, that show in which run
+BORROWED = 1.0  # relative error that slopes from elsewhere are taken to have
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Sizes that were tried for a group of effects at a center.
+
+    Attributes:
+        at: Linearization at the best sizes, in wide coordinates with all slopes; None where none
+            is better than zero.
+        num_points: Number of sizes that were simulated.
+        seconds: CPU time that this took [s].
+    """
+
+    at: Linearization | None
+    num_points: int
+    seconds: float = 0.0
+
+
+def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:
+    """Effects outside a set that are located in time, those with kinks, then pairs of effects that
+    mask each other.
+
+    Args:
+        effects: All candidates.
+        members: The set at the center.
+        room: Number of effects that may still be added.
+    """
+    if room < 1:
+        return
+    outside = [i for i in range(len(effects)) if i not in members]
+    placed = {effects[i].family for i in members if effects[i].locate is not None}
+    for i in outside:
+        # forms of one event share their place in time: a second one cannot lie elsewhere
+        if effects[i].locate is not None and effects[i].family not in placed:
+            yield frozenset({i})
+    for i in outside:
+        if effects[i].locate is None and _is_scanned(effects[i]):
+            yield frozenset({i})
+    yield from masking_pairs(effects, members, room)
+
+
+def _is_scanned(effect: Effect) -> bool:
+    is_numerical = isinstance(effect, NumericalEffect)
+    return effect.scanned or (not effect.smooth and not is_numerical)
+
+
+def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:
+    """Pairs of effects outside a set that mask each other, if there is room for two."""
+    if room < 2:
+        return
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(len(effects)), 2)
+        if not {i, j} & members and _mask(effects[i], effects[j])
+    ]
+    # two with kinks first: one that is smooth shows by its own slope
+    for pair in sorted(pairs, key=lambda p: sum(effects[i].smooth for i in p)):
+        yield frozenset(pair)
+
+
+def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
+    """Number of sizes that a scan of a group tries.
+
+    Args:
+        effects: The group.
+        num_runs: Runs that are simulated for each size; one in one run alone counts by its share.
+    """
+    count = len(_combined(effects))
+    if not _is_close(effects):
+        return count
+    return FEW + BEST + -(-(count + 2 * BEST * ROUNDS) // num_runs)
+
+
+def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequence[int]) -> Scan:
+    """Try sizes of a group of effects at a center.
+
+    Args:
+        wide: Problem with all candidate effects.
+        own: Wide coordinates of base parameters and of the set at the center.
+        center: Linearization there, with all slopes.
+        group: Indices of the effects whose sizes are tried, ascending.
+    """
+    effects = [wide.effects[i] for i in group]
+    columns = [c for e in effects for c in wide.columns_of(e)]
+    rest = [c for c in own if c not in columns]
+    count, tried = num_points(effects, len(first_runs(wide.runs))), _combined(effects)
+    if _is_close(effects):
+        tried = _best_of_one_run(wide, own, center, columns, tried)
+    costs = _costs_at(wide, own, center, columns, tried)
+    here = costs_of(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
+    best = int(np.argmin(costs))
+    if not costs[best] < here - 2.0:  # within a nat of what no size of theirs does
+        return Scan(None, count)
+    coordinates = sorted({*own, *columns})
+    x, place = center.x.copy(), {c: k for k, c in enumerate(coordinates)}
+    x[columns] = tried[best]
+    try:
+        narrow = narrowed(wide, coordinates)
+        at = linearization_at(narrow, x[coordinates], [place[c] for c in columns])
+    except DiffsimError:  # it cannot be moved there: fits start elsewhere
+        return Scan(None, count)
+    slopes = center.slopes(range(len(center.x))).copy()
+    slopes[:, columns] = at.columns
+    everything = tuple(range(len(center.x)))
+    found = Linearization(x, at.record, everything, slopes, BORROWED)
+    return Scan(found, count)
+
+
+def _costs_at(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], tried: Array
+) -> Array:
+    """chi2 and prior of sizes (num_points, num_columns), all else refitted linearly."""
+    records = _records_at(wide, own, center, columns, tried)
+    rest = [c for c in own if c not in columns]
+    return costs_of(wide, center, rest, records, tried)
+
+
+def _records_at(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], tried: Array
+) -> Array:
+    coordinates = sorted({*own, *columns})
+    points = np.tile(center.x, (len(tried), 1))
+    points[:, columns] = tried
+    return records_for(narrowed(wide, coordinates), points[:, coordinates], center.record)
+
+
+def _best_of_one_run(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], tried: Array
+) -> Array:
+    """The best few sizes by the run that they move most, each looked around more and more closely.
+
+    Args:
+        tried: Sizes of one component, (num_points, 1); others as of ``_costs_at``.
+    """
+    tried = tried[np.argsort(tried[:, 0])]
+    chosen = _most_moved(wide, own, center, columns, tried[:: len(tried) // FEW])
+    rows = _rows_of(wide.runs)[chosen]
+    one = replace(wide, runs=(wide.runs[chosen],))
+    there = Linearization(center.x, center.record[rows], center.idx, center.columns[rows])
+    costs = _costs_at(one, own, there, columns, tried)
+    best = _valleys(costs)[:BEST]
+    points, least = tried[best], costs[best]
+    away = np.gradient(tried[:, 0])[best, None]
+    for _ in range(ROUNDS):
+        away = away / 3.0
+        around = np.concatenate([points - away, points + away])
+        beside = _costs_at(one, own, there, columns, around)
+        places = np.concatenate([points, around]).reshape(3, len(points))
+        found = np.concatenate([least, beside]).reshape(3, len(points))
+        now = np.argmin(found, 0), np.arange(len(points))
+        points, least = places[now][:, None], found[now]
+    return points
+
+
+def _valleys(costs: Array) -> NDArray[np.intp]:
+    """Indices of what is no worse than both neighbors, best first."""
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    low = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+    return low[np.argsort(costs[low])]
+
+
+def _most_moved(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], some: Array
+) -> int:
+    """Index of the run whose record some sizes move most, over the noise."""
+    moved = np.nan_to_num(_records_at(wide, own, center, columns, some) - center.record)
+    rows = _rows_of(wide.runs)
+    one = [replace(wide, runs=(run,)) for run in wide.runs]
+    moves = [linalg.norm(whitened(p, moved[:, r].T)) for p, r in zip(one, rows, strict=True)]
+    return int(np.argmax(moves))
+
+
+def _rows_of(runs: Sequence[Run]) -> list[slice]:
+    ends = np.cumsum([0, *(run.measured.size for run in runs)])
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def least_tried(effect: Effect) -> float:
+    """Size below which an effect that must be known closely was never looked for [unit]; else 0."""
+    return min(effect.tries) * effect.typical if _is_close([effect]) else 0.0
+
+
+def _is_close(effects: Sequence[Effect]) -> bool:
+    """Whether an effect of one component names so many sizes that one run has to choose."""
+    return len(effects) == 1 and len(effects[0].tries) >= CLOSE and not effects[0].components[1:]
+
+
+def first_runs(runs: Sequence[Run]) -> list[int]:
+    """Indices of the runs that a scan simulates: of one command the first."""
+    return sorted(set(_stand_ins(runs)))
+
+
+def _stand_ins(runs: Sequence[Run]) -> list[int]:
+    return [next(j for j, r in enumerate(runs) if _repeats(run, r)) for run in runs]
+
+
+def _mask(a: Effect, b: Effect) -> bool:
+    """Whether one names the other, or what its name begins with before the place it acts at."""
+
+    def names(one: Effect, other: Effect) -> bool:
+        return any(other.name == m or other.name.startswith(f"{m}_") for m in one.masks)
+
+    return names(a, b) or names(b, a)
+
+
+def _combined(effects: Sequence[Effect]) -> Array:
+    """Standardized coordinates to try, (num_points, num_components)."""
+    is_coarse = len(effects) > 1
+    parts = [_tried(e, is_coarse or len(e.components) > 1) for e in effects]
+    return np.array([np.concatenate(p) for p in product(*parts)])
+
+
+def _tried(effect: Effect, is_coarse: bool) -> list[Array]:
+    """Coordinates of one effect: each component alone, of both signs where it may have them."""
+    times = np.array(effect.tries or (COARSE_TIMES if is_coarse else TIMES))
+    signs = (1.0, -1.0) if effect.signed else (1.0,)
+    count = len(effect.components)
+    values = [coordinate_of(s * times / PRIOR_WIDTH) for s in signs]
+    return [v * unit for unit in np.eye(count) for part in values for v in part]
+
+
+def narrowed(wide: Problem, coordinates: Sequence[int]) -> Problem:
+    """The problem with the effects only whose coordinates are among the given ones."""
+    inside = set(coordinates)
+    return replace(
+        wide, effects=tuple(e for e in wide.effects if set(wide.columns_of(e)) <= inside)
+    )
+
+
+def records_for(narrow: Problem, points: Array, here: Array) -> Array:
+    """Records at points, (K, N); of runs with one command only the first is simulated.
+
+    A repeat is taken to move as the first does, and to differ from it as at the center: its own
+    gain or offset is small, and a scan only finds where fits start.
+
+    Args:
+        narrow: Problem of the coordinates that are moved.
+        points: Standardized coordinates, (K, n).
+        here: Record at the center, (N,).
+    """
+    runs = narrow.runs
+    stands_for = _stand_ins(runs)
+    kept = sorted(set(stands_for))
+    made = records_at(replace(narrow, runs=tuple(runs[j] for j in kept)), points)
+    ends = np.cumsum([runs[j].measured.size for j in kept])[:-1]
+    parts = dict(zip(kept, np.split(made, ends, axis=1), strict=True))
+    own = np.split(here, np.cumsum([run.measured.size for run in runs])[:-1])
+    moved = [parts[j] + (own[i] - own[j]) for i, j in enumerate(stands_for)]
+    return np.concatenate(moved, axis=1)
+
+
+def _repeats(run: Run, first: Run) -> bool:
+    """Whether a run has the samples, the set-up and the command of another."""
+    if run is first:
+        return True
+    if run.measured.shape != first.measured.shape or run.setup != first.setup:
+        return False
+    return (
+        run.group == first.group
+        and run.command.keys() == first.command.keys()
+        and np.array_equal(run.time_s - run.time_s[0], first.time_s - first.time_s[0])
+        and all(np.array_equal(u, first.command[name]) for name, u in run.command.items())
+    )
+
+
+def costs_of(
+    wide: Problem, center: Linearization, rest: Sequence[int], records: Array, sizes: Array
+) -> Array:
+    """chi2 and prior of records after a linear refit of the rest, (num_points,)."""
+    slopes = whitened(wide, center.slopes(rest))
+    u = wide.scaled(center.x)[list(rest)]
+    low, high = (bound[list(rest)] for bound in wide.bounds)
+    is_size = np.array(rest) >= wide.num_base
+    gram, measured = slopes.T @ slopes, measured_of(wide)
+    costs = np.full(len(records), np.inf)
+    for k, record in enumerate(records):
+        if not np.isfinite(record).all():
+            continue
+        residual = whitened(wide, measured - record)
+        v = optimum(gram, slopes.T @ residual + gram @ u, low, high, is_size, u)
+        left = residual - slopes @ (v - u)
+        x = np.where(is_size, coordinate_of(v), v)
+        costs[k] = left @ left + x @ x + sizes[k] @ sizes[k]
+    return costs
+
+
+Scans = Mapping[tuple[Members, Members], Scan]
+"""By members of the center and group."""

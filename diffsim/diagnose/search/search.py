@@ -1,0 +1,328 @@
+"""Search over sets of effects, with or without an unknown cause, by Laplace evidence.
+
+From the best set so far its neighbors (one more, one less, one swapped, a pair that masks each
+other more) are ranked by linear evidence, those that could win are refitted, and the best refit
+becomes the next center, until none is better. Sizes of effects with kinks are scanned before. A set
+that is not refitted keeps its linear evidence, and cannot win; none that is refitted is worse than
+its subsets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.errors import DiffsimError
+from diffsim.diagnose.checks.refine import check_numerics_of_set
+from diffsim.diagnose.search.beside_unknowns import weigh_unknowns
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed, families
+from diffsim.diagnose.search.fit import Null
+from diffsim.diagnose.search.from_sheet import (
+    LEAST_REFITS,
+    center_at_sheet,
+    cooled,
+    has_left,
+    promising_sets,
+)
+from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
+from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
+from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.identify import Fit, Problem
+from diffsim.identify.linearization import Linearization
+
+Array = NDArray[np.float64]
+Begin = Callable[[Problem, Linearization], Linearization]
+WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
+MAX_OVERTAKING = 2  # refits after the time for them is over
+FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
+
+
+def begin(null: Null, simulations: Simulations) -> Search:
+    """The plain model weighed, everything linearized there.
+
+    Args:
+        null: The plain model under its noise floor.
+        simulations: Simulations made so far, those of an earlier noise floor included.
+    """
+    at, made = simulations.under(null).screen(NONE, None)
+    num_families = families(null.wide.effects, null.case.unknowns)
+    return Search(null, made, made.center(NONE, at, num_families)).with_fit(NONE, null.fit)
+
+
+def search_sets(search: Search) -> Search:
+    """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
+    unknown causes beside it."""
+    until = process_time() + search.settings.refit_seconds
+    center, search = _from_data_sheet(search)
+    if center is search.plain:
+        center, search = _scanned(search, search.plain)
+        search = replace(search, plain=center)
+    for _ in range(search.settings.max_rounds):
+        ranked, search = _promising(search, center)
+        search = repaired(_refit_promising(search, center, ranked, until))
+        best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
+        if best == center.members:
+            break
+        center, search = _center(search, best, center)
+        if process_time() > until:
+            break
+    return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
+
+
+def with_numerics(search: Search, members: Members, *, is_late: bool = False) -> Search:
+    """Check the numerical settings at the fit of a set, once; at that of the plain model they were
+    checked before; those of corrected simulations are checked by their correction.
+
+    Args:
+        search: Sets that were weighed so far.
+        members: Effects of the set, by index.
+        is_late: Nobody will search with finer settings.
+    """
+    case = search.null.case
+    accepted = case.settings.accept_numerics or case.correction is not None
+    if accepted or members == NONE or members in search.numerics:
+        return search
+    record = search.simulations.fitted[members].record
+    found = check_numerics_of_set(search.fit_of(members), record, case.settings, is_late=is_late)
+    return replace(search, numerics={**search.numerics, members: found})
+
+
+def _from_data_sheet(search: Search) -> tuple[Center, Search]:
+    """The plain model; or the best set that was fitted from the data sheet, if its fit has left
+    that."""
+    if not has_left(search.fit_of(NONE)):
+        return search.plain, search
+    sheet, made = center_at_sheet(search.simulations, search.settings, search.num_families)
+    search = replace(search, simulations=made)
+    if sheet is not None:
+        ranked = promising_sets(sheet, search.settings.max_effects)
+        settings = search.settings
+        seconds = min(settings.scan_seconds, FROM_SHEET * settings.refit_seconds)
+        until = process_time() + seconds
+        for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
+            if process_time() < until:
+                search = refit(search, members, sheet, begin=cooled)
+    best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
+    return (search.plain, search) if best == NONE else _center(search, best, search.plain)
+
+
+def refit(
+    search: Search, members: Members, near: Center | None = None, *, begin: Begin | None = None
+) -> Search:
+    """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
+
+    Args:
+        search: Sets that were weighed so far.
+        members: Effects of the set, by index.
+        near: Center to start from; the plain model if None, or if it cannot be simulated from
+            there.
+        begin: Finds where a fit begins, from a start of its own.
+    """
+    key = Hypothesis(members)
+    if key in search.weighed or key in search.failed:
+        return search
+    names = " + ".join(search.wide.effects[i].name for i in sorted(members))
+    # how many refits it will take is not known before: each takes a tenth of what is left
+    share = 0.85 - 0.6 * 0.9 ** len(search.weighed)
+    search.null.case.progress("search", share, names or "no effect")
+    near = near or search.plain
+    promised = 0.5 * _cost(near.weigh(members))
+    message, best = "", None
+    starts = _starts(search, members, near)
+    begin = None if members in search.simulations.fitted else begin
+    for center in starts if begin is None else starts[:1]:
+        try:
+            start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
+            fit, at = search.simulations.fitted_from(members, start, search.best_cost(), begin)
+        except DiffsimError as error:
+            message = str(error)
+            continue
+        if best is None or fit.chi2 + fit.prior < best[0].chi2 + best[0].prior:
+            best = fit, at
+        if not _disappoints(search, best[0], promised):
+            break
+    if best is None:
+        return replace(search, failed={**search.failed, key: message})
+    made = search.simulations.kept(members, best[1])
+    return replace(search, simulations=made).with_fit(members, best[0])
+
+
+def _starts(search: Search, members: Members, near: Center) -> list[Center]:
+    """Centers to start from: scanned sizes, the center itself, the plain model; the first that
+    lead to a good end are enough."""
+    if members in search.simulations.fitted:  # from its own earlier end
+        return [near]
+    places = (near.towards(members), near, search.plain.towards(members), search.plain)
+    return list(dict.fromkeys(places))[: search.settings.num_starts]
+
+
+def _disappoints(search: Search, fit: Fit, promised: float) -> bool:
+    """Whether a fit ended far above what linear evidence promised, though that was of interest."""
+    slack = search.settings.rival_nats
+    if promised > search.best_cost() + slack:
+        return False
+    misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+    missed = 0.5 * (fit.chi2 + fit.prior) - promised
+    return missed > slack + search.settings.linear_error * misfit
+
+
+def _cost(weighed: Weighed) -> float:
+    return weighed.chi2 + float(weighed.x @ weighed.x)
+
+
+def repaired(search: Search) -> Search:
+    """Sets that ended above one of their subsets are fitted again, from that one's optimum with the
+    further sizes at zero."""
+    for key in sorted((h for h in search.weighed if _is_fitted(search, h)), key=_size):
+        subset = _better_subset(search, key.effects)
+        if subset is None:
+            continue
+        made = search.simulations
+        try:
+            slopes = made.screened.get(subset, search.plain.at)
+            start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
+            fit, at = made.fitted_from(key.effects, start, search.best_cost())
+        except DiffsimError as error:  # that end cannot be moved: what it is must be said
+            search = replace(search, failed={**search.failed, key: str(error)})
+            continue
+        made = made.kept(key.effects, at)
+        search = replace(search, simulations=made).with_fit(key.effects, fit)
+    return search
+
+
+def _better_subset(search: Search, members: Members) -> Members | None:
+    """The best fitted subset, if the set's own fit is worse by more than fits are exact to."""
+    subsets = [h for h in search.weighed if h.effects < members and _is_fitted(search, h)]
+    if not subsets:
+        return None
+    costs = {h.effects: 0.5 * _fit_cost(search.fit_of(h.effects)) for h in subsets}
+    best = min(costs, key=lambda s: costs[s])
+    fit = search.fit_of(members)
+    misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+    exact = max(WORSE_NATS, fit.problem.fit_nats, fit.problem.fit_rtol * misfit)
+    return best if 0.5 * _fit_cost(fit) > costs[best] + exact else None
+
+
+def _fit_cost(fit: Fit) -> float:
+    return fit.chi2 + fit.prior
+
+
+def _is_fitted(search: Search, key: Hypothesis) -> bool:
+    return key.unknown is None and search.weighed[key].fit is not None
+
+
+def _size(key: Hypothesis) -> int:
+    return len(key.effects)
+
+
+def weigh_unknowns_beside(search: Search, members: Members) -> Search:
+    """Weigh a fitted set with every unknown cause, if that was not done."""
+    if not search.unknowns or Hypothesis(members, 0) in search.weighed:
+        return search
+    center, search = _center(search, members, search.plain)
+    return weigh_unknowns(search, center)
+
+
+def _center(search: Search, members: Members, last: Center) -> tuple[Center, Search]:
+    borrowed = search.borrowed
+    try:
+        at, made = search.simulations.screen(members, last.at)
+    except DiffsimError as error:  # some effect cannot be moved there: slopes of before
+        made = search.simulations
+        at = made.fitted[members].joined(last.at)
+        borrowed = {**borrowed, members: str(error)}
+    center = made.center(members, at, search.num_families)
+    return _scanned(replace(search, simulations=made, borrowed=borrowed), center)
+
+
+def _scanned(search: Search, center: Center) -> tuple[Center, Search]:
+    """A center with the scans of effects with kinks, where a misfit is left for them."""
+    fit, settings = search.fit_of(center.members), search.settings
+    if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
+        return center, search
+    center, made = search.simulations.scanned(center, settings, search.num_families)
+    return center, replace(search, simulations=made)
+
+
+def _with_linear(
+    search: Search, center: Center, sets: Sequence[Members]
+) -> tuple[dict[Members, float], Search]:
+    """Linear evidence of sets at a center [nats], kept for the table."""
+    entries = {s: center.weigh(s) for s in sets}
+    new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.weighed}
+    nats = {s: w.nats for s, w in entries.items()}
+    return nats, replace(search, linear={**search.linear, **new})
+
+
+def _promising(search: Search, center: Center) -> tuple[list[Members], Search]:
+    """Neighbors that could be better than the center, best first."""
+    slack = search.linear_slack(center.members)
+    enough = search.nats(Hypothesis(center.members)) + KEEP_NATS - slack
+    nats, search = _with_linear(search, center, search.neighbors(center.members))
+    return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s]), search
+
+
+def _refit_promising(
+    search: Search, center: Center, ranked: Sequence[Members], until: float
+) -> Search:
+    """Refit the first of the ranked neighbors, and as many more as are asked for.
+
+    Args:
+        search: Sets that were weighed so far.
+        center: The best set.
+        ranked: Its neighbors, best first.
+        until: CPU time after which the rest keeps its linear evidence [s]. Where no refit so far
+            stayed near the data sheet, linear evidence was no guide, and a few more are made
+            however late it is: a busy machine must not choose the answer.
+    """
+    wanted = search.settings.num_refits
+    most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
+    for k, members in enumerate(ranked[:most]):
+        has_time = k == 0 or (k < wanted and process_time() < until)
+        if not has_time and any(_is_near_sheet(search, tried) for tried in ranked[:k]):
+            break
+        search = refit(search, members, center)
+    return search
+
+
+def _is_near_sheet(search: Search, members: Members) -> bool:
+    """Whether the fit of a set left all base parameters near their priors."""
+    weighed = search.weighed.get(Hypothesis(members))
+    return weighed is not None and weighed.fit is not None and not has_left(weighed.fit)
+
+
+def _refit_rivals(search: Search, center: Center, until: float) -> Search:
+    """Refit what could be a rival of the best set, or show that a member is not needed.
+
+    Args:
+        search: Sets that were weighed so far.
+        center: The best set.
+        until: CPU time after which the rest keeps its linear evidence [s], subsets apart, and the
+            first that promise to be better than the best set.
+    """
+    slack = search.linear_slack(center.members)
+    plain, best = search.nats(Hypothesis()), search.nats(Hypothesis(center.members))
+    neighbors, num_overtaking = search.neighbors(center.members), 0
+    if np.isfinite(until):  # what could decide most comes first
+        nats, search = _with_linear(search, center, neighbors)
+        neighbors.sort(key=lambda s: (not s < center.members, -nats[s]))
+    for members in neighbors:
+        enough = best + KEEP_NATS if members > center.members else best - ALONE_NATS
+        if members < center.members:
+            enough = best - KEEP_NATS
+        elif not members > center.members:
+            enough = max(enough, plain + KEEP_NATS)
+        nats, search = _with_linear(search, center, [members])
+        if nats[members] > enough - slack:
+            is_late = process_time() > until and not members < center.members
+            overtakes = nats[members] > best + KEEP_NATS and num_overtaking < MAX_OVERTAKING
+            if is_late and not overtakes:
+                search = replace(search, num_late=search.num_late + 1)
+                continue
+            num_overtaking += is_late
+            search = refit(search, members, center)
+    return search

@@ -1,0 +1,401 @@
+"""Simulations of sets of effects, kept between rounds and processes.
+
+Coordinates are those of the wide problem, with all candidates: base parameters, then components of
+all effects, zero for those not in the set. Nothing here depends on the noise floor but the slopes
+that a fit's Broyden updates have changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, Weighed
+from diffsim.diagnose.search.fit import Null
+from diffsim.diagnose.search.fit_store import gauss_newton_kept
+from diffsim.diagnose.search.located import course_at, scan_located
+from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
+from diffsim.diagnose.search.store import Store
+from diffsim.identify import Fit, Problem
+from diffsim.identify.effect import Effect
+from diffsim.identify.effort import SearchSettings
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    record_at,
+    whitened,
+)
+from diffsim.identify.locate import Course
+from diffsim.identify.unknown import Unknown, by_group
+
+Array = NDArray[np.float64]
+Members = frozenset[int]
+NONE: Members = frozenset()
+SIGNIFICANT = 1.0  # z above which an effect is differentiated again at a new center
+ALIKE = 0.9  # cosine with a member above which it is, too
+
+
+@dataclass(frozen=True, eq=False)
+class Center:
+    """A fitted set with every candidate linearized there.
+
+    Attributes:
+        members: Effects of the set, by index.
+        at: Linearization in wide coordinates, with all slopes.
+        evidence: Linear evidence of all neighbors, without unknown causes.
+        scanned: Centers at the best sizes of groups of effects outside the set, by group.
+    """
+
+    members: Members
+    at: Linearization
+    evidence: LaplaceEvidence
+    scanned: Mapping[Members, Center] = field(default_factory=dict)
+
+    def towards(self, members: Members) -> Center:
+        """Where a fit of a set starts: at the sizes of what it adds, if they were scanned."""
+        return self.scanned.get(members - self.members, self)
+
+    def weigh(self, members: Members) -> Weighed:
+        """Linear evidence of a set, from here or from the sizes that were scanned, if better."""
+        here, there = self.evidence, self.towards(members).evidence
+        entries = [e.weigh(Hypothesis(members)) for e in dict.fromkeys((here, there))]
+        return max(entries, key=lambda w: w.nats)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulations:
+    """Fits and slopes of sets of effects; methods return a copy with what they simulated.
+
+    Attributes:
+        wide: Problem with all candidate effects.
+        store: Results on disk, of this and earlier processes; None: nothing is kept.
+        fitted: Linearization of each refitted set where its fit ended.
+        screened: Linearization of each set with the slopes of all candidates.
+        unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
+            the cause.
+        at_unknowns: Where sets with an unknown cause have their optimum, in the coordinates of
+            ``narrow``: simulations serve every unknown cause, as only its response differs.
+        scans: Sizes that were tried, by members of the center and group of effects.
+        scan_seconds: CPU time that these took [s].
+        scans_late: Groups of effects that were not tried because that time was over.
+        sheet: All slopes of the plain model at its prior, where they were asked for.
+        sheet_scans: Sizes that were tried there.
+        place: Where the plain model is, for what is kept on disk; empty: at its fit.
+    """
+
+    wide: Problem
+    store: Store | None = None
+    fitted: Mapping[Members, Linearization] = field(default_factory=dict)
+    screened: Mapping[Members, Linearization] = field(default_factory=dict)
+    unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
+    at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
+    scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
+    scan_seconds: float = 0.0
+    scans_late: frozenset[tuple[Members, Members]] = frozenset()
+    sheet: Linearization | None = None
+    sheet_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
+    place: str = ""
+
+    def under(self, null: Null) -> Simulations:
+        """The same simulations for another fit of the plain model or another noise floor."""
+        return replace(self, wide=null.wide).kept(NONE, null.at)
+
+    def moved(self, null: Null, change: Array, store: Store | None) -> Simulations:
+        """The same under another correction: records differ by as much everywhere, slopes stay.
+
+        Args:
+            null: Fit of the plain model under it.
+            change: What is added to the record of the fitted runs, (N,) [unit of the channel].
+            store: Where results under this correction are kept.
+        """
+
+        def of(at: Linearization) -> Linearization:
+            return replace(at, record=at.record + change)
+
+        def tried(scans: Mapping[tuple[Members, Members], Scan]) -> Mapping[Any, Scan]:
+            return {k: s if s.at is None else replace(s, at=of(s.at)) for k, s in scans.items()}
+
+        made = replace(
+            self,
+            store=store,
+            fitted={k: of(at) for k, at in self.fitted.items()},
+            screened={k: of(at) for k, at in self.screened.items()},
+            at_unknowns={k: tuple(of(at) for at in v) for k, v in self.at_unknowns.items()},
+            scans=tried(self.scans),
+            sheet=None if self.sheet is None else of(self.sheet),
+            sheet_scans=tried(self.sheet_scans),
+        )
+        return made.under(null)
+
+    def coordinates(self, members: Members) -> list[int]:
+        """Wide coordinates of the base parameters and of a set."""
+        own = list(range(self.wide.num_base))
+        for i in sorted(members):
+            own += self.wide.columns_of(self.wide.effects[i])
+        return own
+
+    def narrow(self, members: Members) -> Problem:
+        """Problem with the effects of a set only."""
+        return replace(self.wide, effects=tuple(self.wide.effects[i] for i in sorted(members)))
+
+    def kept(self, members: Members, at: Linearization) -> Simulations:
+        """The simulations with the fit of a set, given in the coordinates of ``narrow``."""
+        own = self.coordinates(members)
+        x = np.zeros(len(self.wide.names))
+        x[own] = at.x
+        wide = replace(at, x=x, idx=tuple(own))
+        return replace(self, fitted={**self.fitted, members: wide})
+
+    def fit(
+        self, members: Members, start: Linearization, best_cost: float
+    ) -> tuple[Fit, Simulations]:
+        """Fit a set of effects and keep it; arguments as of ``fitted_from``."""
+        fit, at = self.fitted_from(members, start, best_cost)
+        return fit, self.kept(members, at)
+
+    def fitted_from(
+        self,
+        members: Members,
+        start: Linearization,
+        best_cost: float,
+        begin: Callable[[Problem, Linearization], Linearization] | None = None,
+    ) -> tuple[Fit, Linearization]:
+        """Fit a set of effects.
+
+        Args:
+            members: Effects of the set, by index.
+            start: Start point in coordinates of all candidates, zero outside the set.
+            best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
+            begin: Finds a better start from there; None: the fit begins there.
+        """
+        own = self.coordinates(members)
+        at = Linearization(
+            start.x[own], start.record, tuple(range(len(own))), start.slopes(own), start.slope_error
+        )
+        narrow = self.narrow(members)
+        if begin is not None:
+            label, first = f"begin of {self._label(members)}", partial(begin, narrow, at)
+            at = self.remembered(label, first)
+        return gauss_newton_kept(self.store, narrow, at, best_cost)
+
+    def near(self, members: Members, x: Array, step: float) -> Linearization | None:
+        """A set's linearization beside some unknown cause, no further away in any coordinate.
+
+        Args:
+            members: Effects of the set, by index.
+            x: Point in the coordinates of ``narrow``, (n,).
+            step: Largest distance [prior sd].
+        """
+        made = self.at_unknowns.get(members, ())
+        away = [float(np.abs(at.x - x).max(initial=0.0)) for at in made]
+        return made[int(np.argmin(away))] if made and min(away) < step else None
+
+    def noted(self, members: Members, at: Linearization) -> Simulations:
+        """The simulations with a linearization of a set beside an unknown cause."""
+        made = (*self.at_unknowns.get(members, ()), at)
+        return replace(self, at_unknowns={**self.at_unknowns, members: made})
+
+    def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
+        """Warm start of a set, from fits of its subsets.
+
+        An earlier fit of it; the center itself where the set only adds to it; else the optimum
+        ``x`` of the linear evidence, with the center's slopes.
+        """
+        if members in self.fitted:
+            return self.fitted[members]
+        own = self.coordinates(members)
+        outside = np.ones(len(center.x), dtype=bool)
+        outside[own] = False
+        if not center.x[outside].any():
+            return center
+        narrow = self.narrow(members)
+        x = x.copy()
+        x[own] = np.clip(x[own], *narrow.bounds)  # a linear optimum knows no bounds
+        record = record_at(narrow, x[own])
+        step = self.wide.scaled(x) - self.wide.scaled(center.x)
+        predicted = center.slopes(range(len(x))) @ step
+        off = linalg.norm(whitened(self.wide, record - center.record - predicted))
+        moved = linalg.norm(whitened(self.wide, predicted))
+        return replace(center, x=x, record=record, slope_error=float(off / max(moved, 1.0)))
+
+    def screen(
+        self, members: Members, last: Linearization | None
+    ) -> tuple[Linearization, Simulations]:
+        """All slopes at the fit of a set.
+
+        Args:
+            members: A fitted set.
+            last: Slopes of all candidates at another set. They serve for effects that are neither
+                significant with them nor like a member; None: all are simulated.
+        """
+        here, label = self.fitted[members], f"screened {self._label(members)}"
+        before = self.screened.get(members)
+        if before is None and self.store is not None:
+            before = self.store.load(label)
+        if before is not None:
+            return here.joined(before), self._screened(members, before)
+        if last is None:
+            others = [i for i in range(len(here.x)) if i not in here.idx]
+            here = here.joined(linearization_at(self.wide, here.x, others, screen=True))
+        else:
+            again = [i for i in self._significant(here.joined(last)) if i not in here.idx]
+            if again:
+                here = here.joined(linearization_at(self.wide, here.x, again, screen=True))
+            here = here.joined(last)
+        if self.store is not None:
+            self.store.save(label, here)
+        return here, self._screened(members, here)
+
+    def center(self, members: Members, at: Linearization, num_families: int) -> Center:
+        """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
+        return Center(members, at, self._evidence(at, [], num_families))
+
+    def beside(self, members: Members, unknown: Unknown, u: int, families: int) -> LaplaceEvidence:
+        """Evidence of a set's neighbors, an unknown cause beside; both were simulated there."""
+        moved, _ = self.responses(unknown, u, members, self.screened[members])
+        return self._evidence(self.screened[members], [moved], families)
+
+    def scanned(
+        self, center: Center, settings: SearchSettings, num_families: int
+    ) -> tuple[Center, Simulations]:
+        """A center with the scans of effects with kinks, and of pairs that mask each other.
+
+        Args:
+            center: A fitted set.
+            settings: Largest number of effects in one set, of sizes and of CPU seconds.
+            num_families: Families of effects, for the evidence.
+        """
+        made, found = self, {}
+        courses: dict[Effect, Course] = {}
+        room = settings.max_effects - len(center.members)
+        for group in groups(self.wide.effects, center.members, room):
+            key, members = (center.members, group), sorted(group)
+            if key not in made.scans:
+                points = 0  # of what is located by its course none are tried
+                if self.wide.effects[members[0]].locate is None:
+                    points = sum(s.num_points for s in made.scans.values())
+                    effects = [self.wide.effects[i] for i in members]
+                    points += num_points(effects, len(first_runs(self.wide.runs)))
+                if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
+                    is_late = points <= settings.scan_points
+                    made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))
+                    continue
+                result = self._scan(center, members, courses)
+                spent = made.scan_seconds + result.seconds
+                made = replace(made, scans={**made.scans, key: result}, scan_seconds=spent)
+            if (at := made.scans[key].at) is not None:
+                found[group] = made.center(center.members, at, num_families)
+        return replace(center, scanned=found), made
+
+    def _scan(self, center: Center, group: Sequence[int], courses: dict[Effect, Course]) -> Scan:
+        """Sizes of a group at a center, from this process or an earlier one.
+
+        Args:
+            center: A fitted set.
+            group: Indices of effects that are tried together.
+            courses: Courses at this center that are known, which grow.
+        """
+        label = f"scan of {self._label(frozenset(group))} at {self._label(center.members)}"
+        if self.store is not None and (kept := self.store.load_array(label)) is not None:
+            at = self.store.load(f"best {label}")
+            if at is not None or not kept[2]:
+                return Scan(at, int(kept[0]), float(kept[1]))
+        start = process_time()
+        own, effect = self.coordinates(center.members), self.wide.effects[group[0]]
+        if (locate := effect.locate) is not None:
+            if locate.course not in courses:
+                courses[locate.course] = course_at(self.wide, own, center.at, locate)
+            found = scan_located(self.wide, own, center.at, effect, courses[locate.course])
+        else:
+            found = scan(self.wide, own, center.at, group)
+        found = replace(found, seconds=process_time() - start)
+        if self.store is not None:
+            if found.at is not None:
+                self.store.save(f"best {label}", found.at)
+            numbers = [found.num_points, found.seconds, found.at is not None]
+            self.store.save_array(label, np.array(numbers, dtype=np.float64))
+        return found
+
+    def with_unknowns(
+        self, center: Center, unknowns: Sequence[Unknown], num_families: int
+    ) -> tuple[LaplaceEvidence, Simulations]:
+        """Linear evidence at a set together with every unknown cause."""
+        made, blocks = self, []
+        for u, unknown in enumerate(unknowns):
+            block, made = made.responses(unknown, u, center.members, center.at)
+            blocks.append(block)
+        return made._evidence(center.at, blocks, num_families), made
+
+    def responses(
+        self, unknown: Unknown, u: int, members: Members, at: Linearization
+    ) -> tuple[Array, Simulations]:
+        """Whitened responses of an unknown cause, number ``u``, at a set; simulated once."""
+        made = self
+        if (members, u) not in self.unknown_slopes:
+            slopes = self._slopes_of(unknown, members, at)
+            made = replace(self, unknown_slopes={**self.unknown_slopes, (members, u): slopes})
+        return by_group(self.wide, unknown.mix(made.unknown_slopes[members, u])), made
+
+    def _evidence(
+        self, at: Linearization, blocks: Sequence[Array], num_families: int
+    ) -> LaplaceEvidence:
+        wide = self.wide
+        residual = whitened(wide, measured_of(wide) - at.record)
+        jacobian = whitened(wide, at.slopes(range(len(at.x)))) * wide.stretch(at.x)
+        return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
+
+    def _screened(self, members: Members, at: Linearization) -> Simulations:
+        return replace(self, screened={**self.screened, members: at})
+
+    def _label(self, members: Members) -> str:
+        return " + ".join(self.wide.effects[i].name for i in sorted(members)) + self.place
+
+    def remembered(self, what: str, make: Callable[[], Linearization]) -> Linearization:
+        """A linearization by its name, from an earlier process or made now."""
+        label = f"{what}{self.place}"
+        at = None if self.store is None else self.store.load(label)
+        if at is None:
+            at = make()
+            if self.store is not None:
+                self.store.save(label, at)
+        return at
+
+    def _slopes_of(self, unknown: Unknown, members: Members, at: Linearization) -> Array:
+        label = f"{unknown.name} at {self._label(members)}"
+        if self.store is not None and (kept := self.store.load_array(label)) is not None:
+            return kept
+        slopes = unknown.slopes(self.narrow(members), at.x[self.coordinates(members)])
+        if self.store is not None:
+            self.store.save_array(label, slopes)
+        return slopes
+
+    def _significant(self, at: Linearization) -> list[int]:
+        """Coordinates of effects that stand out of the noise with borrowed slopes, or that are
+        nearly collinear with a member."""
+        wide = self.wide
+        own = [i for i in range(len(at.x)) if i < wide.num_base or at.x[i] != 0.0]
+        residual = whitened(wide, measured_of(wide) - at.record)
+        slopes = whitened(wide, at.slopes(range(len(at.x))))
+        j = slopes[:, own]
+        inner = linalg.inv(j.T @ j + np.eye(len(own)))
+        tilde = slopes - j @ (inner @ (j.T @ slopes))
+        information = np.clip(np.sum(slopes * tilde, axis=0), 1e-12, None)
+        z = np.abs(slopes.T @ residual - (j.T @ slopes).T @ (inner @ (j.T @ residual)))
+        z /= np.sqrt(information)
+        members = slopes[:, [i for i in own if i >= wide.num_base]]
+        lengths = np.outer(linalg.norm(slopes, axis=0), linalg.norm(members, axis=0))
+        alike = np.any(np.abs(slopes.T @ members) > ALIKE * lengths, axis=1, keepdims=True)[:, 0]
+        chosen: list[int] = []
+        for effect in wide.effects:
+            c = wide.columns_of(effect)
+            if linalg.norm(z[c]) > SIGNIFICANT * np.sqrt(len(c)) or alike[c].any():
+                chosen += c
+        return chosen

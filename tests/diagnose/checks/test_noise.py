@@ -1,0 +1,148 @@
+import numpy as np
+import pytest
+
+from diffsim.data.rounding import step_of
+from diffsim.data.study import Channel, Run
+from diffsim.diagnose.checks.noise import (
+    ArWhitener,
+    fit_ar,
+    noise_floor,
+    repeat_deviations,
+    without_spikes,
+)
+
+A = np.array([0.9, -0.3])  # stationary, oscillating
+
+
+def make_run(measured, name="r", group="g"):
+    return Run(name, 0.01 * np.arange(len(measured)), measured, {}, group)
+
+
+def covariance(a, n, sd):
+    """From the impulse response of x_t = a1 x_{t-1} + ... + e_t, normalized to sd."""
+    from scipy.signal import lfilter
+
+    response = lfilter([1.0], [1.0, *-a], np.eye(1, 2000)[0])
+    rho = np.array([response[: 2000 - k] @ response[k:] for k in range(n)])
+    idx = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
+    return sd**2 * rho[idx] / rho[0]
+
+
+@pytest.mark.reference
+def test_whitened_covariance_is_the_identity():
+    run = make_run(np.zeros((30, 2)))
+    w = ArWhitener(np.array([0.5, 2.0]), [A, np.array([0.7])]).matrix(run).toarray()
+    for c, (a, sd) in enumerate([(A, 0.5), (np.array([0.7]), 2.0)]):
+        own = w[:, c::2][w[:, c::2].any(axis=1)]
+        np.testing.assert_allclose(own @ covariance(a, 30, sd) @ own.T, np.eye(30), atol=1e-10)
+
+
+@pytest.mark.reference
+def test_gaps_start_afresh():
+    measured = np.zeros((30, 1))
+    measured[[7, 8, 20, 22], 0] = np.nan  # leaves a stretch of one sample too
+    w = ArWhitener(np.array([2.0]), [A]).matrix(make_run(measured)).toarray()
+    assert w.shape == (26, 30)
+    whole = covariance(A, 30, 2.0)
+    for start, stop in ((0, 7), (9, 20), (21, 22), (23, 30)):
+        rows = w[np.abs(w[:, start:stop]).sum(1) > 0]
+        np.testing.assert_allclose(rows @ whole @ rows.T, np.eye(stop - start), atol=1e-10)
+    assert not w[:, [7, 8, 20, 22]].any()
+
+
+def colored(seed, n, a=A):
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    return lfilter([1.0], [1.0, *-a], rng.normal(size=n + 200))[200:]
+
+
+def test_coefficients_of_synthetic_noise():
+    found = fit_ar([colored(s, 4000) for s in range(3)])
+    assert len(found) >= 2
+    # sd of a Yule-Walker estimate: about sqrt((1 - a2^2) / 12000) = 0.009
+    np.testing.assert_allclose(found[:2], A, atol=0.04)
+    np.testing.assert_allclose(found[2:], 0.0, atol=0.04)
+    assert len(fit_ar([np.random.default_rng(0).normal(size=2000)])) == 0
+
+
+def test_whitened_noise_has_unit_power_and_no_memory():
+    channel = Channel("x_m", "m", "position")
+    runs = [make_run(0.03 * colored(s, 2000)[:, None], f"r{s}") for s in range(4)]
+    noise = noise_floor(runs, [channel], {r.name: r.measured for r in runs})
+    fresh = make_run(0.03 * colored(99, 5000)[:, None])
+    white = noise.whitener.matrix(fresh) @ fresh.measured.ravel()
+    assert noise.source == ("repeats",)
+    np.testing.assert_allclose(np.mean(white**2), 1.0, atol=0.1)  # 5 sd of 5000 + 6000 samples
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.07
+
+
+def test_deviations_keep_the_sd_of_one_run():
+    rng = np.random.default_rng(0)
+    common = rng.normal(size=(5000, 1)) * 10
+    runs = [make_run(common + 0.2 * rng.normal(size=(5000, 1)), f"r{i}") for i in range(3)]
+    stack = np.concatenate(repeat_deviations(runs, {r.name: r.measured for r in runs}))
+    np.testing.assert_allclose(stack.std(), 0.2, rtol=0.03)
+
+
+@pytest.mark.parametrize(("scatter", "is_repeatable"), [(1.0, True), (1.25, True), (1.7, False)])
+def test_scatter_ratio_flags_at_1_4(scatter, is_repeatable):
+    rng = np.random.default_rng(3)
+    channel = Channel("x_m", "m", "position", sd=0.1)
+    runs = [make_run(0.1 * scatter * rng.normal(size=(3000, 1)), f"r{i}") for i in range(2)]
+    noise = noise_floor(runs, [channel], {r.name: r.measured for r in runs})
+    np.testing.assert_allclose(noise.scatter_ratio, scatter, rtol=0.06)
+    assert noise.is_repeatable is is_repeatable
+    assert noise.source == (("repeats",) if is_repeatable else ("stated sd",))
+
+
+def test_without_repeats_and_sd_second_differences_serve():
+    rng = np.random.default_rng(4)
+    slow = np.sin(np.linspace(0, 3, 4000))[:, None]
+    run = make_run(slow + 0.05 * rng.normal(size=(4000, 1)))
+    noise = noise_floor([run], [Channel("x_m", "m", "position")], {"r": run.measured})
+    assert noise.source == ("second differences",)
+    np.testing.assert_allclose(noise.sd, 0.05, rtol=0.06)
+    assert np.isnan(noise.scatter_ratio).all()
+
+
+def test_readings_in_steps_have_the_noise_of_rounding():
+    """Repeats that are equal to the last digit say nothing of an encoder's steps."""
+    time = 0.01 * np.arange(200)
+    smooth = np.sin(3.0 * time)[:, None]
+    steps = 0.1 + 0.05 * np.round(smooth / 0.05)
+    channels = [Channel("angle_rad", "rad", "angle", sd=1e-3)]
+    runs = [make_run(steps, "a"), make_run(steps, "b")]
+    noise = noise_floor(runs, channels, {r.name: r.measured - smooth for r in runs})
+    assert noise.source == ("rounding",)
+    np.testing.assert_allclose(noise.sd, 0.05 / np.sqrt(12.0), rtol=1e-9)
+    assert step_of(smooth[:, 0]) is None and step_of(np.full(50, 2.0)) is None
+    digits = np.round(smooth + 0.01 * np.random.default_rng(0).normal(size=smooth.shape), 4)
+    fine = [make_run(digits, "a")]
+    assert noise_floor(fine, channels, {"a": digits - smooth}).source == ("stated sd",)
+
+
+def test_no_noise_at_all_is_refused():
+    run = make_run(np.zeros((100, 1)))
+    with pytest.raises(ValueError, match=r"x_m has no noise .* state its sd"):
+        noise_floor([run], [Channel("x_m", "m", "position")], {"r": run.measured})
+
+
+def test_spikes_are_marked_and_steps_are_not():
+    rng = np.random.default_rng(5)
+    left = 0.1 * rng.normal(size=(500, 1))
+    left[250:] += 5.0  # a step lasts
+    left[[50, 333]] += 4.0
+    run, count = without_spikes(make_run(left), left)
+    assert count == 2
+    assert set(np.flatnonzero(np.isnan(run.measured[:, 0]))) == {50, 333}
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_channel_that_was_never_measured_has_no_spikes():
+    left = 0.1 * np.random.default_rng(5).normal(size=(500, 2))
+    left[50, 0] += 4.0
+    left[:, 1] = np.nan
+    run, count = without_spikes(make_run(left), left)
+    assert count == 1
+    assert np.isnan(run.measured[50, 0]) and np.isnan(run.measured[:, 1]).all()

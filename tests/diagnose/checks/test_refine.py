@@ -1,0 +1,237 @@
+"""Coarse settings are refined within a budget, and everything goes on with the refined ones."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from diffsim.data.study import Study
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.checks import refine
+from diffsim.diagnose.checks.gates import effort_gate, numerics_changes
+from diffsim.diagnose.judge.records import CERTAIN, LIKELY
+from diffsim.diagnose.search.fit import Case, check_numerics, null_fit, refit_under
+from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
+from diffsim.identify.effort import FIT_RTOL
+from diffsim.identify.linearization import Linearization, record_at
+from tests.diagnose import linear, toy
+
+QUICK = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2))
+
+
+def noisy(hidden=None):
+    """Ten times the noise of the toy: a step of 10 ms is too coarse by a factor of four."""
+    study = toy.generate(12, hidden, noise=10.0)
+    channels = tuple(replace(c, sd=10.0 * c.sd) for c in study.channels)
+    return replace(study, channels=channels)
+
+
+def case(settings=QUICK, step=0.01):
+    study = noisy()
+    return Case(study, toy.model(study.runs, step), (toy.DELAY, toy.BIAS), (), settings)
+
+
+def test_a_coarse_time_step_is_refined_until_it_passes():
+    null = null_fit(case())
+    found = check_numerics(null)
+    assert all(g.passed for g in found.gates)
+    numerics = found.null.case.numerics
+    assert 1 / 16 <= numerics.time_step <= 0.5 and numerics.mesh == numerics.tolerance == 1.0
+    assert found.null.fit.problem.numerics == numerics
+    gate = next(g for g in found.gates if g.name == "time_step")
+    assert f"refined by {1 / numerics.time_step:g}" in gate.note
+    # a first-order method: what refining still changes falls with the step
+    before = np.linalg.norm(numerics_changes(null.fit.problem, null.at)["time_step"])
+    assert np.linalg.norm(found.changes["time_step"]) < 0.6 * before
+
+
+@pytest.mark.parametrize(("budget", "numerics"), [(8.0, None), (1.5, None), (8.0, 0.5)])
+def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(
+    budget, numerics, monkeypatch
+):
+    """What is said of the settings is the same: that they fail, and whether finer are too dear."""
+    settings = replace(QUICK, refine_budget=budget)
+    null = null_fit(case(settings, step=0.01 if numerics is None else 0.04))
+    if numerics is not None:
+        null = refit_under(null, Numerics(time_step=numerics))
+
+    def timed(problem, x):
+        return record_at(problem, x), 1.0 / (problem.numerics or Numerics()).time_step
+
+    monkeypatch.setattr(refine, "_time_record", timed)
+    count, found = null.case.model.simulations, []
+    for is_late in (False, True):
+        before = count.count
+        made = refine.check_numerics_of_set(null.fit, null.at.record, settings, is_late=is_late)
+        found.append((made, count.count - before))
+    (sought, many), (late, few) = found
+    assert not all(g.passed for g in sought.gates)
+    assert late.gates == sought.gates
+    assert (late.finer is None) == (sought.finer is None) == (budget < 2.0)
+    assert late.postponed().gates == sought.postponed().gates
+    np.testing.assert_equal(late.changes, sought.changes)
+    if numerics is None and budget > 2.0:
+        assert few <= many - 2 * len(null.case.study.fit_runs)
+    else:  # nothing to leave out, or what refined settings cost is said
+        assert few == many
+
+
+class Clock:
+    """CPU seconds that pass as scenes say, whatever else this machine does."""
+
+    def __init__(self, monkeypatch):
+        self.seconds = 0.0
+        monkeypatch.setattr(refine, "process_time", lambda: self.seconds)
+
+
+class Costly:
+    """A scene whose simulation takes the given seconds of a clock and is off by an error."""
+
+    def __init__(self, scene, clock, seconds, error=0.0):
+        self.scene, self.clock, self.seconds, self.error = scene, clock, seconds, error
+
+    def __getattr__(self, name):
+        return getattr(self.scene, name)
+
+    def simulate(self):
+        self.clock.seconds += self.seconds
+        return self.scene.simulate() + self.error
+
+
+def test_a_budget_that_is_spent_is_said_with_figures(monkeypatch):
+    coarse, clock = case(replace(QUICK, refine_budget=1.2)), Clock(monkeypatch)
+    plain = coarse.model
+
+    def build(values, run, numerics):  # it costs as its number of steps
+        return Costly(plain.build(values, run, numerics), clock, 0.02 / numerics.time_step)
+
+    found = check_numerics(null_fit(replace(coarse, model=SimModel(build, plain.base))))
+    gate = next(g for g in found.gates if g.name == "time_step")
+    assert not gate.passed and "budget of 1.2 times" in gate.note
+
+
+def test_a_setting_beyond_the_budget_does_not_keep_others_coarse(monkeypatch):
+    """An error that only a mesh finer by far takes out, which costs a hundred times as much."""
+    coarse, clock = case(), Clock(monkeypatch)
+    plain = coarse.model
+
+    def build(values, run, numerics):
+        seconds = 0.01 if numerics.mesh == 1.0 else 1.0
+        return Costly(plain.build(values, run, numerics), clock, seconds, 50.0 * numerics.mesh)
+
+    null = null_fit(replace(coarse, model=SimModel(build, plain.base)))
+    numerics = check_numerics(null).null.case.numerics
+    assert numerics.mesh == 1.0 and numerics.time_step < 1.0
+
+
+@pytest.mark.parametrize("settings", [replace(QUICK, accept_numerics=True), QUICK])
+def test_settings_that_pass_or_are_accepted_stay(settings):
+    step = 0.01 if settings.accept_numerics else None
+    null = null_fit(case(settings, step))
+    found = check_numerics(null)
+    assert found.null is null and null.case.numerics is None
+
+
+def test_a_diagnosis_goes_on_with_refined_settings():
+    study = noisy({"bias": 0.3})
+    model = toy.model(study.runs, 0.01)
+    report = diagnose(
+        study,
+        model,
+        (toy.BIAS, toy.DELAY),
+        seed=0,
+        settings=QUICK,
+    )
+    assert report.named == ("bias",)
+    finer = Numerics(**report.settings["numerics"])
+    assert finer.time_step < 1.0
+    assert report.best.problem.numerics == report.null.problem.numerics == finer
+
+
+def test_a_first_answer_begins_coarse_and_says_what_it_left_out():
+    study = noisy({"bias": 0.3})
+    settings = replace(QUICK, first_step=2.0, fit_rtol=0.01)
+    report = diagnose(study, toy.model(study.runs, 0.01), (toy.BIAS,), seed=0, settings=settings)
+    assert report.named == ("bias",)
+    assert report.settings["numerics"]["time_step"] < 1.0  # the gate found that too coarse
+    assert any("first answer" in s and "1% of their misfit" in s for s in report.sentences)
+    full = replace(settings, first_step=1.0, fit_rtol=FIT_RTOL)
+    assert effort_gate(full) == ()
+
+
+def test_what_a_first_answer_names_is_likely_and_a_full_one_makes_certain():
+    study = noisy({"bias": 0.3})
+    for fit_rtol, status, word in ((0.01, LIKELY, " probably "), (FIT_RTOL, CERTAIN, "")):
+        settings = replace(QUICK, fit_rtol=fit_rtol)
+        report = diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)
+        assert (report.verdict, report.named) == ("named", ("bias",))
+        assert [c.status for c in report.causes if c.name == "bias"] == [status]
+        assert (" probably missing" in report.headline) == (status == LIKELY)
+        assert f"The model{word or ' '}lacks" in report.sentences[0]
+
+
+@dataclass
+class Meshy(linear.LinearScene):
+    """A scene with a cause that a coarse mesh draws as if another acted beside it."""
+
+    mesh: float = 1.0
+
+
+def kink():
+    def apply(scene, size, run):
+        seen = linear.shapes("kink", run) + 0.5 * scene.mesh * linear.shapes("other", run)
+        return replace(scene, record=scene.record + seen @ size)
+
+    return Effect(name="kink", family="kink", kind="force", unit="N", typical=4.0, apply=apply)
+
+
+def diagnosed_kink(budget):
+    plain, kinked = linear.model(), kink()
+
+    def build(values, run, numerics):
+        return Meshy(plain.build(values, run, numerics).record, numerics.mesh)
+
+    def recorded(name, seed):
+        run = linear.run(name, seed)
+        return replace(
+            run, measured=run.measured + 6.0 * linear.shapes("kink", run)[..., 0].numpy()
+        )
+
+    runs = tuple(recorded(f"r{k}", k) for k in range(4))
+    study = Study("kink", "copter", linear.CHANNELS, runs)
+    model = SimModel(build, plain.base, "meshy")
+    settings = replace(QUICK, refine_budget=budget)
+    return diagnose(study, model, (kinked, linear.line("other")), seed=0, settings=settings)
+
+
+def test_settings_are_fine_enough_for_the_named_cause():
+    """The plain model passes the gate; what names the cause does not."""
+    report = diagnosed_kink(budget=1e9)
+    assert report.named == ("kink",)
+    assert report.settings["numerics"]["mesh"] <= 0.25
+    gate = next(g for g in report.gates if g.name == "mesh")
+    assert gate.passed and "with the named causes" in gate.note
+    assert report.best.problem.numerics == Numerics(**report.settings["numerics"])
+
+
+def test_what_a_coarse_mesh_explains_is_not_certain():
+    report = diagnosed_kink(budget=1.0)
+    assert report.named == ("kink",)
+    other = next(row for row in report.causes if row.name == "other")
+    assert other.status == LIKELY and "too coarse a mesh" in other.rivals
+    assert any(s.startswith("A check failed: mesh ") for s in report.sentences)
+
+
+def test_a_step_that_is_no_coarser_in_effect_is_refined_beyond_the_models_own():
+    """Steps end at samples at the latest: half of twice the step was the same, and passed."""
+    plain = linear.model()
+
+    def build(values, run, numerics):
+        scene = plain.build(values, run, numerics)
+        return replace(scene, record=scene.record + 9.0 * min(numerics.time_step, 1.0))
+
+    model = SimModel(build, plain.base, "stepped")
+    problem = replace(linear.problem(), model=model, numerics=Numerics(time_step=2.0))
+    x = np.zeros(len(problem.names))
+    at = Linearization(x, record_at(problem, x), (), np.zeros((len(x), 0)))
+    np.testing.assert_allclose(numerics_changes(problem, at)["time_step"], -4.5)

@@ -1,0 +1,57 @@
+"""What becomes of an unknown cause that repeats confirm, refute, or are too few to tell."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from diffsim.diagnose.judge import judge
+from diffsim.diagnose.judge.judge import Decision
+from diffsim.diagnose.search.evidence import Hypothesis
+
+A, AU, U = frozenset({0}), Hypothesis(frozenset({0}), 0), Hypothesis(frozenset(), 0)
+FIT = SimpleNamespace(problem=None, residual=None)
+SEARCH = cast(
+    Any,
+    SimpleNamespace(
+        fit_of=lambda members: FIT,
+        unknowns=[SimpleNamespace(name="unknown force")],
+        simulations=SimpleNamespace(
+            responses=lambda *a: (None, None), fitted={A: None, frozenset(): None}
+        ),
+    ),
+)
+
+
+def confirmed(decision: Decision, p: float | None, monkeypatch: pytest.MonkeyPatch) -> Decision:
+    monkeypatch.setattr(judge, "swap_probability", lambda *a, **k: p)
+    return judge.confirmed(decision, SEARCH, seed=0)[0]
+
+
+@pytest.mark.parametrize(
+    ("p", "verdict", "rivals"),
+    [
+        (None, "unknown", ()),
+        (0.01, "unknown", ()),
+        (0.05, "ambiguous", (AU,)),
+        (0.3, "named", ()),
+    ],
+)
+def test_a_set_that_explains_half_is_named_only_if_scatter_explains_the_rest(
+    p: float | None,
+    verdict: str,
+    rivals: tuple[Hypothesis, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = confirmed(Decision("unknown", A, (), AU, 0.5), p, monkeypatch)
+    assert (found.verdict, found.best, found.rivals) == (verdict, A, rivals)
+    assert (found.unknown is None) == (verdict != "unknown")
+
+
+@pytest.mark.parametrize(("p", "verdict"), [(0.01, "unknown"), (0.05, "none"), (0.3, "none")])
+def test_an_unknown_cause_alone_needs_the_repeats(
+    p: float, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert (
+        confirmed(Decision("unknown", frozenset(), (), U, 0.0), p, monkeypatch).verdict == verdict
+    )

@@ -1,0 +1,52 @@
+"""Rows of a report in the units of the user."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from diffsim.diagnose.judge.records import BaseRow, CauseRow, Interval
+from diffsim.diagnose.say.answer import size_range
+
+PLAY = CauseRow(
+    name="sensor_backlash",
+    words="sensor backlash",
+    origin="effect",
+    status="certain",
+    probability=1.0,
+    size={"size": Interval(0.000889, 0.000873, 0.000905)},
+    unit="m",
+    smallest_visible={"size": 1e-5},
+    shown_unit="mm",
+)
+
+
+def test_sizes_are_said_in_the_unit_of_the_user_and_kept_in_si():
+    assert size_range(PLAY) == "0.87 to 0.91 mm"
+    read = PLAY.as_read()
+    assert read.unit == "mm" and read.as_read() is read
+    assert read.smallest_visible["size"] == pytest.approx(0.01)
+    assert PLAY.size["size"].value == 0.000889
+
+
+def test_small_sizes_without_a_unit_of_the_user_are_read_in_mm_ms_and_g():
+    plain = replace(PLAY, shown_unit=None)
+    assert size_range(plain) == "0.87 to 0.91 mm"
+    assert size_range(replace(plain, unit="s")) == "0.87 to 0.91 ms"
+    assert size_range(replace(plain, unit="N")) == "0.00087 to 0.0009 N"
+    far = {**PLAY.size, "z": Interval(0.3, 0.2, 0.4)}
+    assert size_range(replace(plain, size=far)) == "size 0.00087 to 0.0009, z 0.2 to 0.4 m"
+    unseen = replace(plain, size={}).as_read()
+    assert unseen.unit == "mm" and unseen.smallest_visible["size"] == pytest.approx(0.01)
+
+
+def test_a_share_is_read_in_percent():
+    scale = replace(PLAY, unit="-", shown_unit="%", size={"size": Interval(-0.02, -0.021, -0.019)})
+    assert size_range(scale) == "-2.1 to -1.9 %"
+
+
+def test_a_shape_of_a_cause_that_is_absent_is_told_by_nothing():
+    row = BaseRow("slow_time", "slow time", "s", 0.5, 0.5, 0.1, 2.0, 0.5, 0.5, 0.0, 3.0)
+    assert not row.is_told
+    assert replace(row, sd=0.1).is_told and replace(row, pull=-2.0).is_told

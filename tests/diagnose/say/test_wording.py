@@ -1,0 +1,74 @@
+"""Sentences of an answer: causes and checks in words, whatever their names in the code."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.judge.records import CauseRow, Interval
+from diffsim.diagnose.say.answer import Answer
+from diffsim.diagnose.say.tables import cannot_see
+from diffsim.diagnose.say.wording import sentences
+from tests.diagnose.linear import line
+
+SIZE = Interval(0.3, 0.1, 0.5)
+
+
+def cause(name: str, status: str, size=None, **more) -> CauseRow:
+    words = name.replace("_", " ")
+    return CauseRow(name, words, "effect", status, 0.9, size or {"size": SIZE}, "N", **more)
+
+
+def answer(verdict: str, causes, rivals=(), gates=()) -> Answer:
+    names = tuple(row.name for row in causes)
+    return Answer(
+        verdict,
+        SimpleNamespace(best=frozenset({0}), share=1.0, lead=0.0, forms={}),
+        tuple(causes),
+        rivals,
+        tuple(gates),
+        SimpleNamespace(scatter_ratio=np.ones(1)),
+        named=names[:1],
+        best_names=names[:1],
+    )
+
+
+def said(*args, **more) -> str:
+    return " ".join(sentences(answer(*args, **more), None, []))
+
+
+def test_causes_and_their_rivals_are_words():
+    causes = [cause("rate_limit", "likely"), cause("dry_friction", "cannot be told from")]
+    text = said("ambiguous", causes, rivals=(("dry_friction",), ("unknown force",)))
+    assert text.startswith(
+        "The data ask for rate limit (0.1 to 0.5 N; 90 % interval), "
+        "but cannot tell it from dry friction or unknown force."
+    )
+    assert "_" not in text
+
+
+def test_many_sizes_are_counted_not_listed():
+    sizes = {f"[fan={k}]": Interval(0.1 * k, 0.0, 1.0) for k in range(1, 8)}
+    text = said("named", [cause("low_end_loss", "certain", sizes)])
+    assert text.startswith("The model lacks low end loss (0.1 to 0.7 N in 7 sizes).")
+
+
+def test_several_that_help_are_a_plural():
+    causes = [cause(name, "likely", helps=True) for name in ("lag", "drag")]
+    assert "help, but are not named" in said("unknown", causes)
+    assert "helps, but is not named" in said("unknown", causes[:1])
+
+
+def test_a_check_that_failed_is_said_in_words_with_three_digits():
+    gate = GateResult(
+        name="gradient:sliding_friction", passed=False, value=0.395931, limit=1e-4, note="1 run"
+    )
+    text = said("named", [cause("lag", "certain")], gates=[gate])
+    assert "A check failed: gradient of sliding friction 0.396, wanted 0.0001 (1 run)." in text
+
+
+def test_a_size_without_a_unit_has_no_dash():
+    effect = replace(line("loss", typical=0.2), unit="-")
+    screened = SimpleNamespace(smallest_visible=[76.6])
+    assert cannot_see([effect], screened, {}) == {"loss": "below 76.6 (383 times a usual size)"}

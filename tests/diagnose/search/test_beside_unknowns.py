@@ -1,0 +1,68 @@
+"""Sets beside unknown causes: what is simulated for one serves the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from diffsim.diagnose.search import beside_unknowns
+from diffsim.diagnose.search.evidence import Hypothesis
+from diffsim.identify.unknown import UnknownDrift
+from tests.diagnose import linear
+from tests.diagnose.search.test_scan import searched
+
+SET = frozenset({0})
+
+
+def bent():
+    """An effect whose slope at zero does not lead to its optimum at once."""
+
+    def apply(scene, size, run):
+        moved = linear.shapes("push", run)[..., 0] * torch.sinh(0.2 * size[..., 0])
+        return replace(scene, record=scene.record + moved)
+
+    return replace(linear.line("push"), apply=apply)
+
+
+def relinearized(search, evidence, keys):
+    """Evidence of hypotheses one after the other, and how many simulations each took."""
+    model, nats, counts = search.null.case.model, [], []
+    for key in keys:
+        before = model.simulations.count
+        search = beside_unknowns.relinearized(search, key, evidence)
+        nats.append(search.nats(key))
+        counts.append(model.simulations.count - before)
+    return nats, counts
+
+
+def test_unknown_causes_share_the_simulations_of_a_set():
+    drifts = tuple(UnknownDrift(i, f"drift {i}") for i in range(2))
+    search = searched((bent(),), {linear.line("push"): 2.0}, unknowns=drifts)
+    search = replace(search, simulations=replace(search.simulations, at_unknowns={}))
+    evidence, _ = search.simulations.with_unknowns(
+        search.plain, search.unknowns, search.num_families
+    )
+    keys = [Hypothesis(SET, u) for u in range(2)]
+    weighed = {key: evidence.weigh(key) for key in keys}
+    search = replace(search, weighed={**search.weighed, **weighed})
+    nats, counts = relinearized(search, evidence, keys)
+    assert counts[0] > 0
+    assert counts[1] < counts[0]
+    alone, _ = relinearized(search, evidence, keys[1:])
+    np.testing.assert_allclose(nats[1], alone[0], atol=0.05)
+
+
+def test_what_was_simulated_far_away_does_not_serve():
+    search = searched((bent(),), {linear.line("push"): 2.0})
+    at = search.simulations.fitted[SET]
+    made = search.simulations.noted(SET, at)
+
+    def near(members, x, *step):
+        return made.near(members, x + np.array(step), 0.05)
+
+    assert near(SET, at.x, 0.0, 0.0, 0.0) is at
+    assert near(SET, at.x, 0.04, 0.0, 0.0) is at
+    assert near(SET, at.x, 0.0, 0.06, 0.0) is None
+    assert near(frozenset(), at.x[:2], 0.0, 0.0) is None

@@ -1,0 +1,146 @@
+"""Dear simulations: first answers by coarse ones, told once what finer ones would say."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.checks.gates import NUMERICS_LAMBDA, refit_gate
+from diffsim.diagnose.search import search as searching
+from diffsim.diagnose.search.coarse import begun, corrected, renewed_at
+from diffsim.diagnose.search.evidence import Hypothesis
+from diffsim.diagnose.search.fit import Case, null_fit
+from diffsim.diagnose.search.search import _center, _refit_promising, _refit_rivals, begin, refit
+from diffsim.diagnose.search.simulations import Simulations
+from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
+from diffsim.identify.linearization import (
+    linearization_at,
+    record_at,
+    records_at,
+    whitened,
+)
+from tests.diagnose import toy
+
+STEP = 0.01  # implicit Euler of 10 ms: far too coarse for the toy
+DEAR = DiagnosisSettings(
+    search=SearchSettings(max_effects=2, num_refits=2), fit_rtol=0.01, dear_seconds=0.0
+)
+
+
+def noisy(hidden=None):
+    study = toy.generate(12, hidden, noise=10.0)
+    return replace(study, channels=tuple(replace(c, sd=10.0 * c.sd) for c in study.channels))
+
+
+def counted(model):
+    """A model that counts its scenes by the time step."""
+    steps = Counter()
+
+    def build(values, run, numerics):
+        steps[numerics.time_step] += len(next(iter(values.values())).reshape(-1))
+        return model.build(values, run, numerics)
+
+    return SimModel(build, model.base, model.name, batched=model.batched), steps
+
+
+def told(once=1.0):
+    study = noisy()
+    null = null_fit(Case(study, toy.model(study.runs, STEP), (toy.DELAY, toy.BIAS), (), DEAR))
+    return null, *corrected(null, once)
+
+
+def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
+    coarse, null, found = told()
+    assert all(g.passed for g in found.gates if g.name != "time_step")
+    fine = replace(coarse.fit.problem, numerics=found.correction.finest)
+    assert found.correction.finest.time_step < 1.0
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        x = coarse.fit.x + 0.1 * rng.normal(size=len(coarse.fit.x))
+        off = whitened(fine, record_at(null.fit.problem, x) - record_at(fine, x))
+        without = whitened(fine, record_at(coarse.fit.problem, x) - record_at(fine, x))
+        assert np.linalg.norm(off) < 0.1 * np.linalg.norm(without)
+    assert renewed_at(null.fit)[2] < NUMERICS_LAMBDA
+
+
+def test_slopes_and_many_points_of_a_corrected_problem_agree_with_its_records():
+    _, null, _ = told()
+    problem, x = null.wide, np.append(null.fit.x, [0.2, 0.1])
+    at = linearization_at(problem, x)
+    record = record_at(problem, x)
+    np.testing.assert_allclose(at.record, record, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(records_at(problem, x[None])[0], record, rtol=0.0, atol=1e-12)
+    moved = x.copy()
+    moved[0] += 1e-4
+    slope = (record_at(problem, moved) - record) / 1e-4
+    np.testing.assert_allclose(slope, at.columns[:, 0], atol=1e-3 * np.abs(slope).max())
+
+
+def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
+    study = noisy({"bias": 0.3})
+    model, steps = counted(toy.model(study.runs, STEP))
+    settings = replace(DEAR, refine_budget=1e3)  # a method of first order needs short steps
+    report = diagnose(study, model, (toy.BIAS, toy.DELAY), seed=0, settings=settings)
+    assert report.named == ("bias",)
+    assert max(steps) == 1.0
+    fine = sum(count for step, count in steps.items() if step < 1.0)
+    assert fine < 0.2 * steps[1.0]  # all were at the refined step before
+    # the answer is of the finer settings, which a saved model goes on with
+    assert report.settings["numerics"]["time_step"] < 1.0
+    assert report.best.problem.stands_for == Numerics(**report.settings["numerics"])
+    gate = next(g for g in report.gates if g.name == "coarse")
+    assert gate.passed and "corrected by finer simulations" in gate.note
+    assert any("coarse" in s and s.startswith("A first answer") for s in report.sentences)
+
+
+def test_simulations_that_are_not_dear_begin_as_they_are():
+    study = noisy()
+    case = Case(study, toy.model(study.runs, STEP), (), (), replace(DEAR, dear_seconds=100.0))
+    assert begun(case) == (case, 0.0)
+    full = replace(case, settings=DiagnosisSettings())
+    assert begun(full) == (full, 0.0)
+
+
+def test_rivals_for_which_time_is_over_are_said():
+    study = noisy({"bias": 0.3, "delay": 0.03})
+    effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
+    search = replace(DEAR.search, refit_seconds=1e-9)
+    settings = DiagnosisSettings(search=search, fit_rtol=0.01)
+    report = diagnose(study, toy.model(study.runs), effects, seed=0, settings=settings)
+    late = [g for g in report.gates if g.name == "refit_budget"]
+    assert late == list(refit_gate(int(late[0].value), 1e-9)) and late[0].value >= 1
+    assert any("rival sets were not refitted" in s for s in report.sentences)
+
+
+def test_a_rival_that_promises_more_is_refitted_though_time_is_over():
+    """A stranger's late encoder was said to lag: its delay, 1,258 nats better, came too late."""
+    study = noisy({"delay": 0.03})
+    effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
+    null = null_fit(Case(study, toy.model(study.runs), effects, (), DiagnosisSettings()))
+    search = begin(null, Simulations(null.wide))
+    wrong, right = frozenset({0}), frozenset({1})
+    center, search = _center(refit(search, wrong), wrong, search.plain)
+    after = _refit_rivals(search, center, 0.0)
+    assert after.weighed[Hypothesis(right)].fit is not None
+    assert after.nats(Hypothesis(right)) > after.nats(Hypothesis(wrong))
+    assert after.num_late >= 1
+
+
+def test_refits_go_on_where_none_stayed_near_the_data_sheet(monkeypatch):
+    """A hung weight came fourth by linear evidence; the first had turned gravity by 20 sd, and took
+    the time that a busy machine had."""
+    settings = DiagnosisSettings(search=SearchSettings(num_refits=2))
+    study = noisy({"delay": 0.03})
+    effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
+    null = null_fit(Case(study, toy.model(study.runs), effects, (), settings))
+    search = begin(null, Simulations(null.wide))
+    ranked = [frozenset({k}) for k in range(4)]
+
+    def num_refitted(until):
+        made = _refit_promising(search, search.plain, ranked, until)
+        return sum(Hypothesis(members) in made.weighed for members in ranked)
+
+    assert num_refitted(0.0) == 1 and num_refitted(np.inf) == 2
+    monkeypatch.setattr(searching, "has_left", lambda fit: True)
+    assert num_refitted(0.0) == 4 and num_refitted(np.inf) == 2
