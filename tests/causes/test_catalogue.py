@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from collections import Counter
 from pathlib import Path
@@ -12,6 +13,7 @@ import diffsim
 from diffsim.causes import all_rows, domains, rows
 from diffsim.causes.row import Row
 
+SCRIPT = Path(__file__).parents[2] / "scripts" / "causes_page.py"
 LETTERS = re.compile(r"[a-z][a-z0-9_]*")
 
 
@@ -57,3 +59,12 @@ def test_a_row_that_cannot_act_is_refused(change, said):
     given = {"name": "x", "at": "command", "kind": "actuator", "map": "u", "typical": 0.1, **change}
     with pytest.raises(ValueError, match=said):
         Row.model_validate({k: v for k, v in given.items() if v is not None})
+
+
+def test_the_page_of_all_causes_is_up_to_date():
+    """Where this fails: python scripts/causes_page.py."""
+    spec = importlib.util.spec_from_file_location("causes_page", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    kept = module.PAGE.read_text(encoding="utf-8").partition(module.MARK)[2]
+    assert kept == f"\n{module.page()}"
