@@ -1,4 +1,4 @@
-"""``python -m benchmarks.hung_weight``: would rotary inertia of the silicone beam's weight show?
+"""``python -m studies.hung_weight``: would rotary inertia of the silicone beam's weight show?
 
 A cantilever of Euler and Bernoulli (with rotary inertia of its sections) carries a weight at its
 tip, once as a point of some share of its mass, once as a rigid body with a radius of gyration.

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.nano_drone_estimator``: why positions and velocities disagree.
+"""``python -m studies.nano_drone_estimator``: why positions and velocities disagree.
 
 How far the drone went in 0.3 s, by its positions and by its velocities along the ground, is
 compared where no samples were lost. Rivals: velocity as it is; a plain scale; an estimator that

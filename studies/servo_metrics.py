@@ -1,6 +1,6 @@
 """The published figures of the positioning system, by the published rules, for saved models.
 
-``python -m benchmarks.servo_metrics --model runs/diagnoses/emps`` prints relative errors [%], the
+``python -m studies.servo_metrics --model runs/diagnoses/emps`` prints relative errors [%], the
 norm of the difference over the norm of what was measured:
 
 - inverse model: force of the measured motion against drive gain times recorded voltage. Position

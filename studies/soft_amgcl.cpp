@@ -1,6 +1,6 @@
 // Conjugate gradients on one tangent: our multigrid and AMGCL's smoothed aggregation, in turn.
 //
-// Built and called by benchmarks/soft_amgcl.py. Both precondition in float32 and stop at the same
+// Built and called by studies/soft_amgcl.py. Both precondition in float32 and stop at the same
 // residual; the products of the iteration itself are a plain loop in ours.
 #include <algorithm>
 #include <amgcl/adapter/block_matrix.hpp>

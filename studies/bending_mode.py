@@ -2,7 +2,7 @@
 
 A cantilever of the arm's length, material and cross-sectional area, with one off-center chamber:
 
-    python -m benchmarks.bending_mode
+    python -m studies.bending_mode
 """
 
 from __future__ import annotations

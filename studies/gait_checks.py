@@ -5,8 +5,8 @@ how far it comes with the time step halved, with cells of half the edge, and wit
 times tighter; the gradient beside central differences of several sizes; and the loss along the
 gradient. Some 30 simulations: minutes.
 
-    python -m benchmarks.gait_checks quadruped --record runs/table44/quadruped
-    python -m benchmarks.gait_checks quadruped --at 0.55 0.4 9 --checks steps
+    python -m studies.gait_checks quadruped --record runs/table44/quadruped
+    python -m studies.gait_checks quadruped --at 0.55 0.4 9 --checks steps
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ step is solved to the thesis's 1e-3 by our solver and by both Newton baselines. 
 controllers learn is in docs/learning.md. CPU seconds of one thread; every number is written as it
 comes, and what is on file is not measured again.
 
-    python -m benchmarks.swimmers --out runs/swimmers
-    python -m benchmarks.swimmers --quick
+    python -m studies.swimmers --out runs/swimmers
+    python -m studies.swimmers --quick
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A starfish of 7,020 degrees of freedom holds random full strokes for eight steps
 through when they change. The slowest of these steps, by the textbook Newton-Cholesky, are solved
 again by every solver to the tolerance that learning uses. CPU seconds of one thread.
 
-    python -m benchmarks.buckling
+    python -m studies.buckling
 """
 
 from __future__ import annotations

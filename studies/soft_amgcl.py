@@ -1,6 +1,6 @@
 """Multigrid for the tangent: this project's beside AMGCL's, on the same matrices.
 
-python -m benchmarks.soft_amgcl --amgcl FOLDER      a clone of github.com/ddemidov/amgcl
+python -m studies.soft_amgcl --amgcl FOLDER      a clone of github.com/ddemidov/amgcl
 
 The cantilever of thesis 4.1.5, twisted by 10 degrees, a time step of 10 ms: inertia and tangent of
 one Newton iteration, assembled from products with the tangent. ``soft_amgcl.cpp`` is compiled with

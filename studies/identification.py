@@ -4,9 +4,9 @@ For each application: how far a change of log E or log nu moves the nodes (four 
 what the fit makes of data by BDF2 instead of implicit Euler. ``--jump``: the ball's loss along a
 line, with the thesis's sticking floor and with friction.
 
-    python -m benchmarks.identification --quick            # a minute
-    python -m benchmarks.identification --names bouncing_ball --out runs/identification
-    python -m benchmarks.identification --jump             # 40 CPU seconds
+    python -m studies.identification --quick            # a minute
+    python -m studies.identification --names bouncing_ball --out runs/identification
+    python -m studies.identification --jump             # 40 CPU seconds
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The bunny of ``examples/applications/bunny.py`` is optimized from the script's first guess and from
 random throws, a few evaluations each, then from the best of them again.
 
-    python -m benchmarks.bunny_starts            # coarse mesh, 40 CPU seconds; --full: an hour
+    python -m studies.bunny_starts            # coarse mesh, 40 CPU seconds; --full: an hour
 """
 
 from __future__ import annotations

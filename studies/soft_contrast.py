@@ -1,7 +1,7 @@
 """What a stiffer region costs: the cantilever with a middle third 10 and 100 times stiffer.
 
-python -m benchmarks.soft_contrast                  8,019 DoF, 25 steps
-python -m benchmarks.soft_contrast --cells 16 4 4 --steps 5
+python -m studies.soft_contrast                  8,019 DoF, 25 steps
+python -m studies.soft_contrast --cells 16 4 4 --steps 5
 
 Even and layered beams take turns in one process; printed are CPU seconds of the whole rollout,
 medians, with the ratio to the even beam, and mean iterations.

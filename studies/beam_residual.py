@@ -1,6 +1,6 @@
 """The silicone beam's free swing without any simulation: what one oscillator leaves, and why.
 
-python benchmarks/beam_residual.py [--from 0.25] [--until 1.0]
+python studies/beam_residual.py [--from 0.25] [--until 1.0]
 
 Each row adds one candidate to a damped cosine fitted to the height of the tip's mean marker.
 """

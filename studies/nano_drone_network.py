@@ -1,4 +1,4 @@
-"""``python -m benchmarks.nano_drone_network``: a residual network, the rival of named causes.
+"""``python -m studies.nano_drone_network``: a residual network, the rival of named causes.
 
 The published model (thrust along the body's z axis, rates held) plus a network that adds specific
 force and angular acceleration from velocity and rates in the body frame and the rotors' speeds. It

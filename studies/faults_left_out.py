@@ -1,4 +1,4 @@
-"""``python -m benchmarks.faults_left_out``: groups of CrazyPAD whose whole campaign is unseen.
+"""``python -m studies.faults_left_out``: groups of CrazyPAD whose whole campaign is unseen.
 
 ``diffsim diagnose faults crazypad --all`` judges each group by all others, those of its own
 campaign (one vehicle, one kind of change) among them. Here the rest of the campaign is left out,

@@ -6,7 +6,7 @@ the time: speeds of the starfish in the virtual laboratory of
 data sheets or as identified from a chain's recordings, the servo ideal or as diagnosed.
 
     python examples/sim_to_real/learned_swimmer.py --out runs/learned_swimmer
-    python -m benchmarks.swim_strokes --chains runs/learned_swimmer
+    python -m studies.swim_strokes --chains runs/learned_swimmer
 
 Every column is kept in ``--out``. The laboratory takes three minutes of processor time, a model
 20 seconds.
