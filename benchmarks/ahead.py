@@ -27,7 +27,7 @@ from diffsim.systems.multicopter.shooting import Windows
 AHEAD = 50
 _CHUNK = 1500  # starts that are flown at once
 # Errors of an estimator over those of a steady swing, on average over the kinds of the fit flights:
-# 0.60 (square), 0.86 (random), 0.89 (multisine); python -m benchmarks.nano_drone_estimator.
+# 0.60 (square), 0.86 (random), 0.89 (multisine); python -m studies.nano_drone_estimator.
 SWING_SHARE = 0.78
 COLUMNS = ("p", "v", "R", "rates")
 

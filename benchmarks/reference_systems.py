@@ -41,13 +41,13 @@ def recordings() -> Mapping[str, Any]:
 
 def predictions() -> Mapping[str, Any]:
     """What every system's model predicts at its prior, plainly and with each of its causes."""
-    from diffsim.systems.registry import setup_of
-
     found: dict[str, Any] = {}
     for name, study in _studies():
+        if study.model is None and not name.startswith("lab_"):
+            continue  # an importer's: recordings alone
         with warnings.catch_warnings(), torch.no_grad():
             warnings.filterwarnings("ignore", message="the shape is thinner than a cell")
-            setup = setup_of(study)
+            setup = _setup_of(name, study)
             run = (setup.study or study).fit_runs[0]
             at = setup.model.at_prior()
             made = {"plain": setup.model.predict(run, at)}
@@ -67,7 +67,7 @@ def predictions() -> Mapping[str, Any]:
 def _studies() -> Iterator[tuple[str, Any]]:
     from diffsim.cli.diagnose_inputs import described
     from diffsim.data import IMPORTERS, import_study, load_study
-    from diffsim.data.labs import LABS
+    from labs.virtual import LABS
 
     for name in IMPORTERS:
         yield name, import_study(name)
@@ -75,6 +75,14 @@ def _studies() -> Iterator[tuple[str, Any]]:
         yield path.stem, load_study(path)
     for name, make in LABS.items():
         yield f"lab_{name}", make()(1)
+
+
+def _setup_of(name: str, study: Any) -> Any:
+    """The setup of one of ``_studies``: a laboratory's own, or that of its description."""
+    from diffsim.systems import registry
+    from labs import systems
+
+    return (systems if name.startswith("lab_") else registry).setup_of(study)
 
 
 def rotor_bench() -> Mapping[str, Any]:
@@ -89,17 +97,17 @@ def silicone_beam() -> Mapping[str, Any]:
 
 def lab_network() -> Mapping[str, Any]:
     """A virtual channel network with a hidden cause, diagnosed quickly among a few."""
-    from diffsim.data.labs import NetworkLab
+    from labs.virtual import NetworkLab
 
     size = NetworkLab.effects["thinning"].typical
     study = NetworkLab().case(101, {"thinning": (size,)}).study
     few = ("thinning", "pressure_offset_2", "pump_gain_1", "blocked_branch_1", "entrance_loss")
-    return _explained_study(study, "--quick", "--effects", ",".join(few))
+    return _explained_study(study, "network", "--quick", "--effects", ",".join(few))
 
 
 def lab_copter() -> Mapping[str, Any]:
     """Short flights of a virtual multicopter with a hidden cause, diagnosed among a few."""
-    from diffsim.data.labs import CopterLab
+    from labs.virtual import CopterLab
 
     study = CopterLab().case(5, {"body_drag": None}).study
     flights = ("sprint_a", "climb_a", "figure_eight")
@@ -114,13 +122,15 @@ def lab_copter() -> Mapping[str, Any]:
         if run.name in flights
     ]
     few = ("body_drag", "lag", "wind", "inflow", "thrust_curvature")
-    return _explained_study(replace(study, runs=tuple(runs)), "--effects", ",".join(few))
+    return _explained_study(replace(study, runs=tuple(runs)), "copter", "--effects", ",".join(few))
 
 
-def _explained_study(study: Any, *options: str) -> dict[str, Any]:
-    """The diagnosis of a study that is written to a folder first."""
+def _explained_study(study: Any, lab: str, *options: str) -> dict[str, Any]:
+    """The diagnosis of a laboratory's study that is written to a folder first."""
     from diffsim.data import save_study
+    from labs.systems import setup_file
 
+    options = ("--setup", str(setup_file(lab)), *options)
     with TemporaryDirectory() as folder:
         save_study(study, Path(folder) / "study")
         return _explained(str(Path(folder) / "study"), *options)

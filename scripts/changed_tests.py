@@ -29,7 +29,7 @@ from pathlib import Path
 import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("diffsim", "benchmarks", "examples", "rl", "tests")
+PACKAGES = ("diffsim", "benchmarks", "examples", "labs", "rl", "tests")
 EVERYTHING = ("pyproject.toml", "constraints.txt", "setup.py", "tests/conftest.py")
 ALWAYS = ("tests/test_api.py", "tests/test_house.py")
 Edges = dict[str, set[str]]

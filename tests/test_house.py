@@ -42,9 +42,10 @@ def test_the_map_shows_the_folders_that_there_are():
     assert all(what for path, what in drawn.items() if path != "diffsim")
 
 
-@pytest.mark.parametrize(
-    "path", sorted(set(re.findall(r"`((?:diffsim|csrc|examples|benchmarks|tests)/[^`* ]*)`", MAP)))
-)
+TOP = "diffsim|csrc|examples|benchmarks|labs|tests"
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(rf"`((?:{TOP})/[^`* ]*)`", MAP))))
 def test_paths_on_the_map_exist(path):
     assert (ROOT / path).exists()
 

@@ -144,10 +144,9 @@ def _has_clock(study: Study) -> bool:
 
 def _of_model(study: Study) -> Iterator[Problem]:
     if study.model is None:
-        if "setup" not in study.metadata:
-            yield Problem(
-                "warning", "model", "is missing: only own setups (--setup FILE.py) can be judged"
-            )
+        yield Problem(
+            "warning", "model", "is missing: only own setups (--setup FILE.py) can be judged"
+        )
         return
     try:
         description = description_of(study)

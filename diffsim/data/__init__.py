@@ -1,8 +1,7 @@
-"""Recordings of real robots: loading, checking, signal analysis, and virtual laboratories.
+"""Recordings of real robots: loading, checking, signal analysis.
 
 A *study* is the recordings of one system with what is known about them: ``load_study``,
-``save_study``, ``check_study``, and ``import_study`` for the published data sets. Laboratories
-that make studies with hidden causes are in ``diffsim.data.labs``.
+``save_study``, ``check_study``, and ``import_study`` for the published data sets.
 """
 
 from importlib import import_module
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from diffsim.data.ball_video import ball_tracks_study, ball_video_study
     from diffsim.data.beam import TIP_MARKERS, BeamGeometry, BeamStudy, BeamTrial, load_beam_study
     from diffsim.data.importers import IMPORTERS, import_study
-    from diffsim.data.virtual_lab import write_beam_study
 
 #: What few need, and what takes a second to import: loaded when it is asked for.
 _LATE = {
@@ -31,7 +29,6 @@ _LATE = {
     "load_beam_study": "beam",
     "IMPORTERS": "importers",
     "import_study": "importers",
-    "write_beam_study": "virtual_lab",
 }
 
 
@@ -62,5 +59,4 @@ __all__ = [
     "load_csv",
     "load_study",
     "save_study",
-    "write_beam_study",
 ]

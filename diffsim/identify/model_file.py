@@ -4,7 +4,6 @@
 
     model: multicopter
     study: lab_flights
-    setup: lab_copter            # which model and effects the names below belong to
     verdict: named
     numerics: {time_step: 0.5, mesh: 1.0, tolerance: 1.0}  # factors; only where refined
     prepared_at: null            # where the model prepared what it prepares once (standardized)
@@ -57,7 +56,6 @@ class SavedModel:
         parameters: Names of the plain model's parameters.
         components: Names of the effects' components.
         verdict: Verdict of the diagnosis that fitted the model.
-        setup: Setup that the study named, as text or settings.
         units: Unit by name of parameter or component.
         prepared_at: Standardized parameters at which the model prepared what it prepares once.
         plain: Parameters of the plain model at its own fit, by name, in their units; empty in
@@ -73,7 +71,6 @@ class SavedModel:
     parameters: tuple[str, ...]
     components: tuple[str, ...]
     verdict: str = ""
-    setup: Any = None
     units: Mapping[str, str] = field(default_factory=dict)
     prepared_at: Mapping[str, float] | None = None
     plain: Mapping[str, float] = field(default_factory=dict)
@@ -111,7 +108,6 @@ def save_extended(
     content = {
         "model": problem.model.name,
         "study": study.name,
-        **({} if study.model is not None else {"setup": study.metadata.get("setup")}),
         "verdict": verdict,
         **({} if problem.stands_for is None else {"numerics": asdict(problem.stands_for)}),
         "prepared_at": None
@@ -173,7 +169,6 @@ def read_extended(path: str | Path) -> SavedModel:
         parameters=tuple(parts["parameters"]),
         components=tuple(parts["effects"]),
         verdict=str(content.get("verdict", "")),
-        setup=content.get("setup"),
         units={name: str(entry.get("unit", "-")) for name, entry in entries.items()},
         prepared_at=_numbers(path, content, "prepared_at"),
         plain={name: float(entry["value"]) for name, entry in parts["plain"].items()},

@@ -1,15 +1,11 @@
 """Systems by name: the setup of a study, the candidate causes of a system, saved models.
 
 A study describes its system under ``model:``, ``model: {system: ode, ...}``; the classes of
-``DESCRIPTIONS`` read that. Studies of the laboratories name a setup instead: it stands in the
-metadata, ``setup: lab_beam`` or, with options, ``setup: {name: lab_beam, cells: [10, 2, 2]}``.
-Each setup is a module of ``laboratories`` with a function ``setup(study, **options) ->
-DiagnosisSetup``, imported when asked for.
+``DESCRIPTIONS`` read that, each imported when asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -27,7 +23,6 @@ from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import Description
 
-SETUPS = ("lab_beam", "lab_copter", "lab_network")
 _LIBRARIES = {
     "soft_body": ("diffsim.systems.soft_body", "soft_body_library"),
     "copter": ("diffsim.systems.multicopter", "copter_library"),
@@ -60,7 +55,11 @@ def description_of(study: Study) -> Description:
     """
     where = "study.yaml: model" if study.file is None else f"{study.file}: model"
     if study.model is None:
-        raise ValueError(f"study {study.name} has no model; describe its system under ``model:``")
+        raise ValueError(
+            f"study {study.name} has no model; describe its system under ``model:`` (one of "
+            f"{', '.join(DESCRIPTIONS)}), or bring your own: diffsim diagnose --setup FILE.py, "
+            "diffsim.diagnose.diagnose"
+        )
     if "system" not in study.model:
         raise ValueError(f"{where} has no system; name one of {', '.join(DESCRIPTIONS)}")
     module, name = DESCRIPTIONS[
@@ -73,34 +72,16 @@ def description_of(study: Study) -> Description:
     return made
 
 
-def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
-    """The setup of a study: that of its description, or the one that it names.
+def setup_of(study: Study) -> DiagnosisSetup:
+    """The setup of a study, as its description makes it.
 
     Args:
-        study: Study with the name of its ``setup`` in the metadata.
-        **options: Win over those of the study.
+        study: Study with ``model``.
 
     Raises:
-        ValueError: the study names none, or one that does not exist.
+        ValueError: no model, or one that is wrong.
     """
-    if study.model is not None:
-        return _setup_without_tests(description_of(study), study)
-    given = study.metadata.get("setup")
-    if given is None:
-        raise ValueError(
-            f"study {study.name} has no model; describe its system under ``model:`` (one of "
-            f"{', '.join(DESCRIPTIONS)}), or call diffsim.diagnose.diagnose with your own model"
-        )
-    entry = dict(given) if isinstance(given, Mapping) else {"name": given}
-    if "name" not in entry:
-        raise ValueError(
-            f"study {study.name}: metadata ``setup`` must be a name or a mapping with ``name``, "
-            f"got {given!r}"
-        )
-    name = require_choice(f"study {study.name}: setup", str(entry.pop("name")), SETUPS)
-    module = import_module(f"diffsim.systems.laboratories.{name}")
-    made: DiagnosisSetup = module.setup(study, **{**entry, **options})
-    return made
+    return _setup_without_tests(description_of(study), study)
 
 
 def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup:

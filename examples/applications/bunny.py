@@ -5,7 +5,7 @@ within bounds) so that the center of mass is at a target after 100 steps of 1 ms
 complementarity; what touches, sticks, as in the thesis. Ours is a bunny of ellipsoids, 1,538
 hexahedra and 6,795 DoF (thesis: a Stanford bunny, 1,601 and 7,062). The target was made by no
 known throw: without the floor it lies out of reach, since all throws go down at 3 m/s at least.
-The first guess is thrown away from it. How near other throws come: `benchmarks.bunny_starts`.
+The first guess is thrown away from it. How near other throws come: `studies.bunny_starts`.
 
     python examples/applications/bunny.py  # diffsim examples run bunny --quick
 """

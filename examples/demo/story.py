@@ -9,11 +9,13 @@ from typing import Any
 from diffsim import __version__
 from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.core.stages import Stages, code_digest, file_digest
-from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study, write_beam_study
+from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study
 from examples.demo import diagnosis, early, fitting, ladder, mesh_study, numerics, verdict
 from examples.demo.plan import FULL, QUICK, Plan
 from examples.demo.workers import Workers
 
+# Written by labs/virtual/clamped_beam.py, which a wheel does not have.
+VIRTUAL_BEAM = Path(__file__).with_name("virtual_beam")
 VIRTUAL_BANNER = (
     "VIRTUAL DATA. No measured recordings were found, so these were computed by diffsim's "
     "virtual laboratory. Nothing on this page says anything about a real beam. "
@@ -46,7 +48,7 @@ def run(
 
     Args:
         data: Folder that holds ``silicone_beam``; by default DIFFSIM_DATA, then
-            ``../shared/data``; if there is none, a virtual laboratory makes the recordings.
+            ``../shared/data``; if there is none, recordings that a virtual laboratory made.
         out: ``report.html``, ``results.json``, ``beam.rrd``, ``figures/`` and ``stages/`` are
             written here.
         quick: A coarse mesh and large steps, for a first look.
@@ -59,7 +61,7 @@ def run(
     """
     out = Path(out)
     plan = plan or (QUICK if quick else FULL)
-    study = load_study(data, out)
+    study = load_study(data)
     files = [study.folder / "metadata.yaml", *(t.recording.source for t in study.trials)]
     settings = {
         "version": __version__,
@@ -82,15 +84,13 @@ def run(
     return results
 
 
-def load_study(data: str | Path | None, out: Path) -> BeamStudy:
-    """The measured beam, or a virtual one made under ``out`` if there is none.
+def load_study(data: str | Path | None) -> BeamStudy:
+    """The measured beam, or the virtual one if there is none.
 
     Raises:
         ValueError: the folder lacks a case, or a repeat.
     """
-    folder = find_dataset("silicone_beam", data)
-    if folder is None:
-        folder = write_beam_study(out / "virtual_beam")
+    folder = find_dataset("silicone_beam", data) or VIRTUAL_BEAM
     study = load_beam_study(folder)
     loads = {case: trials[0].tip_load_mass_kg for case, trials in study.repeats().items()}
     short = [case for case, trials in study.repeats().items() if len(trials) < 2]

@@ -27,9 +27,10 @@ from diffsim.identify import SimModel, extended_model, fit, save_extended
 from diffsim.identify.model_file import read_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import load_extended
-from tests.data.labs.short_copter import ShortCopterLab
+from labs.systems import setup_file, setup_of
 from tests.diagnose import linear, toy, toy_setup
 from tests.kills import Killed, killing_replace
+from tests.labs.short_copter import ShortCopterLab
 
 SETUP = str(Path(toy_setup.__file__))
 
@@ -511,11 +512,11 @@ def test_loaded_model_is_prepared_where_the_fitted_one_was(tmp_path):
 def test_loaded_copter_model_predicts_what_was_fitted(tmp_path):
     study = ShortCopterLab()(1, "wind")
     study = replace(study, runs=study.fit_runs)
-    inputs = inputs_of(study, seed=0)
+    inputs = inputs_of(study, seed=0, setup_file=setup_file("copter"))
     wind = next(e for e in inputs.setup.effects if e.name == "wind")
     found = refit(fit_null(inputs), [wind], inputs, {})
     save_extended(found, tmp_path / "extended_model.yaml", study=study, verdict="named")
-    loaded = load_extended(tmp_path, study)  # a setup of its own
+    loaded = load_extended(tmp_path, study, setup=setup_of(study))
     in_memory = extended_model(found)
     q = torch.full((len(loaded.base),), 0.3, dtype=torch.float64)
     for r in found.problem.runs:

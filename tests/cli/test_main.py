@@ -147,8 +147,8 @@ def test_a_folder_of_results_does_not_hide_the_published_data_set(tmp_path, monk
 def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
     from dataclasses import replace
 
-    from diffsim.data.labs import LABS
     from diffsim.data.study_save import save_study
+    from labs.virtual import LABS
 
     study = LABS["stokes"]()(0)
     path = save_study(study, tmp_path / "good")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diffsim.data import BeamStudy, find_dataset, load_beam_study
-from diffsim.data.virtual_lab import write_beam_study
+from examples.demo.story import VIRTUAL_BEAM
 
 
 @pytest.fixture(scope="session")
@@ -19,8 +19,8 @@ def measured_beam() -> BeamStudy:
 
 
 @pytest.fixture(scope="session")
-def virtual_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_beam_study(tmp_path_factory.mktemp("virtual"), seed=3)
+def virtual_folder() -> Path:
+    return VIRTUAL_BEAM
 
 
 @pytest.fixture(scope="session")

@@ -8,11 +8,9 @@ from collections import defaultdict
 import pytest
 
 from diffsim.core.units import factor
-from diffsim.data.labs import NetworkLab
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
 from diffsim.systems.flow_network.effects import stokes_library
-from diffsim.systems.laboratories.lab_beam_causes import causes
 from diffsim.systems.multicopter import unknown_wrench
 from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
 from diffsim.systems.multicopter.frames import Frames
@@ -21,6 +19,9 @@ from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
+from labs.systems import network
+from labs.systems.beam_causes import causes
+from labs.virtual import NetworkLab
 from tests.systems.rod.test_rod_description import study as rod_study
 from tests.systems.toy_cart import cart_study
 
@@ -48,7 +49,7 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "multicopter": tuple(library("copter", num_rotors=6)),
         "described multicopter": candidate_causes(DESCRIBED),
         "flow_device": stokes_library(),
-        "flow_network": setup_of(NetworkLab()(1)).effects,
+        "flow_network": network.setup(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),
         "balls": BALL_EFFECTS,
         "ode": setup_of(cart_study()).effects,

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.data.labs import NetworkLab
-from diffsim.data.labs import channel_network as lab
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.systems.registry import description_of, setup_of
+from labs.systems import network
+from labs.virtual import NetworkLab
+from labs.virtual import channel_network as lab
 
 ETA = 2e-3
 ONE = {
@@ -339,7 +340,7 @@ def test_a_plane_network_on_the_grid_is_the_laboratory_s_model():
     given = NetworkLab()(1)
     s = replace(given, system="flow_device", model=plane())
     setup = setup_of(s)
-    before = setup_of(replace(given, model=None), corrected=False)
+    before = network.setup(replace(given, model=None), corrected=False)
     assert {p.name: p for p in setup.model.base} == {p.name: p for p in before.model.base}
     assert [(e.name, e.typical) for e in setup.effects] == [
         (e.name, e.typical) for e in before.effects

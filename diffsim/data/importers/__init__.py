@@ -7,7 +7,6 @@ set lacks for a diagnosis says :func:`diffsim.data.check_study`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from diffsim.core.check import require_choice
@@ -41,9 +40,7 @@ def import_study(name: str, data: str | Path | None = None) -> Study:
             f"no folder {folder_name} with measured data; give data= or set DIFFSIM_DATA to the "
             "folder that holds it"
         )
-    study = read(folder)
-    # the model of a data set goes by the name of its folder
-    return replace(study, metadata={**study.metadata, "setup": folder_name})
+    return read(folder)
 
 
 __all__ = ["IMPORTERS", "import_silicone_beam", "import_study"]

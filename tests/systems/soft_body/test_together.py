@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from diffsim.data.labs import SoftBeamLab
-from diffsim.systems.laboratories.lab_beam import lab_beam
-from diffsim.systems.laboratories.lab_beam_causes import (
+from diffsim.systems.soft_body import together
+from labs.systems.beam import lab_beam
+from labs.systems.beam_causes import (
     TENSION_BACKLASH,
     TENSION_DEAD_BAND,
     VOLUME_DRAG,
 )
-from diffsim.systems.soft_body import together
+from labs.virtual import SoftBeamLab
 
 
 @pytest.fixture(scope="module")

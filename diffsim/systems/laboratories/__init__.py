@@ -1,1 +1,0 @@
-"""The virtual laboratories of ``diffsim.data.labs`` as systems to be diagnosed."""

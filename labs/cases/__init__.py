@@ -1,0 +1,1 @@
+"""Chosen cases of the virtual laboratories, and what their diagnoses find."""
