@@ -147,7 +147,7 @@ def _evaluate(
     """A formula of signals, of sizes (..., 1 or width) and of the time since the start."""
     values = {name: torch.tensor(value, dtype=u.dtype) for name, value in scales}
     formula = _formula(text, (*_OF_SIGNALS, *values))
-    return formula({**values, "u": u, "size": size[..., None], "t": grid.times - grid.times[0]})
+    return formula({**values, "u": u, "size": size[..., None], "t": grid.since_start})
 
 
 def on_commands(

@@ -62,6 +62,11 @@ class Grid:
         """Samples every ``dt`` [s] and nothing in between."""
         return _even(num_times, dt)
 
+    @property
+    def since_start(self) -> Tensor:
+        """Time since the run's first sample; 0 before it, where a grid begins earlier [s]."""
+        return (self.times - float(self.seconds[0])).clamp(min=0.0)
+
     def resampled(self, values: NDArray[np.float64], *, held: bool) -> Tensor:
         """Values at the samples, at the times of the integrator."""
         if held:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from diffsim.causes.signals import Grid
 from diffsim.diagnose import diagnose
 from diffsim.systems.multicopter.flying import Flyer
-from diffsim.systems.multicopter.instruments import lagged_in_windows
+from diffsim.systems.multicopter.lag import lagged_in_windows
 from diffsim.systems.registry import description_of, setup_of
 from tests.systems.test_multicopter_description import MODEL, study
 
@@ -100,17 +101,18 @@ def test_a_late_sensor_shows_what_was_ago():
 
 def test_a_lag_in_windows_is_the_exponential_filter():
     t = STEP * torch.arange(30, dtype=f64)
-    y = (0.3 * t)[None, None, :, None]  # a steady slope is late by tau
+    grid = Grid.even(30, STEP)
+    y = (0.3 * t)[None, None, None]  # a steady slope is late by tau
     tau = torch.tensor([0.05], dtype=f64)
-    torch.testing.assert_close(lagged_in_windows(y, dt=STEP, tau=tau), y - 0.3 * 0.05)
-    step = torch.where(t < 0.1, 0.0, 1.0).to(f64)[None, None, :, None]
-    seen = lagged_in_windows(step, dt=STEP, tau=tau)[0, 0, :, 0]
+    torch.testing.assert_close(lagged_in_windows(y, grid, tau), y - 0.3 * 0.05)
+    step = torch.where(t < 0.1, 0.0, 1.0).to(f64)[None, None, None]
+    seen = lagged_in_windows(step, grid, tau)[0, 0, 0]
     rise = (t[4:] - 0.08) / STEP  # straight from 0 to 1 between two samples, then exponential
     begun = 0.05 / STEP * (1.0 - np.exp(-STEP / 0.05))
     wanted = 1.0 - begun * torch.exp(-(rise - 1.0) * STEP / 0.05)
     torch.testing.assert_close(seen[5:], wanted[1:], atol=1e-12, rtol=0.0)
     none = torch.zeros(1, dtype=f64)
-    torch.testing.assert_close(lagged_in_windows(step, dt=STEP, tau=none), step)
+    torch.testing.assert_close(lagged_in_windows(step, grid, none), step)
 
 
 def test_a_stated_clock_is_no_cause_and_one_of_nothing_is_told():

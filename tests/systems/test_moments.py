@@ -12,7 +12,8 @@ import torch
 
 from diffsim.copter import flight
 from diffsim.copter.fleet import Fleet
-from diffsim.systems.multicopter import moments, readings
+from diffsim.systems.multicopter import readings
+from diffsim.systems.multicopter.candidates import flight_cause, usual_scales
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.scene import CopterScene
@@ -21,6 +22,10 @@ from tests.systems.test_multicopter import quadcopter
 f64 = torch.float64
 THRUSTS = torch.tensor([2.0, 2.5, 1.0, 1.5], dtype=f64)
 COEFFICIENT = 1e-5
+FLOW_MOMENT, CLIMB_MOMENT, RATE_DAMPING, SPIN_UP = (
+    flight_cause(name, usual_scales(1.0, 0.25, 4))
+    for name in ("flow_moment", "climb_moment", "rate_damping", "spin_up")
+)
 
 
 def rows(*values: float) -> torch.Tensor:
@@ -46,23 +51,23 @@ def torque_of(effect, size, *, velocity=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), 
 
 def test_flow_moment_is_that_of_a_drag_above_the_center():
     velocity = np.array([1.2, -0.7, 0.4])
-    got, lift = torque_of(moments.FLOW_MOMENT, [0.03, 0.03], velocity=velocity)
+    got, lift = torque_of(FLOW_MOMENT, [0.03, 0.03], velocity=velocity)
     want = np.cross([0.0, 0.0, -1.0], -0.03 * velocity)  # one meter up, force against the motion
     np.testing.assert_allclose(got, np.tile(want, (5, 1)), atol=1e-12)
     np.testing.assert_allclose(lift, 0.0, atol=1e-12)
 
 
 def test_a_climb_takes_from_the_flow_moment():
-    sinking = torque_of(moments.CLIMB_MOMENT, [0.01, 0.01], velocity=(1.0, 0.5, 2.0))[0]
-    rising = torque_of(moments.CLIMB_MOMENT, [0.01, 0.01], velocity=(1.0, 0.5, -2.0))[0]
-    flow = torque_of(moments.FLOW_MOMENT, [0.02, 0.02], velocity=(1.0, 0.5, 0.0))[0]
+    sinking = torque_of(CLIMB_MOMENT, [0.01, 0.01], velocity=(1.0, 0.5, 2.0))[0]
+    rising = torque_of(CLIMB_MOMENT, [0.01, 0.01], velocity=(1.0, 0.5, -2.0))[0]
+    flow = torque_of(FLOW_MOMENT, [0.02, 0.02], velocity=(1.0, 0.5, 0.0))[0]
     np.testing.assert_allclose(rising, -flow, atol=1e-12)
     np.testing.assert_allclose(sinking, flow, atol=1e-12)
 
 
 def test_rates_fall_by_the_damping_alone():
     sizes, rates = np.array([1.0, 2.0, 0.5]), np.array([0.3, -0.4, 0.8])
-    got, _ = torque_of(moments.RATE_DAMPING, sizes.tolist(), rates=rates)
+    got, _ = torque_of(RATE_DAMPING, sizes.tolist(), rates=rates)
     inertia = quadcopter().inertia.numpy()
     np.testing.assert_allclose(np.linalg.solve(inertia, got[0]), -sizes * rates, atol=1e-12)
 
@@ -72,7 +77,7 @@ def test_rotors_that_speed_up_turn_the_vehicle_the_other_way():
     speeds = torch.full((5, 4), 400.0, dtype=f64)
     speeds[:, 0] += gained * torch.arange(5)
     asked = (COEFFICIENT * speeds**2)[None, None]
-    got, lift = torque_of(moments.SPIN_UP, [inertia], asked=asked)
+    got, lift = torque_of(SPIN_UP, [inertia], asked=asked)
     # the torque of the air on rotor 1 has the same sense as that of its gaining speed
     sense = np.sign(float(quadcopter().torque_matrix[2, 0]))
     want = [0.0, 0.0, sense * inertia * gained / 0.01]
@@ -94,7 +99,7 @@ def damped_flight(sensors=("body_rates",), **options):
         substeps=4,
         **options,
     )
-    damped = moments.RATE_DAMPING.apply(scene, torch.tensor([0.0, 0.0, 5.0], dtype=f64), None)
+    damped = RATE_DAMPING.apply(scene, torch.tensor([0.0, 0.0, 5.0], dtype=f64), None)
     start = torch.zeros(1, 1, 16, dtype=f64)
     start[..., 11], start[..., 12:] = rate, 9.81 / 4
     return damped, start
@@ -110,7 +115,7 @@ def test_a_moment_beyond_what_the_rotors_could_give_acts_in_full():
     np.testing.assert_allclose(found, want, rtol=2e-2)
 
 
-@pytest.mark.parametrize("effect", [moments.FLOW_MOMENT, moments.RATE_DAMPING, moments.SPIN_UP])
+@pytest.mark.parametrize("effect", [FLOW_MOMENT, RATE_DAMPING, SPIN_UP])
 def test_size_zero_changes_nothing(effect):
     asked = THRUSTS.expand(1, 1, 5, -1) * torch.arange(1.0, 6.0)[:, None]
     got, _ = torque_of(
@@ -146,7 +151,7 @@ def test_a_late_sensor_reads_no_others_again(monkeypatch):
     with torch.no_grad():
         plain = Flyer(damped, 1)(start)
         read.clear()
-        late = Flyer(damped.with_late((7, 8), delay), 1)(start)
+        late = Flyer(damped.with_clock((7, 8), delay), 1)(start)
     assert read == [*sensors, "body_rates"]
     torch.testing.assert_close(late[..., :7], plain[..., :7], atol=0, rtol=0)
     assert float((late - plain)[..., 8].abs().min()) > 0.01

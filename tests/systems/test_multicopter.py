@@ -9,22 +9,25 @@ import pytest
 import torch
 
 from diffsim import copter
-from diffsim.causes import commands as actuator
-from diffsim.causes import library
 from diffsim.copter import GRAVITY
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter, coarse
-from diffsim.systems.multicopter import effects as causes
-from diffsim.systems.multicopter import flight_model, single_rotors, unknown_wrench
-from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
+from diffsim.systems.multicopter import flight_model, unknown_wrench
+from diffsim.systems.multicopter.candidates import (
+    Vehicle,
+    candidate_causes,
+    flight_cause,
+    rotor_causes,
+    usual_scales,
+)
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.motion import Motion
-from diffsim.systems.multicopter.sensors import GROUND_SCALE
 from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, Windows
+from diffsim.systems.registry import library
 from tests.diagnose.gate import score_error, typical
 
 DT, SAMPLES = 0.02, 110
@@ -32,6 +35,9 @@ NAMES = ["u0", "u1", "u2", "u3"]
 SD = torch.tensor(np.repeat([2e-3, 5e-3, 1e-2, 0.1], 3))
 HOVER = GRAVITY / 4
 EFFECTS = library("copter", num_rotors=4)
+CAUSES = {e.name: e for e in EFFECTS} | {
+    name: flight_cause(name, usual_scales(1.0, 0.25, 4)) for name in ("ground_scale", "battery_sag")
+}
 PLAIN = (
     Parameter("thrust_gain", 1.0, 0.05, log=True),
     Parameter("inertia_gain", 1.0, 0.1, log=True),
@@ -132,9 +138,9 @@ def test_many_points_are_as_one_by_one(model, flown):
     run, _ = flown
     q = 0.01 * torch.tensor([[0.0, 0.0], [1.0, -1.0], [-0.5, 2.0]], dtype=torch.float64)
     sizes = {
-        causes.WIND: tensor([[0.0, 0.0], [0.01, 0.02], [0.0, -0.01]]),
-        causes.ROTOR_DRAG: tensor([[0.0], [0.001], [0.002]]),
-        causes.WAKE: tensor([[0.002], [0.0], [0.001]]),
+        CAUSES["wind"]: tensor([[0.0, 0.0], [0.01, 0.02], [0.0, -0.01]]),
+        CAUSES["rotor_drag"]: tensor([[0.0], [0.001], [0.002]]),
+        CAUSES["wake"]: tensor([[0.002], [0.0], [0.001]]),
     }
     many = model.predict_many(run, q, sizes)
     alone = [
@@ -160,7 +166,7 @@ def test_a_point_that_was_simulated_is_known_again_and_no_other(flown, monkeypat
         flights.clear()
         q = torch.full((2,), change, dtype=torch.float64)
         with torch.no_grad():
-            return model.predict(run, q, {causes.BODY_DRAG: size(drag)}), len(flights)
+            return model.predict(run, q, {CAUSES["body_drag"]: size(drag)}), len(flights)
 
     first = at(0.1)[0]
     again, num_flown = at(0.1 + 1e-16)  # rounded otherwise
@@ -212,7 +218,7 @@ def test_base_parameters_and_numerics(flown):
 def test_a_numerical_cause_blends_flights_beside_others(flown):
     run, _ = flown
     model = flight_model(quadcopter(), commands=NAMES, substeps=1)
-    cause, wind = coarse("time_step", Numerics(time_step=0.25)), causes.WIND
+    cause, wind = coarse("time_step", Numerics(time_step=0.25)), CAUSES["wind"]
     q = model.at_prior().expand(3, -1)
     # the kernel is of fourth order: only large multiples of what refining changes can be seen
     sizes = {cause: tensor([[0.0], [4e5], [1e6]]), wind: tensor([[0.01, 0.0]] * 3)}
@@ -242,8 +248,7 @@ def straight_up(effect, at, thrust=1.2 * HOVER, steps=50, velocity=(0.0, 0.0, 0.
         x12[0, {"yaw": 5, "p": 9, "q": 10, "r": 11}[place]] = value
     # the thrusts of every sample, not of the one before
     thrusts = torch.cat([scene.commands, scene.commands[:, -1:]], 1)
-    for change in scene.command_maps:
-        thrusts = change(thrusts, DT)
+    thrusts = scene.on_their_way(thrusts)
     with torch.no_grad():
         return Flyer(scene, 1).fly_thrusts(x12[None], thrusts[:, None, 1:])[0, 0], run.time_s + DT
 
@@ -252,10 +257,10 @@ def test_wind_with_drag_is_the_closed_form():
     """m v' = F - k T v: exact but for the drag's wind, held over a step."""
 
     def both(scene, amount, run):
-        scene = causes.ROTOR_DRAG.apply(scene, size(0.1), run)
-        return causes.WIND.apply(scene, amount, run)
+        scene = CAUSES["rotor_drag"].apply(scene, size(0.1), run)
+        return CAUSES["wind"].apply(scene, amount, run)
 
-    wind = replace(causes.WIND, apply=both)
+    wind = replace(CAUSES["wind"], apply=both)
     channels, t = straight_up(wind, size(0.5, 0.0), thrust=HOVER)
     rate = 0.1 * GRAVITY  # k T / m
     want = 0.5 / rate * (t - (1 - np.exp(-rate * t)) / rate)
@@ -269,15 +274,15 @@ def test_unknown_wrench_of_constant_knots_is_wind_and_a_torque():
     knots = torch.zeros(6, 3, dtype=torch.float64)
     knots[0], knots[5] = 0.5, 0.1  # north, and yaw in 0.02 N m
     found, t = straight_up(unknown, knots.flatten(), thrust=HOVER)
-    want, _ = straight_up(causes.WIND, size(0.5, 0.0), thrust=HOVER)
+    want, _ = straight_up(CAUSES["wind"], size(0.5, 0.0), thrust=HOVER)
     torch.testing.assert_close(found[:, :3], want[:, :3], atol=1e-9, rtol=0)
     np.testing.assert_allclose(found[:, 8], 0.1 * 0.02 / 0.02 * t, atol=1e-9)
 
 
 def test_wind_stays_and_body_tilt_turns():
-    pushed, t = straight_up(causes.WIND, size(0.5, 0.0), thrust=HOVER, yaw=np.pi / 2)
+    pushed, t = straight_up(CAUSES["wind"], size(0.5, 0.0), thrust=HOVER, yaw=np.pi / 2)
     np.testing.assert_allclose(pushed[:, 0], 0.25 * t**2, atol=1e-12)
-    leaning, _ = straight_up(causes.BODY_TILT, size(0.0, 0.02), thrust=HOVER, yaw=np.pi / 2)
+    leaning, _ = straight_up(CAUSES["body_tilt"], size(0.0, 0.02), thrust=HOVER, yaw=np.pi / 2)
     # pitched by 0.02: thrust leans to the body's -x, which is west with the nose east
     np.testing.assert_allclose(leaning[:, 0], 0.0, atol=1e-9)
     np.testing.assert_allclose(leaning[:, 1], -0.5 * GRAVITY * 0.02 * t**2, rtol=1e-3, atol=1e-9)
@@ -286,7 +291,7 @@ def test_wind_stays_and_body_tilt_turns():
 def test_inflow_ends_at_a_climb_speed():
     """m v' = T (1 - k v) - m g, v upwards."""
     k, lift = 0.2, 1.2 * GRAVITY
-    channels, t = straight_up(causes.INFLOW, size(k))
+    channels, t = straight_up(CAUSES["inflow"], size(k))
     rate, final = k * lift, (1 - 1 / 1.2) / k
     want = -final * (t - (1 - np.exp(-rate * t)) / rate)
     # loss at the mean speed of a step: an error of second order
@@ -295,20 +300,20 @@ def test_inflow_ends_at_a_climb_speed():
 
 def test_weak_rotor_center_of_mass_and_curvature_push_as_levers_do():
     arm, thrust = 0.2, HOVER
-    weak, _ = straight_up(single_rotors.weak_rotor(0), size(0.05), thrust=thrust, steps=5)
+    weak, _ = straight_up(CAUSES["weak_rotor_1"], size(0.05), thrust=thrust, steps=5)
     # the front right rotor lacks 5 %: roll to the right, nose down, and yaw
     want = 0.05 * thrust * np.array([arm / 0.01, -arm / 0.012, -0.015 * 1.0 / 0.02 * -1.0])
     np.testing.assert_allclose(weak[0, 6:9] / DT, want, rtol=1e-3)
-    heavy, _ = straight_up(causes.CENTER_OF_MASS, size(0.003, 0.0), thrust=thrust, steps=5)
+    heavy, _ = straight_up(CAUSES["center_of_mass"], size(0.003, 0.0), thrust=thrust, steps=5)
     np.testing.assert_allclose(heavy[0, 7] / DT, -0.003 * GRAVITY / 0.012, rtol=1e-6)
-    curved, _ = straight_up(causes.THRUST_CURVATURE, size(0.1), thrust=HOVER, steps=5)
+    curved, _ = straight_up(CAUSES["thrust_curvature"], size(0.1), thrust=HOVER, steps=5)
     np.testing.assert_allclose(curved[:, 11], -GRAVITY, rtol=1e-12)  # in hover it is not there
-    loaded, _ = straight_up(causes.THRUST_CURVATURE, size(0.1), thrust=2 * HOVER, steps=5)
+    loaded, _ = straight_up(CAUSES["thrust_curvature"], size(0.1), thrust=2 * HOVER, steps=5)
     np.testing.assert_allclose(loaded[:, 11], -2 * GRAVITY * (1 + 0.1 * HOVER / 8.0), rtol=1e-12)
 
 
 def test_voltage_exponent_is_the_power_of_the_voltage():
-    channels, t = straight_up(causes.VOLTAGE_EXPONENT, size(2.0), thrust=HOVER)
+    channels, t = straight_up(CAUSES["voltage_exponent"], size(2.0), thrust=HOVER)
     voltage = np.linspace(12.0, 9.0, len(t))
     held = GRAVITY * (1.0 - (voltage / 12.0) ** 2)
     velocity = np.cumsum(held * DT)
@@ -321,7 +326,7 @@ def test_voltage_exponent_is_the_power_of_the_voltage():
 def test_a_sagging_battery_takes_thrust_with_time():
     """Closed form: z'' = g r t, z = g r t^3 / 6, to the first order of held steps."""
     rate = 0.05
-    channels, t = straight_up(causes.BATTERY_SAG, size(rate), thrust=HOVER)
+    channels, t = straight_up(CAUSES["battery_sag"], size(rate), thrust=HOVER)
     np.testing.assert_allclose(channels[:, 11], -GRAVITY * (1.0 - rate * (t - t[0])), atol=1e-9)
     want = GRAVITY * rate * (t - t[0]) ** 3 / 6.0
     np.testing.assert_allclose(channels[:, 2], want, atol=GRAVITY * rate * t[-1] ** 2 * DT)
@@ -350,20 +355,20 @@ def a_vehicle(**changes) -> Vehicle:
 
 def test_drags_slow_down():
     fast = {"thrust": HOVER, "velocity": (5.0, 0.0, 0.0)}
-    parasitic, t = straight_up(causes.PARASITIC_DRAG, size(0.1), **fast)
+    parasitic, t = straight_up(CAUSES["parasitic_drag"], size(0.1), **fast)
     # m v' = -c v^2: x = m / c ln(1 + c v_0 t / m), held over a step at its mean speed: dt^2
     np.testing.assert_allclose(parasitic[:, 0], 10.0 * np.log(1 + 0.5 * t), atol=0.25 * DT**2)
-    linear, _ = straight_up(causes.BODY_DRAG, size(0.3), **fast)
+    linear, _ = straight_up(CAUSES["body_drag"], size(0.3), **fast)
     np.testing.assert_allclose(linear[:, 0], 5.0 * (1 - np.exp(-0.3 * t)) / 0.3, atol=1e-8)
-    rotor, _ = straight_up(causes.ROTOR_DRAG, size(0.05), **fast)
+    rotor, _ = straight_up(CAUSES["rotor_drag"], size(0.05), **fast)
     rate = 0.05 * GRAVITY
     np.testing.assert_allclose(rotor[:, 0], 5.0 * (1 - np.exp(-rate * t)) / rate, atol=1e-8)
 
 
 def test_wake_takes_thrust_from_the_rear_only_in_fast_flight():
-    rest, _ = straight_up(causes.WAKE, size(0.1), thrust=HOVER, steps=5)
+    rest, _ = straight_up(CAUSES["wake"], size(0.1), thrust=HOVER, steps=5)
     np.testing.assert_allclose(rest[:, 6:9], 0.0, atol=1e-9)
-    fast, _ = straight_up(causes.WAKE, size(0.1), thrust=HOVER, steps=5, velocity=(3.0, 0, 0))
+    fast, _ = straight_up(CAUSES["wake"], size(0.1), thrust=HOVER, steps=5, velocity=(3.0, 0, 0))
     # at v_h half the loss, times the rear rotors' share a / (a sqrt 2) of the largest arm
     lost = 0.1 * 0.5 / np.sqrt(2) * HOVER
     np.testing.assert_allclose(fast[0, 7] / DT, 2 * lost * 0.2 / 0.012, rtol=0.01)
@@ -381,7 +386,7 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
         def with_schedule(self, change):
             return change
 
-    change = causes.GYROSCOPIC.apply(Scene(), size(amount), None)
+    change = CAUSES["gyroscopic"].apply(Scene(), size(amount), None)
     still = torch.zeros(1, 1, 1, 3)
     level = torch.eye(3)[None, None, None]
     motion = Motion(Scene.vehicle, still, still, level, rates + still, thrusts, thrusts, still)
@@ -394,28 +399,28 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
 
 
 def test_sensors_by_their_formulas():
-    plain, _ = straight_up(causes.POSITION_SCALE, size(0.0), r=1.0, velocity=(1.0, 0, 0))
+    plain, _ = straight_up(CAUSES["sensor_scale"], size(0.0), r=1.0, velocity=(1.0, 0, 0))
     still = {"r": 1.0, "velocity": (1.0, 0.0, 0.0)}
-    larger, _ = straight_up(causes.POSITION_SCALE, size(0.1), **still)
+    larger, _ = straight_up(CAUSES["sensor_scale"], size(0.1), **still)
     torch.testing.assert_close(larger[:, :3], 1.1 * plain[:, :3])
     torch.testing.assert_close(larger[:, 3:], plain[:, 3:])
-    along, _ = straight_up(GROUND_SCALE, size(0.1), **still)
+    along, _ = straight_up(CAUSES["ground_scale"], size(0.1), **still)
     torch.testing.assert_close(along[:, :2], 1.1 * plain[:, :2])
     torch.testing.assert_close(along[:, 2:], plain[:, 2:])
-    moved, t = straight_up(causes.MARKER_PLACEMENT, size(0.01, 0.0, 0.0), **still)
+    moved, t = straight_up(CAUSES["placement"], size(0.01, 0.0, 0.0), **still)
     np.testing.assert_allclose((moved - plain)[:, 0], 0.01 * np.cos(t), atol=1e-12)
     np.testing.assert_allclose((moved - plain)[:, 1], 0.01 * np.sin(t), atol=1e-12)
     # turned about its x by e, the unit's y sees z times e, its z minus y times e
-    tilted, _ = straight_up(causes.IMU_TILT, size(0.02, 0.0, 0.0), **still)
+    tilted, _ = straight_up(CAUSES["sensor_tilt"], size(0.02, 0.0, 0.0), **still)
     np.testing.assert_allclose(tilted[:, 7], plain[:, 7] + 0.02 * plain[:, 8], atol=1e-12)
     np.testing.assert_allclose(tilted[:, 10], plain[:, 10] + 0.02 * plain[:, 11], atol=1e-12)
 
 
 def test_ground_effect_falls_with_the_square_of_the_height():
     def near(scene, amount, run):
-        return causes.GROUND_EFFECT.apply(scene.changed(terrain_height=-0.3), amount, run)
+        return CAUSES["ground_effect"].apply(scene.changed(terrain_height=-0.3), amount, run)
 
-    effect = replace(causes.GROUND_EFFECT, apply=near)
+    effect = replace(CAUSES["ground_effect"], apply=near)
     channels, _ = straight_up(effect, size(1.0), thrust=HOVER, steps=6)
     gain = 1 + (0.12 / (4 * 0.3)) ** 2
     np.testing.assert_allclose(channels[0, 11], -GRAVITY * gain, rtol=1e-4)
@@ -426,8 +431,8 @@ def test_needs_and_errors(flown):
     channels = tuple(Channel(f"c{i}", "-", "any") for i in range(12))
     bare = replace(run, command={n: run.command[n] for n in NAMES}, setup={})
     study = Study("s", "copter", channels, (bare,))
-    assert "voltage_V" in causes.VOLTAGE_EXPONENT.needs(study)
-    assert actuator.LAG.needs(study) is None
+    assert "voltage_V" in CAUSES["voltage_exponent"].needs(study)
+    assert CAUSES["lag"].needs(study) is None
     with pytest.raises(ValueError, match="did you mean 'position'"):
         flight_model(quadcopter(), commands=NAMES, sensors=["positon", "attitude"])
     with pytest.raises(ValueError, match="one column per rotor"):
@@ -442,9 +447,10 @@ def test_needs_and_errors(flown):
         predict(flight_model(quadcopter(), commands=NAMES), few)
 
 
-def test_weak_rotors_travel_between_processes():
-    again = pickle.loads(pickle.dumps(single_rotors.weak_rotor(2)))
-    assert (again.name, again.apply.keywords) == ("weak_rotor_3", {"index": 2})
+def test_causes_of_rotors_travel_between_processes():
+    for effect in rotor_causes(4):
+        again = pickle.loads(pickle.dumps(effect))
+        assert again.name == effect.name and str(again.apply) == str(effect.apply)
 
 
 def test_profile_of_a_linear_model_is_ridge_regression():

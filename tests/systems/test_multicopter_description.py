@@ -10,6 +10,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from diffsim.causes.signals import Grid
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.systems.multicopter.frames import Frames
@@ -257,8 +258,8 @@ def test_flights_of_test_runs_alone_are_set_up_for_a_saved_model():
         next((p.value, p.sd) for p in m.base if p.name == "gust_frequency") for m in (full, framed)
     )
     assert kept == same and framed.frame == full.frame
-    of_before = {k: v for k, v in full.frame.items() if k != "gust"}
-    assert setup_of(replace(new, frame=of_before)).model.base
+    with pytest.raises(ValueError, match="fit the model again"):
+        setup_of(replace(new, frame={"full_thrust": 0.3}))
 
 
 def test_the_frequency_of_a_gust_is_seen_in_the_records():
@@ -408,14 +409,14 @@ def test_throttles_and_pulses_are_thrusts_by_their_laws():
 
 def test_a_lag_of_the_speed_is_the_mean_of_the_square_over_the_step():
     dt, tau = 0.02, 0.03
-    thrusts = torch.tensor([4.0, 4.0, 9.0, 9.0], dtype=f64)[None, :, None]
-    found = speed_lagged(thrusts, dt, torch.tensor([tau], dtype=f64))[0, :, 0]
+    thrusts, grid = torch.tensor([[[4.0, 4.0, 9.0, 9.0]]], dtype=f64), Grid.even(4, dt)
+    found = speed_lagged(thrusts, grid, torch.tensor([tau], dtype=f64))[0, 0]
     t = np.linspace(0.0, 2 * dt, 40001)
     root = 3.0 - np.exp(-t / tau)
     first, second = root[:20001] ** 2, root[20000:] ** 2
     want = [4.0, 4.0, np.trapezoid(first, dx=t[1]) / dt, np.trapezoid(second, dx=t[1]) / dt]
     np.testing.assert_allclose(found, want, rtol=1e-8)
-    none = speed_lagged(thrusts, dt, torch.zeros(1, dtype=f64))
+    none = speed_lagged(thrusts, grid, torch.zeros(1, dtype=f64))
     torch.testing.assert_close(none, thrusts, atol=0, rtol=0)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from diffsim.causes.channel_groups import channels_of, clock_of
+from diffsim.causes.scales import Scales
 from diffsim.copter import Multicopter
 from diffsim.copter.design_file import load_design
 from diffsim.copter.rotor import RotorModel, rotor_model
@@ -19,6 +20,7 @@ from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
 from diffsim.systems.multicopter.described import ESTIMATOR_GAINS, DescribedFlights
+from diffsim.systems.multicopter.flight import rotor_names
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
@@ -28,8 +30,7 @@ from diffsim.systems.multicopter.shooting import SPREAD
 from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
-FULL_THRUST = "full_thrust"  # its place in a study's frame
-GUST = "gust"  # frequency and sd [Hz], likewise
+VEHICLE, GUST = "vehicle", "gust"  # places of their magnitudes in the record
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
 _WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
@@ -49,10 +50,11 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     known = {k: torch.tensor(q.value).double() for k, q in parameters.quantities.items()}
     mass, count = float(known["mass"]), len(of.commands.columns)
     hover = mass * GRAVITY / count
-    full_thrust = study.frame.get(FULL_THRUST) or of.max_thrust
+    kept = _kept_scales(study)
+    full_thrust = of.max_thrust if kept is None else kept.plain[VEHICLE]["full_thrust"]
     if full_thrust is None:
-        asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
-        full_thrust = max(asked, 2.0 * hover)
+        runs = study.fit_runs or study.runs
+        full_thrust = max(2.0 * hover, *(float(law.thrusts(run, known).max()) for run in runs))
     sensing, names = sensing_of(of.sensors, study), [c.name for c in study.channels]
     lag_of = of.lag_of or ("thrust" if of.commands.meaning == "thrust" else "speed")
     return DescribedFlights(
@@ -68,7 +70,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
             window_s=of.windows.length,
             rigid_spread=SPREAD,
             past_spread=_PAST * hover,
-            longest_s=study.frame.get(LONGEST, LONGEST_S),
+            longest_s=LONGEST_S if kept is None else kept.facts[LONGEST],
         ),
         substeps=of.windows.substeps,
         radius=_radius(of, rotor),
@@ -85,8 +87,62 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     )
 
 
+def usual_magnitudes(flights: DescribedFlights, study: Study) -> Scales:
+    """Magnitudes of thrusts, channels and vehicle; of a saved model those that it was fitted with.
+
+    Args:
+        flights: Recipe of the scenes, as assembled.
+        study: Study with the recordings.
+    """
+    if (kept := _kept_scales(study)) is not None:
+        return kept
+    nominal, fleet = flights.nominal(), flights.nominal_fleet()
+    names, asked = rotor_names(fleet.num_rotors), []
+    for run in study.runs:
+        thrusts = flights.asked(run, flights.in_run(nominal, run))[0].numpy().T
+        asked.append(replace(run, command=dict(zip(names, thrusts, strict=True))))
+    vehicle = {
+        "mass": float(fleet.mass),
+        "arm": float(fleet.positions[..., :2].norm(dim=-1).max()),
+        "full_thrust": flights.full_thrust,
+    }
+    return replace(
+        Scales.of_runs(replace(study, runs=tuple(asked))),
+        plain={VEHICLE: vehicle},
+        facts={LONGEST: flights.cutter.longest_s},
+    )
+
+
+def with_gust(flights: DescribedFlights, study: Study, scales: Scales) -> Scales:
+    """Magnitudes with the frequency of a gust and its spread [Hz], as the records suggest.
+
+    Args:
+        flights: Recipe of the scenes, as assembled.
+        study: Study with the runs to be fitted.
+        scales: Magnitudes; new runs of a saved model have its frequency.
+    """
+    if GUST in scales.plain:
+        return scales
+    frequency, sd = strongest_frequency(flights, study.fit_runs or study.runs)
+    return replace(scales, plain={**scales.plain, GUST: {"frequency": frequency, "sd": sd}})
+
+
+def _kept_scales(study: Study) -> Scales | None:
+    kept = Scales.kept_in(study)
+    if kept is None and study.frame:
+        raise ValueError(
+            "the saved model is of an earlier version, which kept no usual magnitudes; fit the "
+            "model again"
+        )
+    return kept
+
+
 def with_shapes(
-    of: MulticopterKeys, flights: DescribedFlights, study: Study, causes: Sequence[str]
+    of: MulticopterKeys,
+    flights: DescribedFlights,
+    study: Study,
+    causes: Sequence[str],
+    scales: Scales,
 ) -> DescribedFlights:
     """The recipe with what causes need beside a size: length of a string, gains of an estimator.
 
@@ -95,6 +151,7 @@ def with_shapes(
         flights: The same, assembled.
         study: Study with the runs to be fitted.
         causes: Names of the candidate causes.
+        scales: Magnitudes, with those of a gust if that is a cause and its frequency not stated.
     """
     more: dict[str, Quantity] = {}
     if "slung_load" in causes:
@@ -102,9 +159,7 @@ def with_shapes(
     if "gust" in causes:
         given: Quantity | None = of.gust_frequency
         if given is None:
-            # new runs of a saved model have its frequency; files of before do not tell it
-            kept = study.frame.get(GUST)
-            value, sd = kept or strongest_frequency(flights, study.fit_runs or study.runs)
+            value, sd = (scales.plain[GUST][of_it] for of_it in ("frequency", "sd"))
             given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz")
         more["gust_frequency"] = given
     if "blind_estimator" in causes:
@@ -115,21 +170,26 @@ def with_shapes(
 
 
 def vehicle_of(
-    of: MulticopterKeys, flights: DescribedFlights, *, states_sensors: bool = False
+    of: MulticopterKeys,
+    flights: DescribedFlights,
+    scales: Scales,
+    *,
+    states_sensors: bool = False,
 ) -> Vehicle:
     """What decides which causes there are.
 
     Args:
         of: Description of the multicopter.
         flights: The same, assembled.
+        scales: Usual magnitudes.
         states_sensors: Whether channels say which sensor shows them.
     """
     q = flights.parameters.quantities
     fleet = flights.nominal_fleet()
     return Vehicle(
         num_rotors=fleet.num_rotors,
-        mass=float(fleet.mass),
-        arm=float(fleet.positions[..., :2].norm(dim=-1).max()),
+        mass=scales.plain[VEHICLE]["mass"],
+        arm=scales.plain[VEHICLE]["arm"],
         frames=flights.cutter.frames,
         sensors=flights.cutter.sensors,
         has_radius=bool((fleet.radii > 0.0).all()),

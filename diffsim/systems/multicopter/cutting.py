@@ -19,7 +19,7 @@ from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import PAST_SPREAD, SPREAD, Windows, filled
 from diffsim.systems.multicopter.starts import acceleration_of, states_of
 
-LONGEST = "longest_window_s"  # its place in a study's frame
+LONGEST = "longest_window_s"  # its place among the facts of a model
 LONGEST_S = 1.0  # of a window whose length is left to the model
 FEWEST = 5  # samples of a window
 _EASY_STEPS = 6  # in which initial states settle where windows are not too long

@@ -9,7 +9,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from diffsim.causes.signals import held_delayed, held_lagged, on_columns
+from diffsim.causes.signals import held_delayed, held_lagged
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.data.study import Run
@@ -151,15 +151,15 @@ class DescribedFlights:
     def _on_the_way(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
         """Clock and lag of the commands, clocks of sensors."""
         if "clock" in v:
-            late = v["clock"].reshape(-1)
-            comes_late = partial(held_delayed, signed=False)
-            scene = scene.with_command(lambda u, dt: on_columns(comes_late, u, dt, late))
+            late = v["clock"].reshape(-1, 1)
+            comes_late = partial(held_delayed, delay=late, signed=False)
+            scene = scene.with_command((), comes_late)
         if "motor_lag" in v:
-            tau = v["motor_lag"].reshape(-1)
-            lagged = speed_lagged if self.lags_speed else partial(on_columns, held_lagged)
-            scene = scene.with_command(lambda u, dt: lagged(u, dt, tau))
+            tau = v["motor_lag"].reshape(-1, 1)
+            lagged = speed_lagged if self.lags_speed else held_lagged
+            scene = scene.with_command((), partial(lagged, time_constant=tau))
         for name, channels in self.clocks.items():
-            scene = scene.with_late(channels, v[name].reshape(-1))
+            scene = scene.with_clock(channels, v[name])
         return scene
 
 

@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.causes.channel_groups import channels_of, clock_problems
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.causes.channel_groups import WHOLE, channels_of, clock_problems
+from diffsim.causes.own import Ports
+from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.multicopter.assembly import (
-    FULL_THRUST,
-    GUST,
     assembled,
+    usual_magnitudes,
     vehicle_of,
+    with_gust,
     with_shapes,
 )
 from diffsim.systems.multicopter.bank import flights_to_record
-from diffsim.systems.multicopter.candidates import acting_in, candidate_causes
-from diffsim.systems.multicopter.cutting import LONGEST
-from diffsim.systems.multicopter.instruments import instrument_effects, states_sensors
+from diffsim.systems.multicopter.candidates import (
+    Vehicle,
+    acting_in,
+    candidate_causes,
+    offered_causes,
+)
+from diffsim.systems.multicopter.described import DescribedFlights
+from diffsim.systems.multicopter.flight import rotor_names
+from diffsim.systems.multicopter.instruments import instrument_causes, states_sensors
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
+from diffsim.systems.multicopter.numbers import NUMBERS
 from diffsim.systems.multicopter.sampling import evenly_sampled
 from diffsim.systems.multicopter.sensing import are_means, sensor_problems
 from diffsim.systems.multicopter.unknown import wrench_of
@@ -56,27 +66,52 @@ class MulticopterDescription(MulticopterKeys):
             raise ValueError("\n".join(str(p) for p in found))
         study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
         flights = assembled(self, study)
-        vehicle = vehicle_of(self, flights, states_sensors=states_sensors(study))
-        clocks = [channels_of(study.channels, name) for name in self.clocks]
-        own = instrument_effects(study, flights.cutter, clocks)
-        effects = chosen_effects((*candidate_causes(vehicle), *own), self.effects)
-        flights = with_shapes(self, flights, study, [e.name for e in effects])
+        scales = usual_magnitudes(flights, study)
+        vehicle = vehicle_of(self, flights, scales, states_sensors=states_sensors(study))
+        library = self._library(study, flights, scales, vehicle)
+        effects = chosen_effects(library, self.effects)
+        names = [e.name for e in effects]
+        if "gust" in names and self.gust_frequency is None:
+            scales = with_gust(flights, study, scales)
+        flights = with_shapes(self, flights, study, names, scales)
         if self.causes_act_in:
             effects = tuple(acting_in(e, self.causes_act_in) for e in effects)
         model = CopterModel(flights, flights.parameters.base)
-        model.frame = {FULL_THRUST: flights.full_thrust, LONGEST: flights.cutter.longest_s}
-        if self.gust_frequency is None and (
-            gust := flights.parameters.quantities.get("gust_frequency")
-        ):
-            model.frame[GUST] = [gust.value, gust.sd]
+        model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
             effects,
-            (wrench_of(study.runs, vehicle.mass * GRAVITY),),
+            (wrench_of(study.runs, vehicle.mass),),
             flights_to_record(flights, study.runs),
             settings_with(DiagnosisSettings(), self.effort),
             study=study,
         )
+
+    def ports(self, study: Study) -> Ports:
+        """What causes of a user may change; commands are the rotors' thrusts, whatever asks for
+        them."""
+        study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
+        flights = assembled(self, study)
+        return Ports(
+            usual_magnitudes(flights, study),
+            dict.fromkeys(rotor_names(flights.nominal_fleet().num_rotors), "held"),
+            tuple(c.name for c in study.channels),
+            has_clock=True,
+            numbers=NUMBERS,
+        )
+
+    def _library(
+        self, study: Study, flights: DescribedFlights, scales: Scales, vehicle: Vehicle
+    ) -> tuple[Effect, ...]:
+        """Causes that are judged, and those that are where ``effects.only`` asks for them."""
+        clocks = [channels_of(study.channels, name) for name in self.clocks]
+        judge = partial(instrument_causes, study, flights.cutter, clocks, scales)
+        judged = (*candidate_causes(vehicle), *judge())
+        if not self.effects.only:
+            return judged
+        known = {e.name for e in judged}
+        offered = (*offered_causes(vehicle, scales), *judge(causes=WHOLE))
+        return (*judged, *(e for e in offered if e.name not in known))
 
     def _beyond(self, values: NDArray[np.float64]) -> str:
         """How a throttle lies outside of its range for half of the samples; empty: it does not."""

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from diffsim.causes.ports import SignalChange, SignalMap
+from diffsim.causes.signals import Grid, lagged
 from diffsim.copter import FlightEffects
 from diffsim.copter.fleet import Fleet
 from diffsim.systems.multicopter.estimator import BlindEstimator, force_of
 from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.lag import lagged_in_windows
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.shooting import Windows
 
@@ -30,7 +33,6 @@ SENSORS = {
     "acceleration": ("ax_world_m_s2", "ay_world_m_s2", "az_world_m_s2"),
 }
 
-CommandMap = Callable[[Tensor, float], Tensor]
 Schedule = Callable[[Motion, Tensor], Tensor]
 Air = Callable[[Motion], Tensor]
 
@@ -64,15 +66,17 @@ class CopterFlight:
             the leading axis.
         terrain_height: Height of the ground above the origin [m].
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
-        command_maps: Functions f(commands, dt) that change the commands, in order. The first row is
-            what was held before the record starts, so that commands are (points, num_samples + 1,
-            n_rotors) there.
+        command_maps: Rotors by their indices (none: all), and what happens to their commands
+            (points, n_rotors, num_samples + 1), in order. The first of these is what was held
+            before the record starts.
         schedules: Functions f(motion, thrusts) that change the thrusts in flight, (points,
             num_windows, length, n_rotors) [N]; iterated to a fixed point.
         air: Forces in the world that depend on the motion: f(motion) of (points, num_windows,
             length, 3) [N]; iterated likewise.
         world_force: (points, num_samples or 1, 3), held over each step [N].
         marker: Place of the captured point in the body frame, (points, 3) [m].
+        center_of_mass: How far causes moved it from where the rotors are placed from, in the body
+            frame of the recording, (points, 3) [m].
         imu_tilt: Rotation vector of the inertial unit in the body frame, small, (points, 3) [rad].
         position_scale, accelerometer_scale: Scale of the position and of the accelerometer
             readings, shown over true, (points,) [-].
@@ -83,8 +87,8 @@ class CopterFlight:
             None: none.
         late: Channels of an instrument by their indices, and how late it is, (points,) [s];
             added up.
-        readers: Channels by their indices, and what happens to their readings (points, num_windows,
-            length, width).
+        readers: Channels by their indices (none: all), and what happens to their readings
+            (num_windows, points, width, length).
         sling_length: Of a string that a load may hang on, (points,) [m]; None: 0.5 m.
         gust_frequency: Of a gust that there may be, (points,) [Hz]; None: no gust.
         estimator_gains: Of an estimator that shows velocity and attitude, (points, 3), as
@@ -103,11 +107,12 @@ class CopterFlight:
     flight_effects: FlightEffects = field(default_factory=FlightEffects)
     terrain_height: float = 0.0
     thrust_coefficient: float = 1e-5
-    command_maps: tuple[CommandMap, ...] = ()
+    command_maps: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     schedules: tuple[Schedule, ...] = ()
     air: tuple[Air, ...] = ()
     world_force: Tensor = field(default_factory=lambda: _origin()[None])
     marker: Tensor = field(default_factory=_origin)
+    center_of_mass: Tensor = field(default_factory=_origin)
     imu_tilt: Tensor = field(default_factory=_origin)
     position_scale: Tensor = field(default_factory=_unit)
     accelerometer_scale: Tensor = field(default_factory=_unit)
@@ -117,19 +122,27 @@ class CopterFlight:
     accelerometer_offset: Tensor = field(default_factory=_origin)
     camera_delay: Tensor | None = None
     late: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
-    readers: tuple[tuple[tuple[int, ...], Callable[[Tensor], Tensor]], ...] = ()
+    readers: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     sling_length: Tensor | None = None
     gust_frequency: Tensor | None = None
     estimator_gains: Tensor | None = None
     estimator: BlindEstimator | None = None
+    play_start: None = None  # in the middle: windows begin wherever they were found to
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some entries replaced."""
         return replace(self, **changes)
 
-    def with_command(self, change: CommandMap) -> Self:
-        """A copy whose commands are changed on their way: f(commands, dt) -> commands."""
-        return self.changed(command_maps=(*self.command_maps, change))
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> Self:
+        """A copy in which the thrusts that some rotors are asked for are changed on their way.
+
+        Args:
+            names: Rotors as ``rotor_names`` calls them; empty: all.
+            change: Function f(thrusts (..., width, num_samples + 1), grid).
+        """
+        known = rotor_names(self.vehicle.num_rotors)
+        rotors = tuple(known.index(name) for name in names)
+        return self.changed(command_maps=(*self.command_maps, (rotors, change)))
 
     def with_schedule(self, change: Schedule) -> Self:
         """A copy whose thrusts depend on the motion."""
@@ -139,17 +152,18 @@ class CopterFlight:
         """A copy with one more force that depends on the motion."""
         return self.changed(air=(*self.air, force))
 
-    def with_late(self, channels: tuple[int, ...], delay: Tensor) -> Self:
-        """A copy in which some channels show what was ``delay`` ago, (points,) [s]."""
-        return self.changed(late=(*self.late, (channels, delay)))
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
+        """A copy in which some channels show what was ``delay`` ago, () or (points,) [s]."""
+        return self.changed(late=(*self.late, (channels, delay.reshape(-1))))
 
-    def with_reading(self, channels: tuple[int, ...], change: Callable[[Tensor], Tensor]) -> Self:
-        """A copy in which the readings of some channels are changed."""
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
+        """A copy in which some readings are f(readings (..., width, length), grid of a window).
+
+        A lag enters each window in a steady slope: windows begin in motion.
+        """
+        if isinstance(change, SignalChange) and change.map is lagged:
+            change = replace(change, map=lagged_in_windows)
         return self.changed(readers=(*self.readers, (channels, change)))
-
-    def with_flight_effect(self, name: str, value: Any) -> Self:
-        """A copy with one entry of ``flight_effects`` replaced."""
-        return self.changed(flight_effects=replace(self.flight_effects, **{name: value}))
 
     def force_by_record(self) -> Tensor:
         """Specific force of the commanded thrust at the recorded attitudes, (points, num_samples,
@@ -167,9 +181,31 @@ class CopterFlight:
         commands = torch.cat(
             [past[:, None], self.commands.expand(points, *self.commands.shape[1:])], 1
         )
-        for change in self.command_maps:
-            commands = change(commands, self.dt)
-        return commands[:, :-1]
+        return self.on_their_way(commands)[:, :-1]
+
+    def on_their_way(self, commands: Tensor) -> Tensor:
+        """What becomes of commands (points, num_samples + 1, n_rotors) before they are thrusts."""
+        even = Grid.even(commands.shape[1], self.dt)
+        grid = replace(even, samples=even.samples[1:], seconds=even.seconds[1:])
+        signals = commands.mT
+        for rotors, change in self.command_maps:
+            signals = change_some(signals, rotors, change, grid)
+        return signals.mT
+
+
+def rotor_names(count: int) -> tuple[str, ...]:
+    """Names of the rotors, whose thrusts are the commands of a flight."""
+    return tuple(f"rotor_{i + 1}" for i in range(count))
+
+
+def change_some(signals: Tensor, which: tuple[int, ...], change: SignalMap, grid: Grid) -> Tensor:
+    """Signals (..., width, num_times) with some of them, or all if none is named, changed."""
+    if not which:
+        return change(signals, grid)
+    changed = change(signals[..., list(which), :], grid)
+    whole = signals.expand(*changed.shape[:-2], -1, -1).clone()
+    whole[..., list(which), :] = changed
+    return whole
 
 
 def amount(size: Tensor, axes: int) -> Tensor:

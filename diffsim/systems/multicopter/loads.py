@@ -1,4 +1,4 @@
-"""Causes that a multicopter carries or meets: added mass, a load on a string, a gust."""
+"""Causes that a multicopter carries or meets: a load on a string, a gust."""
 
 from __future__ import annotations
 
@@ -7,19 +7,13 @@ from torch import Tensor
 
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.scene import CopterScene, amount
 
 SLING_M = 0.5  # of a string whose length nobody stated
 
 
-def _extra_mass(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-    vehicle = scene.vehicle
-    return scene.changed(vehicle=vehicle.replace(mass=vehicle.mass + amount(size, 0)))
-
-
-def _slung_load(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def hang_load(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """A point mass on a string below the center of mass, at rest when the record starts.
 
     For small swings d of the load, d'' = -g / l d - a with the recorded acceleration a of the
@@ -57,7 +51,7 @@ def _swing(acceleration: Tensor, dt: float, rate: Tensor) -> Tensor:
     return -torch.fft.irfft(product, size, 1)[:, :count] / rate**2
 
 
-def _gust(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def push_in_gusts(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Force in the world along x and y: sines and cosines of 2 pi f t, t the recording's clock."""
     assert scene.gust_frequency is not None
     middle = torch.as_tensor(run.time_s, dtype=torch.float64) + 0.5 * scene.dt
@@ -67,38 +61,3 @@ def _gust(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     across = parts[..., 0::2] * sine + parts[..., 1::2] * cosine
     force = torch.nn.functional.pad(across, (0, 1))
     return scene.changed(world_force=scene.world_force + scene.frames.in_world(force))
-
-
-EXTRA_MASS = Effect(
-    name="extra_mass",
-    form="The vehicle is heavier by size, at its center of mass.",
-    family="inertia",
-    kind="material",
-    unit="kg",
-    typical=0.1,
-    signed=False,
-    also_looks_like=("thrust gain", "a load on a string, in the mean"),
-    apply=_extra_mass,
-)
-SLUNG_LOAD = Effect(
-    name="slung_load",
-    form="A point mass of size hangs on a string below the center of mass.",
-    family="inertia",
-    kind="force",
-    unit="kg",
-    typical=0.1,
-    signed=False,
-    also_looks_like=("extra mass", "thrust gain"),
-    apply=_slung_load,
-)
-GUST = Effect(
-    name="gust",
-    form="A force along x and y of the world that swings with one frequency.",
-    family="gust",
-    kind="environment",
-    unit="N",
-    typical=0.2,
-    components=("x_sine", "x_cosine", "y_sine", "y_cosine"),
-    also_looks_like=("drag on a path of the same period",),
-    apply=_gust,
-)

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.signals import held_lagged, on_columns
+from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.signals import held_lagged
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.core.check import require_choice
@@ -102,7 +103,10 @@ class CopterModel(SimModel):
         longest_s = 0.5 * max(length * spacing(run) for run, length in lengths.items())
         shorter = replace(self.flights, cutter=replace(cutter, longest_s=longest_s), known={})
         made = CopterModel(shorter, self.base)
-        made.frame = {**self.frame, LONGEST: longest_s}
+        if SCALES in self.frame:
+            scales = Scales.read(self.frame[SCALES])
+            shorter_scales = replace(scales, facts={**scales.facts, LONGEST: longest_s})
+            made.frame = {SCALES: shorter_scales.saved()}
         return made
 
     def num_fitted_inside(self, run: Run) -> int:
@@ -276,8 +280,8 @@ class Flights:
             thrust_coefficient=self.thrust_coefficient,
         )
         if "motor_time_constant" in values:
-            tau = of("motor_time_constant")
-            scene = scene.with_command(lambda u, dt: on_columns(held_lagged, u, dt, tau))
+            tau = of("motor_time_constant")[:, None]
+            scene = scene.with_command((), partial(held_lagged, time_constant=tau))
         return scene
 
 

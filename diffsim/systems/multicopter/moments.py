@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
 from diffsim.systems.multicopter.effects import torque_allocation
 from diffsim.systems.multicopter.motion import Motion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
@@ -42,12 +41,12 @@ def _lever(velocity: Tensor) -> Tensor:
     return torch.stack([-y, x, torch.zeros_like(z)], -1)
 
 
-def _flow_moment(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def pitch_in_flow(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     sizes = vector(size)[:, None, None]
     return with_moment(scene, lambda motion: sizes * _lever(motion.body_velocity))
 
 
-def _climb_moment(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def pitch_less_in_climb(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     sizes = vector(size)[:, None, None]
 
     def moment(motion: Motion) -> Tensor:
@@ -57,7 +56,7 @@ def _climb_moment(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return with_moment(scene, moment)
 
 
-def _rate_damping(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def damp_rates(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     sizes, inertia = vector(size)[:, None, None], scene.vehicle.inertia
 
     def moment(motion: Motion) -> Tensor:
@@ -66,7 +65,7 @@ def _rate_damping(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return with_moment(scene, moment)
 
 
-def _spin_up(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def turn_with_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Torque -h' of rotors whose speed changes, h = sum_i size W_i s_i: size their inertia.
 
     s_i is the sense of rotation, as in ``gyroscopic``, which has the other part, -w x h. The change
@@ -81,49 +80,3 @@ def _spin_up(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         return -amount(size, 3) * (change @ shafts[:, None])
 
     return with_moment(scene, moment)
-
-
-FLOW_MOMENT = Effect(
-    name="flow_moment",
-    form="Moment of the air, as of a force -size v that acts one meter above the center of mass.",
-    family="moment",
-    kind="force",
-    unit="N s",
-    typical=0.03,
-    components=("roll", "pitch"),
-    also_looks_like=("drag above the center of mass", "flapping", "wake of the front rotors"),
-    apply=_flow_moment,
-)
-CLIMB_MOMENT = Effect(
-    name="climb_moment",
-    form="What flow_moment loses in a climb: moment +size v_up times the lever of a force -v.",
-    family="moment",
-    kind="force",
-    unit="N s^2/m",
-    typical=0.01,
-    components=("roll", "pitch"),
-    also_looks_like=("a sheared or turning wake",),
-    apply=_climb_moment,
-)
-RATE_DAMPING = Effect(
-    name="rate_damping",
-    form="Torque -size J w: body rates fall by themselves.",
-    family="moment",
-    kind="force",
-    unit="1/s",
-    typical=1.0,
-    components=("roll", "pitch", "yaw"),
-    also_looks_like=("the controller, if it flies on measured rates", "noise of recorded speeds"),
-    apply=_rate_damping,
-)
-SPIN_UP = Effect(
-    name="spin_up",
-    form="Torque against the change of the rotors' spin, size their inertia about the shaft.",
-    family="inertia",
-    kind="material",
-    unit="kg m^2",
-    typical=1e-4,
-    signed=False,
-    also_looks_like=("torque of the propellers ahead of their thrust",),
-    apply=_spin_up,
-)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
+from diffsim.causes.signals import Grid
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.rotation import (
@@ -19,7 +20,7 @@ from diffsim.core.rotation import (
     rpy_from_matrix,
 )
 from diffsim.systems.multicopter.estimator import BlindEstimator
-from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
+from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, change_some
 from diffsim.systems.multicopter.motion import Motion, turned, turned_back
 
 _CIRCLE = 2.0 * torch.pi
@@ -247,14 +248,41 @@ _GROUPS: dict[str, Callable[[_Shown], Tensor]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class WindowGrid(Grid):
+    """Times in windows of one length: what has a memory knows one window, a formula the run's time.
+
+    Attributes:
+        starts: Time of each window's first sample in the run, (num_windows, 1, 1, 1) [s].
+    """
+
+    starts: Tensor
+
+    @classmethod
+    def of_flight(cls, scene: CopterFlight) -> WindowGrid:
+        """That of a flight's readings."""
+        windows, length = scene.windows.measured.shape[:2]
+        starts = scene.dt * length * torch.arange(windows, dtype=torch.float64)
+        even = Grid.even(length, scene.dt)
+        return cls(even.times, even.samples, even.seconds, starts.reshape(-1, 1, 1, 1))
+
+    @property
+    def since_start(self) -> Tensor:
+        """Time since the run's first sample, (num_windows, 1, 1, length) [s]."""
+        return self.starts + self.times
+
+
 def read(scene: CopterFlight, record: Record) -> Tensor:
     """Readings of the sensors, (points, num_windows, length, num_channels)."""
     out = _channels(scene, record, range(scene.windows.measured.shape[-1]))
     for channels, delay in delays_of(scene.late).items():
         out = _put(out, channels, _channels(scene, record.before(delay, scene.dt), channels))
+    if not scene.readers:
+        return out
+    grid, signals = WindowGrid.of_flight(scene), out.permute(1, 0, 3, 2)
     for channels, change in scene.readers:
-        out = _put(out, channels, change(out[..., list(channels)]))
-    return out
+        signals = change_some(signals, channels, change, grid)
+    return signals.permute(1, 0, 3, 2)
 
 
 def _channels(scene: CopterFlight, record: Record, channels: Sequence[int]) -> Tensor:

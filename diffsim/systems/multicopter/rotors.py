@@ -1,24 +1,19 @@
-"""Causes in rotors whose speed is known."""
+"""Causes in rotors: what their speed costs, and a single one that lacks thrust or leans."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from diffsim.causes.commands import HELD_LAG
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
-from diffsim.systems.multicopter.effects import torque_allocation
-from diffsim.systems.multicopter.lag import speed_lagged
+from diffsim.systems.multicopter.effects import tilt_axes, torque_allocation
 from diffsim.systems.multicopter.motion import Motion, by_rotor
-from diffsim.systems.multicopter.scene import CopterScene, amount
+from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
 _LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
 
 
-def _rotor_speed_drag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+def drag_by_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Force -size W_i (velocity of the hub across its axis) of each rotor, W_i its speed.
 
     W_i = sqrt(thrust asked for / thrust coefficient). The forces' torque is given to the vehicle
@@ -51,23 +46,33 @@ def _rotor_speed_drag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene
     return scene.with_air(drag).with_schedule(torque)
 
 
-def _speed_lag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-    return scene.with_command(lambda u, dt: speed_lagged(u, dt, size[..., 0]))
+def lose_thrust(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
+    """Less thrust of a rotor for the same torque: its torque per thrust grows as the thrust falls.
+
+    Causes that depend on a rotor's speed take the lost thrust for lost speed, an error of second
+    order.
+    """
+    kept = 1.0 - amount(size, 1) * _mark(scene, index)
+    weaker = scene.with_command((), lambda u, grid: u * kept[..., None])
+    return _scale_torques(weaker, 1.0 / kept)
 
 
-ROTOR_SPEED_DRAG = Effect(
-    name="rotor_speed_drag",
-    form="Force of each rotor -size W (velocity of the hub across its axis), W its speed.",
-    family="drag",
-    kind="force",
-    unit="N s^2/(m rad)",
-    typical=1e-4,
-    signed=False,
-    also_looks_like=("rotor drag at equal thrust", "body drag", "blade flapping"),
-    apply=_rotor_speed_drag,
-)
-SPEED_LAG = replace(
-    HELD_LAG,
-    form="First-order lag of the rotors' speed, with the time constant size.",
-    apply=_speed_lag,
-)
+def lose_torque(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
+    return _scale_torques(scene, 1.0 - amount(size, 1) * _mark(scene, index))
+
+
+def tilt_rotor(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
+    return tilt_axes(scene, vector(size)[:, None] * _mark(scene, index)[:, None])
+
+
+def _mark(scene: CopterScene, index: int) -> Tensor:
+    """1 for a certain rotor, else 0, (n_rotors,)."""
+    share = torch.zeros(scene.vehicle.num_rotors, dtype=torch.float64)
+    share[index] = 1.0
+    return share
+
+
+def _scale_torques(scene: CopterScene, factor: Tensor) -> CopterScene:
+    """A copy whose reaction torques per thrust are larger by factors, (points, n_rotors)."""
+    vehicle = scene.vehicle
+    return scene.changed(vehicle=vehicle.replace(torque_ratios=vehicle.torque_ratios * factor))

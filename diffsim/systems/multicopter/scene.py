@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -10,6 +10,7 @@ from torch import Tensor
 from diffsim.core.layer import may_be_differentiated
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, amount, vector
 from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.numbers import change_number
 from diffsim.systems.multicopter.shooting import MAX_STEPS, Shooting
 
 _KEPT = 2  # points: a step's end, and its start where it is not taken
@@ -56,6 +57,10 @@ class CopterScene(CopterFlight):
             return flyers[points](starts)
 
         return self.windows.settled(predict, max_steps)
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> CopterScene:
+        """A copy in which one of ``NUMBERS`` is f(number), its last axis that of the points."""
+        return change_number(self, name, change)
 
     def simulate_many(self, points: int, shooting: Shooting) -> Tensor:
         """Predicted channels with the best initial states.
