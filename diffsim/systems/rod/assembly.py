@@ -53,7 +53,7 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
     Args:
         layout: Elements, paths, places of masses.
         given: Numbers by name, () or (K,).
-        command: Commanded tensions, (num_samples, num_tendons) [N].
+        command: Commanded tensions, (num_samples, num_tendons), K in front where they differ [N].
     """
     numbers = Numbers.of(given)
     shape = layout.shape
@@ -85,7 +85,7 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
             friction=numbers["tendon_friction"],
             wobble=numbers["tendon_wobble"],
         ),
-        numbers.count,
+        max(numbers.count, len(command) if command.ndim > 2 else 1),
     )
 
 
@@ -134,7 +134,7 @@ def _pull(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
     """(K, num_samples, T) tension at the base [N]."""
     names = layout.paths.names
     gain = numbers.stacked(*(f"{n}_gain" for n in names))
-    wanted = gain * (1.0 + numbers["command_gain"][..., None]) * command
+    wanted = gain * command
     loss = numbers.each(names, "drive_loss")
     pulled = (wanted - loss).clamp(min=0.0) * (wanted > 0.0)  # a tendon never pushes
     held = numbers.each(names, "pretension")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from diffsim.causes.own import Ports
+from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -15,7 +17,7 @@ from diffsim.systems.description import (
     settings_with,
     unstated_facts,
 )
-from diffsim.systems.rod.effects import library
+from diffsim.systems.rod.causes import list_causes, list_numbers, measure_scales
 from diffsim.systems.rod.keys import RodKeys
 from diffsim.systems.rod.model import DescribedRod
 
@@ -65,14 +67,27 @@ class RodDescription(RodKeys):
         """Model of the rod, causes that its parts allow, and options."""
         self.require_possible(study)
         parameters = BaseParameters(self.quantities(), study.runs)
-        described = DescribedRod(self, [c.name for c in study.channels], parameters)
+        scales = measure_scales(self, study)
+        model = DescribedRod(self, [c.name for c in study.channels], parameters).model()
+        model.frame = {SCALES: scales.saved()}
+        causes = list_causes(self, study, scales, every=bool(self.effects.only))
         advised = DiagnosisSettings(
             search=SearchSettings(max_effects=MAX_EFFECTS, num_refits=2, max_rounds=2 * MAX_EFFECTS)
         )
         return DiagnosisSetup(
-            described.model(),
-            chosen_effects(library(self, study), self.effects),
+            model,
+            chosen_effects(causes, self.effects),
             settings=settings_with(advised, self.effort),
+        )
+
+    def ports(self, study: Study) -> Ports:
+        """What the rod offers to causes of a user."""
+        return Ports(
+            scales=measure_scales(self, study),
+            commands={t.command: self.between_samples for t in self.tendons},
+            channels=tuple(c.name for c in study.channels),
+            has_clock=self.is_in_time,
+            numbers=list_numbers(self),
         )
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from diffsim.causes.signals import Between
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Meters, Radians
@@ -146,6 +147,11 @@ class RodKeys(Description):
         description="Fact of the runs' `setup` that says in which session they were recorded; "
         "opens causes between sessions: a marker that was put elsewhere, a clamp that was turned",
     )
+    samples: Literal["poses", "time"] = Field(
+        "poses",
+        description="What the samples of a run are: `poses`, each by itself, or poses one after "
+        "the other in `time`: then what is late, lags or has play is a cause, too",
+    )
     numerics: RodNumerics = Field(RodNumerics(), description="Elements and tolerance")
 
     @model_validator(mode="after")
@@ -189,6 +195,16 @@ class RodKeys(Description):
             if marker in self.markers and axis in ("x", "y", "z"):
                 return RodReading(marker=marker, axis=axis)
         return None
+
+    @property
+    def is_in_time(self) -> bool:
+        """Whether samples of a run follow each other in time."""
+        return self.samples == "time"
+
+    @property
+    def between_samples(self) -> Between:
+        """What commands do between samples; each pose has its own."""
+        return "straight" if self.is_in_time else "held"
 
     def quantities(self) -> dict[str, Quantity]:
         """All imperfectly known numbers, by name of their base parameter."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.instruments import grid_of
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.rod.figure import dots_of, skin_of
@@ -56,16 +58,15 @@ class DescribedRod:
             at_prior = {p.name: torch.tensor(p.value).double() for p in self.parameters.base}
             plain = self._scene(self.parameters.in_run(at_prior, run), run, numerics)
             self._guesses[key] = plain.poses()
-        return RodScene(
-            scene.layout, scene.numbers, scene.command, scene.tolerance, self._guesses[key]
-        )
+        return replace(scene, guess=self._guesses[key])
 
     def _scene(self, numbers: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
         layout: Layout = self._layout(1.0 / numerics.mesh)
         columns = [np.asarray(run.command[t.command], np.float64) for t in self.given.tendons]
         command = np.stack(columns, 1) if columns else np.zeros((len(run.time_s), 0))
         tolerance = self.given.numerics.tolerance * numerics.tolerance
-        return RodScene(layout, numbers, torch.from_numpy(command), tolerance)
+        drives = tuple(t.command for t in self.given.tendons)
+        return RodScene(layout, numbers, torch.from_numpy(command), tolerance, drives, grid_of(run))
 
 
 class RodModel(SimModel):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
+from diffsim.causes.instruments import Instruments, change_rows
+from diffsim.causes.ports import SignalMap
+from diffsim.causes.signals import Grid
 from diffsim.systems.rod.assembly import Numbers, rod_of
 from diffsim.systems.rod.layout import Layout
 from diffsim.systems.rod.statics import Rod, equilibrium, nearby
@@ -35,20 +38,42 @@ class RodScene:
     Attributes:
         layout: What does not change with a number: elements, markers, paths.
         numbers: Numbers by name, () or (K,) for K points; what nobody gave is 0.
-        command: Commanded tensions, (num_samples, num_tendons) [N].
+        command: Commanded tensions, (..., num_samples, num_tendons) [N].
         tolerance: Turn of the solver's last step [rad].
+        drives: Name of the command of each tendon.
+        grid: Times of the samples.
         guess: Known poses to start from; None: straight, without tension.
+        instruments: What shows the markers.
     """
 
     layout: Layout
     numbers: Mapping[str, Tensor]
     command: Tensor
     tolerance: float
+    drives: tuple[str, ...]
+    grid: Grid
     guess: Poses | None = None
+    instruments: Instruments = field(default_factory=Instruments)
 
-    def with_added(self, name: str, size: Tensor) -> RodScene:
-        """The scene with a number larger by a size, () or (K,)."""
-        return replace(self, numbers={**self.numbers, name: self.numbers.get(name, _ZERO) + size})
+    play_start = None  # plays begin in their middle
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> RodScene:
+        """A copy in which a number is f(number), () or (K,)."""
+        return replace(self, numbers={**self.numbers, name: change(self.numbers.get(name, _ZERO))})
+
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> RodScene:
+        """A copy in which some commands are f(commands (..., width, num_samples), grid)."""
+        own = [i for i, drive in enumerate(self.drives) if not names or drive in names]
+        changed = change_rows(self.command.mT, own, change, self.grid)
+        return replace(self, command=changed.mT)
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> RodScene:
+        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
+        return replace(self, instruments=self.instruments.with_reading(channels, change))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> RodScene:
+        """A copy in which some channels show the poses ``delay`` before [s]."""
+        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels), with K in front for K points."""
@@ -59,7 +84,8 @@ class RodScene:
         shift = [numbers.stacked(*(f"{m}_{way}" for m in names)) for way in ("along", "y", "z")]
         offset = markers.offset + torch.stack(shift, -1)
         shown = rod.at_points(markers, offset, u).flatten(-2)[..., self.layout.columns]
-        return shown if any(v.ndim for v in self.numbers.values()) else shown[0]
+        is_one = self.command.ndim == 2 and not any(v.ndim for v in self.numbers.values())
+        return self.instruments.read_late(shown[0] if is_one else shown, self.grid)
 
     def poses(self) -> Poses:
         """Equilibria at the first point."""
@@ -79,7 +105,7 @@ class RodScene:
     def _strains(self, rod: Rod, count: int) -> Tensor:
         """(K, num_samples, N, 3) in equilibrium [1/m]; differentiable in the numbers."""
         slopes_of_all = torch.is_grad_enabled() and any(
-            v.requires_grad for v in self.numbers.values()
+            v.requires_grad for v in (self.command, *self.numbers.values())
         )
         with torch.no_grad():
             found, slopes = self._found(rod, count, slopes_of_all)
@@ -94,7 +120,7 @@ class RodScene:
         """Strains, and slopes of the residual there (K, num_samples, 3 N, 3 N) if asked for."""
         lengths, guess = self.layout.shape.lengths, self.guess
         if guess is None:
-            start = torch.zeros(len(self.command), len(lengths), 3, dtype=torch.float64)
+            start = torch.zeros(self.command.shape[-2], len(lengths), 3, dtype=torch.float64)
         else:
             start = guess.strains
             if not slopes_of_all:  # slopes cost a hundred residuals

@@ -1,0 +1,138 @@
+"""Instruments of a scene that says at each sample what there is to be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.causes.catalogue import rows
+from diffsim.causes.channel_groups import ChannelGroup, channel_groups, delays_of
+from diffsim.causes.ports import SignalMap
+from diffsim.causes.readings import SENSOR, Instrument, reading_cause, spell_plainly
+from diffsim.causes.row import ANY
+from diffsim.causes.scales import Scales
+from diffsim.causes.signals import Grid, smoothly_delayed
+from diffsim.data.study import Channel, Run
+from diffsim.identify.effect import Effect
+
+#: Rows in whose maps time counts: samples without an order have none of them.
+TIMED_READINGS = ("sensor_lag", "sensor_drift", "sensor_backlash", "sensor_delay")
+TIMED_COMMANDS = ("lag", "delay", "backlash", "rate_limit")
+_NAMED = ("sensor_offset", "sensor_drift")  # after the kind, even where there is no other
+
+
+@dataclass(frozen=True, eq=False)
+class Instruments:
+    """What instruments make of channels.
+
+    Attributes:
+        readings: What causes do to channels, by their indices, in the order in which they act.
+        clocks: How late channels are [s].
+    """
+
+    readings: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
+    clocks: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Instruments:
+        """A copy in which some channels are f(channels (..., width, num_times), grid)."""
+        return replace(self, readings=(*self.readings, (channels, change)))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Instruments:
+        """A copy in which some channels show what was ``delay``, () or (K,), ago [s]."""
+        return replace(self, clocks=(*self.clocks, (channels, delay)))
+
+    def read(self, shown: Tensor, grid: Grid) -> Tensor:
+        """What the instruments say, their clocks apart.
+
+        Args:
+            shown: What there is to be read, (..., num_samples, num_channels).
+            grid: Times of the samples.
+        """
+        signals = shown.mT
+        for channels, change in self.readings:
+            signals = change_rows(signals, channels, change, grid)
+        return signals.mT
+
+    def read_late(self, shown: Tensor, grid: Grid) -> Tensor:
+        """The same by clocks that are late, smooth between samples."""
+        signals = self.read(shown, grid).mT
+        for channels, delay in delays_of(self.clocks).items():
+            late = partial(smoothly_delayed, delay=delay[..., None])
+            signals = change_rows(signals, channels, late, grid)
+        return signals.mT
+
+
+def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: Grid) -> Tensor:
+    """Some signals changed, the others as they are.
+
+    Args:
+        signals: (..., num_signals, num_times).
+        which: Indices of those that change; empty: all.
+        change: Function of them (..., width, num_times) and of the grid.
+        grid: Times of the signals.
+    """
+    places = torch.tensor(list(which) or list(range(signals.shape[-2])))
+    changed = change(signals[..., places, :], grid)
+    lead = np.broadcast_shapes(signals.shape[:-2], changed.shape[:-2])
+    every = signals.expand(*lead, *signals.shape[-2:])
+    return every.index_copy(-2, places, changed.expand(*lead, *changed.shape[-2:]))
+
+
+def grid_of(run: Run) -> Grid:
+    """Samples of a run and nothing in between."""
+    seconds = np.asarray(run.time_s, dtype=np.float64)
+    return Grid(torch.from_numpy(seconds), torch.arange(len(seconds)), seconds)
+
+
+def instrument_causes(
+    channels: Sequence[Channel],
+    scales: Scales,
+    *,
+    late_record: bool,
+    without: Sequence[str] = (),
+    system: str = ANY,
+) -> Iterator[Effect]:
+    """Causes of every instrument of a study, the widest first.
+
+    Args:
+        channels: Channels of the study.
+        scales: Usual magnitudes.
+        late_record: Whether a record that is late as a whole shows as no late command does.
+        without: Names of rows that are left out.
+        system: Kind of system.
+    """
+    for group in channel_groups(channels, late_record=late_record):
+        of = _instrument(group, channels, scales)
+        for name in rows(SENSOR):
+            if name in group.causes and name not in without:
+                yield reading_cause(name, _with_ending(of, name, group, channels), system=system)
+
+
+def _instrument(group: ChannelGroup, channels: Sequence[Channel], scales: Scales) -> Instrument:
+    places = tuple(i for i, c in enumerate(channels) if c.name in group.channels)
+    own = tuple(channels[i] for i in places)
+    return Instrument(own, places, scales.of_channels(group.channels), "", own[0].unit)
+
+
+def _with_ending(
+    of: Instrument, cause: str, group: ChannelGroup, channels: Sequence[Channel]
+) -> Instrument:
+    is_whole = not group.name or len(of.channels) == len(channels)
+    is_one_kind = len({c.kind for c in channels}) == 1
+    is_named = not is_whole or (cause in _NAMED and is_one_kind)
+    return replace(of, ending=f"_of_{spell_plainly(group.name)}") if is_named else of
+
+
+__all__ = [
+    "TIMED_COMMANDS",
+    "TIMED_READINGS",
+    "Instruments",
+    "change_rows",
+    "grid_of",
+    "instrument_causes",
+]
