@@ -17,10 +17,9 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.soft_body.model import SoftModel
-from diffsim.systems.soft_body.models import finer
 from diffsim.systems.soft_body.scene import SoftScene
-from diffsim.systems.soft_body.tendon_bar import BarShape, TendonBar
 from diffsim.systems.soft_body.unknown import unknown_force
+from labs.systems.beam_bar import BarShape, TendonBar
 from labs.systems.beam_causes import causes
 
 KNOTS_PER_S = 5.0
@@ -71,7 +70,7 @@ def setup(
 def lab_beam(
     study: Study, *, cells: tuple[int, int, int], dt_s: float, rtol: float = 1e-9
 ) -> SoftModel:
-    """A bar clamped at x = 0 with a pair of tendons that give the laboratory's moment.
+    """A described bar clamped at x = 0 with a pair of rods that give the laboratory's moment.
 
     Young's modulus and density are multiplied by what this mesh and time step are known to miss
     (:class:`TendonBar`), so that they mean the same on every mesh.
@@ -96,7 +95,7 @@ def lab_beam(
 
     @lru_cache(maxsize=8)
     def made(count: tuple[int, int, int], dt: float, tolerance: float) -> TendonBar:
-        return TendonBar(shape, count, dt, "implicit_midpoint", tolerance)
+        return TendonBar(shape, count, arm, "tendon_N", dt, tolerance)
 
     def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftScene:
         count = finer(cells, numerics.mesh)
@@ -104,24 +103,12 @@ def lab_beam(
         gain = values[f"gain@{run.name}"]
         moved = torch.stack([x + values[f"place_{name}"] for name, x in places.items()])
         zeros = torch.stack([values[f"zero_{name}@{run.name}"] for name in places])
-        times = torch.as_tensor(np.asarray(run.time_s), dtype=torch.float64)
-        pull = torch.as_tensor(np.asarray(run.command["tendon_N"]), dtype=torch.float64)
-        return SoftScene(
-            body=bar.body,
-            sample_times=times - times[0],
-            observe=bar.look,
+        scene = bar.scene(values["youngs_modulus"], values["rayleigh_beta"], run)
+        rods = scene.actuate
+        assert rods is not None
+        return scene.changed(
             axes=(1,) * len(places),
-            parameters={
-                "youngs_modulus": values["youngs_modulus"] * bar.softness,
-                "rayleigh_beta": values["rayleigh_beta"],
-                "density": torch.tensor(shape.density * bar.lightness, dtype=torch.float64),
-            },
-            start="equilibrium",
-            command=pull[:, None],
-            command_dt=float(times[1] - times[0]),
-            actuate=lambda tension: bar.activation(gain * arm * tension),
-            actuates_rows=True,
-            friction_shares=bar.tip,
+            actuate=lambda tension: rods(gain * tension),
             output_maps=(lambda y, t: bar.sideways(y, moved) + zeros,),
         )
 
@@ -146,3 +133,9 @@ def _bank(study: Study) -> tuple[Run, ...]:
         replace(like, name=f"bank_{name}", group=name, command={"tendon_N": u}, measured=empty)
         for name, u in commands.items()
     )
+
+
+def finer(cells: tuple[int, int, int], factor: float) -> tuple[int, int, int]:
+    """Numbers of cells whose size is ``factor`` times as large."""
+    along, across, up = (max(1, round(n / factor)) for n in cells)
+    return along, across, up

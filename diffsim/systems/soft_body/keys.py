@@ -135,6 +135,7 @@ class DescribedTendon(Drive):
     full_length: Meters | None = Field(
         None, gt=0, description="Length that strain refers to [m]; default: that of the path"
     )
+    pushes: bool = Field(False, description="A rod, which pushes, too, and never hangs slack")
     part: float = Field(
         1.0, gt=0, le=1, description="Share of the cable in the model: 0.5 on a plane of symmetry"
     )

@@ -124,7 +124,9 @@ class Rig:
         cable = self.given.tendons[i]
         stiffness = SOFT_CABLE_N if cable.axial_stiffness is None else cable.axial_stiffness.value
         with within(f"tendons[{i}].path"):
-            return soft.Tendon(self.mesh, list(cable.path), axial_stiffness=stiffness)
+            return soft.Tendon(
+                self.mesh, list(cable.path), axial_stiffness=stiffness, slack=not cable.pushes
+            )
 
     def _cavities(self) -> list[soft.PressureChamber]:
         made = []

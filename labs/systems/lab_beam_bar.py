@@ -1,9 +1,10 @@
-"""A clamped bar on hexahedra, bent by a moment at its tip, and what its mesh is known to miss."""
+"""The laboratory's bar as a described soft body, and what its mesh is known to miss."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -11,11 +12,16 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from torch import Tensor
 
-from diffsim import mesh, soft
+from diffsim.identify.numerics import Numerics
+from diffsim.systems.description import BaseParameters
+from diffsim.systems.soft_body.described import DescribedModel
+from diffsim.systems.soft_body.description import SoftBodyDescription
+from diffsim.systems.soft_body.rig import SOFT_CABLE_N
+from diffsim.systems.soft_body.scene import SoftScene
 
-# Far below the bar's own 100 N per strain: the tendons pull and push, and hardly stiffen.
-TENDON_STIFFNESS_N = 0.1
-FORCE_ATOL_N = 1e-11  # far below what moves a marker by a noise sd; an unloaded bar has no scale
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
 SMALL = 1e-3  # tip displacement over length of the trials that corrections come from
 POWER_ITERATIONS = 4  # each leaves a fortieth of the second mode
 
@@ -71,14 +77,16 @@ class BarShape:
 
 
 class TendonBar:
-    """A bar with a tendon that pulls on one side and one that pushes on the other.
+    """A described bar with a rod that pulls on one side and one that pushes on the other.
 
     A pair gives the moment of one tendon without compressing the bar.
 
     Args:
         shape: Size and material of the bar.
         cells: Elements along, in the plane of bending (even) and across.
-        dt_s, integrator: Time step [s] and integrator of the body.
+        arm: Distance of the laboratory's tendon from the bar's axis [m].
+        command: Name of the command with the tension [N].
+        dt_s: Time step [s].
         rtol: Relative tolerance of every time step's solution [-].
     """
 
@@ -86,48 +94,66 @@ class TendonBar:
         self,
         shape: BarShape,
         cells: tuple[int, int, int],
+        arm: float,
+        command: str,
         dt_s: float,
-        integrator: str,
         rtol: float,
     ):
         if cells[1] % 2:
             raise ValueError(f"cells: an even number in the plane of bending, got {cells}")
-        self.shape, self.dt_s, self.integrator = shape, dt_s, integrator
-        length, depth, width = shape.length, shape.depth, shape.width
-        box = mesh.hex_box(cells, (length, depth, width))
+        self.shape, self.dt_s = shape, dt_s
         # the layer of elements nearest to half way out, so that refining keeps the arm
-        layer = depth / cells[1]
-        self.arm = layer * (max(0, round(0.25 * depth / layer - 0.5)) + 0.5)
-        tendons = [
-            soft.Tendon(
-                box,
-                [[0.0, 0.5 * depth + y, 0.5 * width], [length, 0.5 * depth + y, 0.5 * width]],
-                axial_stiffness=TENDON_STIFFNESS_N,
-                slack=False,
-            )
-            for y in (self.arm, -self.arm)
-        ]
-        self.body = soft.SoftBody(
-            box,
-            dt=dt_s,
-            integrator=integrator,
-            youngs_modulus=shape.youngs_modulus,
-            poissons_ratio=shape.poissons_ratio,
-            density=shape.density,
-            gravity=(0.0, 0.0, 0.0),
-            damping=soft.Damping(rayleigh_beta=1e-3),
-            fixed=box.nodes_near_plane("x", 0.0),
-            muscles=[t.muscle for t in tendons],
-            solver=soft.SolverOptions(rtol=rtol, atol=FORCE_ATOL_N),
+        layer = shape.depth / cells[1]
+        out = layer * (max(0, round(0.25 * shape.depth / layer - 0.5)) + 0.5)
+        self._per_moment = 0.5 / (out * SOFT_CABLE_N)
+        given = SoftBodyDescription.model_validate(
+            {
+                "system": "soft_body",
+                "body": {
+                    "bar": {"size": [shape.length, shape.depth, shape.width], "cells": list(cells)}
+                },
+                "material": {
+                    "youngs_modulus": {"value": shape.youngs_modulus, "percent": 10},
+                    "poissons_ratio": shape.poissons_ratio,
+                    "density": {"value": shape.density, "percent": 1},
+                    "rayleigh_beta": {"value": 1e-3, "percent": 30},
+                },
+                "fixed": [{"x": 0}],
+                "gravity": {"vector": [0.0, 0.0, 0.0]},
+                "tendons": [
+                    self._rod("pull", command, out, 0.5 * arm / out),
+                    self._rod("push", command, -out, -0.5 * arm / out),
+                ],
+                "sliding": {"x": shape.length},
+                "markers": {"tip": [shape.length, 0.5 * shape.depth, 0.5 * shape.width]},
+                "channels": {"tip": {"markers": "tip", "axis": "y"}},
+                "numerics": {"time_step": dt_s, "tolerance": rtol, "correct_mesh": False},
+            }
         )
-        x = box.x_rest
+        quantities = given.quantities()
+        self._described = DescribedModel(given, None, ("tip",), BaseParameters(quantities, ()))
+        self._known = {n: torch.tensor(q.value).double() for n, q in quantities.items()}
+        self.body, box = self._described.rig().body, self._described.rig().mesh
         self.axis = torch.stack(
-            [box.nodes_near_plane("x", length * i / cells[0]) for i in range(cells[0] + 1)]
+            [box.nodes_near_plane("x", shape.length * i / cells[0]) for i in range(cells[0] + 1)]
         )
-        self._rest = x[self.axis][:, :, 1].mean(1)
-        face = box.nodes_near_plane("x", length)
-        self.tip = torch.zeros(box.num_nodes, dtype=torch.float64)
-        self.tip[face] = 1.0 / len(face)
+        self._rest = box.x_rest[self.axis][:, :, 1].mean(1)
+
+    def _rod(self, name: str, command: str, off_axis: float, gain: float) -> dict[str, Any]:
+        y, z = 0.5 * self.shape.depth + off_axis, 0.5 * self.shape.width
+        path = [[0.0, y, z], [self.shape.length, y, z]]
+        rod = {"name": name, "command": command, "gain": gain, "path": path}
+        return {**rod, "means": "force", "pushes": True}
+
+    def scene(self, youngs_modulus: Tensor, rayleigh_beta: Tensor, run: Run) -> SoftScene:
+        """A run that begins in equilibrium under its first tension; the axis is observed."""
+        values = {
+            "youngs_modulus": youngs_modulus * self.softness,
+            "rayleigh_beta": rayleigh_beta,
+            "density": torch.tensor(self.shape.density * self.lightness, dtype=torch.float64),
+        }
+        made = self._described.build(self._known | values, run, Numerics())
+        return made.changed(observe=self.look, rest_places=None, output_maps=())
 
     def look(self, x: Tensor) -> Tensor:
         """Displacements in y of the axis at all stations, (..., num_stations) [m]."""
@@ -149,11 +175,6 @@ class TendonBar:
         )
         return torch.stack([weights[i] * y[..., left - 1 + i] for i in range(4)]).sum(0)
 
-    def activation(self, moment: Tensor) -> Tensor:
-        """Commanded lengths over rest lengths, (..., 2), for a moment (..., 1) [N m]."""
-        share = moment / (2.0 * self.arm * TENDON_STIFFNESS_N)
-        return torch.cat([1.0 - share, 1.0 + share], -1)
-
     @cached_property
     def softness(self) -> float:
         """Tip displacement of the mesh over beam theory's, for a small moment at the tip [-].
@@ -162,8 +183,9 @@ class TendonBar:
         """
         shape = self.shape
         moment = SMALL * shape.length / shape.tip_of_moment(1.0)
+        share = moment * self._per_moment
         x = self._rest_under(
-            activation=self.activation(torch.tensor([moment], dtype=torch.float64))
+            activation=torch.tensor([1.0 - share, 1.0 + share], dtype=torch.float64)
         )
         tip = float(self.look(x)[-1])
         return tip / shape.tip_of_moment(moment)
@@ -175,10 +197,6 @@ class TendonBar:
         Over the true density, with the corrected Young's modulus. A step of h swings a mode of
         frequency w at (2 / h) atan(w h / 2) (implicit midpoint).
         """
-        if self.integrator != "implicit_midpoint":
-            raise ValueError(
-                f"the bar's corrections are for integrator implicit_midpoint, got {self.integrator}"
-            )
         h, wanted = self.dt_s, self.shape.first_frequency()
         needed = 2.0 / h * np.tan(0.5 * wanted * h)
         return float(self.mesh_frequency() ** 2 / needed**2)
