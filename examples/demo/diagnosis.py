@@ -1,7 +1,7 @@
-"""The demo's last stage: what the simulated beam gets wrong, named, added, and the gain measured.
+"""The demo's last stage: what the described beam gets wrong, named, added, and the gain measured.
 
-A quick look at the bar without weight: a short window, few candidates.
-``docs/measured/silicone_beam.md`` has the diagnosis with all of them.
+A quick look at the published study, with few candidates. ``docs/measured/silicone_beam.md`` has the
+diagnosis with all of them.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from diffsim.core.files import to_plain
 from diffsim.data import BeamStudy
-from diffsim.data.importers import import_silicone_beam
 from diffsim.diagnose import Report, diagnose
-from diffsim.identify import SearchSettings
-from diffsim.systems.published import silicone_beam
+from diffsim.systems import setup_of
 from examples.demo.plan import Plan
+from examples.demo.published import write_study
 
 SKIPPED = (
     "These recordings were computed by the virtual laboratory: a cause found in them would say "
@@ -28,13 +28,14 @@ NOT_RUN = "The diagnosis of these recordings was switched off: Plan(diagnosis_ef
 
 
 def describe(
-    study: BeamStudy, plan: Plan, tell: Callable[[str], None] = lambda doing: None
+    study: BeamStudy, plan: Plan, out: Path, tell: Callable[[str], None] = lambda doing: None
 ) -> dict[str, Any]:
     """Diagnose the recordings; finished figures and tables, so that the page can be made again.
 
     Args:
         study: Measured recordings; of virtual ones only why they are skipped is said.
-        plan: Its sizes.
+        plan: Its candidate causes.
+        out: Folder for ``study.yaml``, the study that is diagnosed.
         tell: Receives what is being done.
     """
     if study.is_virtual:
@@ -42,22 +43,16 @@ def describe(
     if not plan.diagnosis_effects:
         return {"skipped": NOT_RUN}
     began = time.process_time()
-    made = silicone_beam.setup(
-        import_silicone_beam(study.folder),
-        cells=plan.diagnosis_cells,
-        dt_s=plan.diagnosis_dt_s,
-        until_s=plan.diagnosis_until_s,
-        search=SearchSettings(max_effects=2, num_refits=1, max_rounds=3),
-    )
-    assert made.study is not None  # this setup cuts its own window
-    effects = [e for e in made.effects if e.name in plan.diagnosis_effects]
+    described = write_study(study.folder, out)
+    given = setup_of(described)
+    effects = [e for e in given.effects if e.name in plan.diagnosis_effects]
     found = diagnose(
-        made.study,
-        made.model,
+        described,
+        given.model,
         effects,
         seed=0,
-        unknowns=made.unknowns,
-        settings=made.settings,
+        unknowns=given.unknowns,
+        settings=given.settings,
         progress=lambda stage, fraction, doing: tell(f"{stage}, {doing}"),
     )
     return {

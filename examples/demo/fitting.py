@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from diffsim.data import BeamGeometry, BeamTrial
-from diffsim.systems.soft_body.clamped_beam import Beam, Setup
-from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, window
+from examples.demo.beam import Beam, Setup
 from examples.demo.identify import Unknown, fit
 from examples.demo.plan import Plan
+from examples.demo.tip_window import MAX_RELEASE_SHIFT_S, window
 from examples.demo.workers import Workers
 
 Residual = Callable[[Mapping[str, Tensor]], Tensor]

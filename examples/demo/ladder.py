@@ -15,11 +15,11 @@ from diffsim.core.stages import file_digest
 from diffsim.data import BeamGeometry, BeamStudy, BeamTrial
 from diffsim.data.beam_motion import COMPARE_S
 from diffsim.mesh import surface_quads
-from diffsim.systems.soft_body.clamped_beam import Beam, Release, Setup
-from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, rms, window
 from diffsim.viz.frames import pack
+from examples.demo.beam import Beam, Release, Setup
 from examples.demo.numerics import motion
 from examples.demo.plan import Plan
+from examples.demo.tip_window import MAX_RELEASE_SHIFT_S, rms, window
 from examples.demo.workers import Workers
 
 FRAME_S = 0.01  # of the kept surface, as the camera's

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from diffsim.data import BeamGeometry
-from diffsim.systems.soft_body.clamped_beam import Beam, Setup, timoshenko_sag
+from examples.demo.beam import Beam, Setup, timoshenko_sag
 from examples.demo.plan import Plan
 from examples.demo.workers import Workers
 

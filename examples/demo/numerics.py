@@ -10,7 +10,7 @@ import torch
 
 from diffsim.data import BeamGeometry, signal
 from diffsim.data.beam_motion import RING_DOWN_START_S
-from diffsim.systems.soft_body.clamped_beam import Beam
+from examples.demo.beam import Beam
 from examples.demo.plan import Plan
 from examples.demo.workers import Workers
 

@@ -43,7 +43,7 @@ def report(
             page_causes.mesh(study, results),
             page_ladder.identification(study, results),
             page_measured.section(study, results["measured"]),
-            page_diagnosis.section(results["diagnosis"], plan),
+            page_diagnosis.section(results["diagnosis"]),
         ],
         held_fixed=_held_fixed(study, plan),
     )

@@ -10,12 +10,12 @@ import torch
 
 from diffsim.data import BeamStudy, BeamTrial, signal
 from diffsim.data.beam_motion import COMPARE_S, RING_DOWN_START_S
-from diffsim.systems.soft_body.tip_window import window
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
 from examples.demo import verdict
 from examples.demo.ladder import Rung, run_of
 from examples.demo.page_measured import case_title
+from examples.demo.tip_window import window
 
 ROLE = {"published": "published", "identified": "fitted", "joint": "third"}
 SHOWN = {False: ("published", "identified"), True: ("published", "identified", "joint")}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from diffsim.systems.soft_body.clamped_beam import Setup
+from examples.demo.beam import Setup
 
 Cells = tuple[int, int, int]
 
@@ -26,8 +26,7 @@ class Plan:
         mesh_cells: Meshes of the sag study, coarse to fine.
         mesh_poissons_ratios: Poisson ratios of the sag study; the largest leaves out the finest.
         damping_dt_s: Steps of the study of numerical damping.
-        diagnosis_cells, diagnosis_dt_s, diagnosis_until_s: Of the diagnosis at the end.
-        diagnosis_effects: Its candidate causes; none: no diagnosis.
+        diagnosis_effects: Candidate causes of the diagnosis at the end; none: no diagnosis.
     """
 
     cells: Cells = (20, 4, 4)
@@ -46,10 +45,7 @@ class Plan:
     )
     mesh_poissons_ratios: tuple[float, ...] = (0.499, 0.49, 0.45)
     damping_dt_s: tuple[float, ...] = (1e-2, 5e-3, 2.5e-3)
-    diagnosis_cells: Cells = (8, 3, 3)
-    diagnosis_dt_s: float = 5e-3
-    diagnosis_until_s: float = 0.75
-    diagnosis_effects: tuple[str, ...] = ("loss_factor", "creep", "support_motion")
+    diagnosis_effects: tuple[str, ...] = ("load_inertia", "loss_factor", "creep", "support_motion")
 
     def published(self) -> Setup:
         """Implicit Euler, 10 ms, the weight a constant force."""

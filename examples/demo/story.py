@@ -173,7 +173,7 @@ def _compute(
     results["remaining"] = ladder.compare(study, models, results["simulated"])
     workers.stage("diagnosis", 0)
     results["diagnosis"] = stages.run(
-        "diagnosis", lambda: diagnosis.describe(study, plan, workers.note)
+        "diagnosis", lambda: diagnosis.describe(study, plan, out, workers.note)
     )
     results["models"] = {
         rung.name: {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
+from scipy.signal import butter, filtfilt
 from scipy.spatial.transform import Rotation
 
 from diffsim.data import load_beam_study
@@ -175,3 +176,14 @@ def test_sideways_the_weight_does_not_ride_along(measured_beam):
         # measured: the tip's own swing 3.2 (a) and 1.3 times as large, the slow one 1.0 and 3.0
         for low, high in ((7.9, 8.4), (0.9, 1.4)):
             assert amplitude[(frequency > low) & (frequency < high)].max() > 0.95 * ride
+
+
+def test_clamp_sways_near_the_frequency_of_the_bar(measured_beam):
+    """From 0.25 to 0.75 s after release, ten times the noise of its markers."""
+    for trial in measured_beam.repeats()["gravity"]:
+        inside = (trial.time_s >= 0.25) & (trial.time_s <= 0.75)
+        smooth = filtfilt(*butter(4, 20.0, fs=100.0), trial.support_displacement_m[:, 0])
+        forward = smooth[inside]
+        assert 4e-5 < 0.5 * np.ptp(forward) < 1.2e-4
+        spectrum = np.abs(np.fft.rfft((forward - forward.mean()) * np.hanning(len(forward)), 4096))
+        assert np.fft.rfftfreq(4096, 0.01)[spectrum.argmax()] == pytest.approx(8.2, abs=0.3)

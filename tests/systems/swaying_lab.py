@@ -69,8 +69,8 @@ def swing(time, places, start_m):
     )
     pull = -modes.T @ mass @ rigid
     sag = linalg.solve(stiff, mass @ rigid[:, 0] * GRAVITY)
-    first = modes[:, 0] * start_m / modes[-2, 0]
-    amplitude = modes.T @ mass @ first
+    held = linalg.solve(stiff, np.eye(len(stiff))[-2])  # by a hand at the tip, until the start
+    amplitude = modes.T @ mass @ held * start_m / held[-2]
     tip = np.zeros(len(fine))
     acceleration = np.gradient(np.gradient(motion, fine, axis=0), fine, axis=0)
     for i in range(NUM_MODES):

@@ -7,38 +7,21 @@ import pytest
 import torch
 
 from diffsim.causes import commands as actuator
-from diffsim.causes import library
 from diffsim.core.errors import DiffsimError
-from diffsim.data.beam import BeamGeometry
 from diffsim.data.study import Channel, Run, Study
-from diffsim.identify import Numerics, Parameter
-from diffsim.systems.soft_body import beam_model, tendon_model, unknown_force
+from diffsim.identify import Numerics
+from diffsim.systems import library
 from diffsim.systems.soft_body import forces as soft_forces
 from diffsim.systems.soft_body import material as soft_material
 from diffsim.systems.soft_body import sensor as soft_sensor
+from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
-from diffsim.systems.soft_body.history import History
-from diffsim.systems.soft_body.models import BEAM_BASE
-from diffsim.systems.soft_body.released import released_beam
 from diffsim.systems.soft_body.scene import Moment
 from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from tests.diagnose.gate import score_error, typical
+from tests.systems.soft_body.bars import held_bar, model_of, pulled_bar, released_bar
 
 CELLS = (6, 2, 2)
-BAR = BeamGeometry(
-    length_m=0.1,
-    width_m=0.03,
-    height_m=0.03,
-    density_kg_m3=1070.0,
-    poissons_ratio=0.45,
-    youngs_modulus_published_Pa=2.6e5,
-    gravity_m_s2=9.81,
-    marker_place_m={
-        "tip1": (0, 0.015, 0.036),
-        "tip2": (0, -0.006, 0.024),
-        "tip3": (0, 0.036, 0.006),
-    },
-)
 EFFECTS = library("soft_body")
 SMOOTH = [e for e in EFFECTS if e.smooth]
 
@@ -66,12 +49,16 @@ PULLED = make_run(0.17, shortening=pulled, support_x_m=sway, support_z_m=lambda 
 
 
 def beam(**changes):
-    return beam_model(BAR, **{"cells": CELLS, "rtol": 1e-11} | changes)
+    return model_of(released_bar(**{"cells": CELLS, "rtol": 1e-11} | changes), RUN)
+
+
+def tendon(**changes):
+    return model_of(pulled_bar(**{"cells": CELLS, "rtol": 1e-11} | changes), PULLED)
 
 
 def swimmer():
     """Everything at once: tendon, command, water."""
-    return tendon_model(cells=CELLS, rtol=1e-11, water=True)
+    return tendon(in_water=True)
 
 
 def predict(model, run, effect=None, at=None, numerics=None):
@@ -89,7 +76,7 @@ def plain():
 @pytest.fixture(scope="module")
 def in_air():
     """Hydrodynamics jumps where faces turn edge-on; nothing else does."""
-    model = tendon_model(cells=CELLS, rtol=1e-11)
+    model = tendon()
     return model, predict(model, PULLED)
 
 
@@ -150,12 +137,8 @@ def swing(model, effect=None, at=None, until_s=1.2, run=None):
     return 1 / period, rate / np.hypot(rate, np.pi), swings[0]
 
 
-def young(modulus):
-    return (Parameter("youngs_modulus", modulus, 0.3, "Pa", log=True),)
-
-
-def undamped(modulus=2.6e5):
-    return beam(base=young(modulus), dt_s=2e-3, rtol=1e-8)
+def undamped(modulus=2.6e5, **changes):
+    return beam(young=modulus, is_damped=False, dt_s=2e-3, rtol=1e-8, **changes)
 
 
 def test_stiffness_damping_has_ratio_beta_omega_over_two():
@@ -190,8 +173,7 @@ def test_linear_drag_decays_as_work_over_energy():
 
 def test_quadratic_drag_grows_with_amplitude_and_linear_does_not():
     def loss(effect, at, light):
-        bar = replace(BAR, gravity_m_s2=9.81 / light)
-        model = beam_model(bar, cells=CELLS, dt_s=2e-3, base=young(2.6e5))
+        model = undamped(gravity=9.81 / light)
         return swing(model, effect, at)[1] - swing(model)[1]
 
     quadratic, linear = soft_forces.QUADRATIC_DRAG, soft_forces.LINEAR_DRAG
@@ -254,17 +236,6 @@ def test_support_that_moves_as_a_whole():
     torch.testing.assert_close(found, heavy, atol=1e-8, rtol=0)
 
 
-def test_memory_of_the_hand_that_held_the_body():
-    """Slow branches remember the hand, quick ones follow the body, and all forget the hand."""
-    hand, force, weight = size(0, 0, 3.0), size(0, 0, 0.5), size(0, 0, -1.0)
-    tau = size(1e4, 1e-4)
-    slow, quick = History(0.25, hand, size(50.0)[0]).memory(force, weight, tau)
-    torch.testing.assert_close(slow, -weight - hand, atol=1e-3, rtol=0)
-    torch.testing.assert_close(quick, force, atol=1e-3, rtol=0)
-    late = History(1e6, hand, size(50.0)[0]).memory(force, weight, tau)
-    torch.testing.assert_close(late[0], -weight, atol=1e-3, rtol=0)
-
-
 def test_added_mass_only_slows_time_down():
     """As much again as the bar's own mass: the same motion, sqrt(2) times slower."""
     plain = undamped()
@@ -278,12 +249,11 @@ def test_added_mass_only_slows_time_down():
 def test_weight_tilt_and_drift_are_what_other_settings_give():
     model = beam()
     heavy = predict(model, RUN, soft_forces.WEIGHT, size(0.5))
-    other = beam_model(replace(BAR, gravity_m_s2=10.31), cells=CELLS, rtol=1e-11)
-    torch.testing.assert_close(heavy, predict(other, RUN), atol=1e-9, rtol=0)
+    torch.testing.assert_close(heavy, predict(beam(gravity=10.31), RUN), atol=1e-9, rtol=0)
     leaning = predict(model, RUN, soft_forces.TILT, size(0.0, 0.5))
     assert float(leaning[-1, 1].abs()) > 1e-4 and float(predict(model, RUN)[-1, 1].abs()) < 1e-9
     drifted = predict(model, RUN, soft_material.TEMPERATURE_DRIFT, size(0.05))
-    stiffer = beam(base=(*young(1.1 * 2.6e5), BEAM_BASE[1]))
+    stiffer = beam(young=1.1 * 2.6e5)
     torch.testing.assert_close(drifted, predict(stiffer, RUN), atol=1e-9, rtol=0)
     lost = predict(model, RUN, soft_material.STIFFNESS_LOSS, size(-0.1, -0.1, -0.1))
     torch.testing.assert_close(lost, drifted, atol=1e-9, rtol=0)
@@ -308,7 +278,7 @@ def test_current_bends_the_bar_downstream(plain):
 
 
 def test_delay_of_command_and_late_clock_are_the_same():
-    model = tendon_model(cells=CELLS)
+    model = tendon(rtol=1e-8)
     late = predict(model, PULLED, soft_sensor.CLOCK_OFFSET, size(0.03))
     slow = predict(model, PULLED, actuator.COMMAND_DELAY, size(0.03))
     # the command is straight between samples of 10 ms, steps are 4 ms: both see it at other places
@@ -354,9 +324,7 @@ def test_unknown_force_of_even_knots_is_weight():
     torch.testing.assert_close(found, want, atol=1e-9, rtol=0)
 
 
-def test_missing_command_is_named():
-    with pytest.raises(ValueError, match="no command 'shortening'"):
-        predict(tendon_model(cells=CELLS), RUN)
+def test_a_library_of_no_system_is_refused():
     with pytest.raises(ValueError, match="system must be one of"):
         library("soft_bdy")
 
@@ -364,28 +332,12 @@ def test_missing_command_is_named():
 def held_run(load_kg=0.0, until_s=0.2):
     """Held until 0, with channels of the mean marker in the plane of the bar."""
     time = np.arange(-0.02, until_s, 0.01)
-    load = {"tip_load_mass_kg": load_kg}
+    load = {"load_kg": load_kg}
     return Run("a", time, np.zeros((len(time), 3)), {}, "g", setup=load)
 
 
 def held_beam():
-    channels = [Channel("tip_x_m", "m", "position"), Channel("tip_z_m", "m", "position")]
-    channels.append(Channel("tip_pitch_rad", "rad", "angle"))
-    return released_beam(BAR, channels, ["a"], cells=(6, 1, 2), rtol=1e-11)
-
-
-def test_hand_holds_the_bar_where_it_would_be_straight():
-    model, run = held_beam(), held_run(0.05)
-    scene = model.scene(run, model.at_prior())
-    state = scene.initial_state(None, scene.body.physics(**scene.parameters))
-    tip = float((scene.friction_shares @ (state.x - scene.body.x_rest))[2])
-    free = scene.changed(holding_force=None)
-    sag = float((free.initial_state(None, free.body.physics(**free.parameters)).x.min(0)[0])[2])
-    # the reaction of a propped Bernoulli beam holds a stubby, locking solid to a tenth of its sag
-    assert abs(tip) < 0.1 * abs(sag)
-    shown = predict(model, run)
-    torch.testing.assert_close(shown[:3], torch.zeros_like(shown[:3]), atol=1e-9, rtol=0)
-    assert float(shown[-1, 1]) < -1e-3  # it has fallen
+    return model_of(held_bar(), held_run())
 
 
 def test_slack_string_lets_the_bar_go_alone_first():

@@ -16,10 +16,8 @@ from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
 from diffsim.systems.soft_body import (
     SoftModel,
-    beam_model,
     model,
     tangents,
-    tendon_model,
     unknown_force,
 )
 from diffsim.systems.soft_body import forces as soft_forces
@@ -28,7 +26,8 @@ from diffsim.systems.soft_body.material import _Relaxation
 from diffsim.systems.soft_body.scene import Force
 from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from diffsim.systems.soft_body.unknown import _Knots
-from tests.systems.test_soft_body import BAR, held_beam, held_run
+from tests.systems.soft_body.bars import model_of, pulled_bar, released_bar
+from tests.systems.test_soft_body import held_beam, held_run
 
 CELLS = (4, 1, 1)
 SMOOTH = [e for e in library("soft_body") if e.smooth]
@@ -51,11 +50,14 @@ PULLED = record(shortening=lambda time: 0.03 * np.sin(2 * np.pi * 3.0 * time) **
 
 
 def beam(**changes):
-    return beam_model(BAR, **{"cells": CELLS, "dt_s": 8e-3, "rtol": 1e-11, "runs": ["a"]} | changes)
+    given = released_bar(**{"cells": CELLS, "dt_s": 8e-3, "rtol": 1e-11} | changes)
+    late = {"clock": {"offset": {"value": 0.0, "sd": 3e-3, "per": "run"}}}
+    return model_of(given | late, FREE)
 
 
 def tendon(**changes):
-    return tendon_model(**{"cells": (4, 1, 2), "dt_s": 8e-3, "rtol": 1e-11} | changes)
+    given = pulled_bar(**{"cells": (4, 1, 2), "dt_s": 8e-3, "rtol": 1e-11} | changes)
+    return model_of(given, PULLED)
 
 
 def problem_of(model, run, *effects):
@@ -110,7 +112,7 @@ ACTING = (
     "linear_drag",
     "dry_friction",
     "tilt",
-    "release_time@a",
+    "clock_offset@a",
 )
 
 
@@ -143,7 +145,7 @@ def test_tendon_from_equilibrium():
 
 def test_tendon_in_water():
     """Drag, in a start that is sought with the forces and in the motion."""
-    problem = problem_of(tendon(water=True), PULLED, soft_forces.LINEAR_DRAG)
+    problem = problem_of(tendon(in_water=True), PULLED, soft_forces.LINEAR_DRAG)
     x = np.zeros(len(problem.names))
     x[-1] = 0.2
     assert_alike(problem, x)
@@ -270,7 +272,7 @@ def test_hooks_and_observers_without_leading_axes():
     def build(values, run, numerics):
         scene = plain.build(values, run, numerics)
         nodes = [-1, -2]
-        return scene.changed(observe=lambda x: x[nodes].mean(0) + values["place"])
+        return scene.changed(observe=lambda x: x[nodes].mean(0) + values["place"], output_maps=())
 
     model = SoftModel(build, (*plain.base, Parameter("place", 0.0, 1e-3, "m")))
     old = replace(soft_forces.LINEAR_DRAG, typical=2e-3, apply=remembering)

@@ -1,11 +1,10 @@
-"""Soft bodies: a clamped bar let go or pulled by a tendon, and what real ones add to it."""
+"""Soft bodies as a study describes them, and what real ones add to it."""
 
 from diffsim.causes.commands import ACTUATOR
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.forces import FORCES
 from diffsim.systems.soft_body.material import MATERIAL
 from diffsim.systems.soft_body.model import SoftModel
-from diffsim.systems.soft_body.models import beam_model, tendon_model
 from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.sensor import SENSOR
 from diffsim.systems.soft_body.support import SUPPORT_MOTION
@@ -21,8 +20,6 @@ __all__ = [
     "SUPPORT_MOTION",
     "SoftModel",
     "SoftScene",
-    "beam_model",
     "soft_body_library",
-    "tendon_model",
     "unknown_force",
 ]

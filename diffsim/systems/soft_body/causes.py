@@ -90,7 +90,7 @@ def _of_loads(given: SoftBodyKeys, study: Study, mass_kg: float, still: bool) ->
     if any(load.acts_as == "weight" for load in given.masses) and not still:
         found.append(LOAD_INERTIA)
     if given.slack_string is not None:
-        found.append(replace(SLACK_STRING, needs=lambda study: None))
+        found.append(replace(SLACK_STRING, typical=given.slack_string))
     if given.support is not None:
         found.append(support_motion(given.support.x, given.support.z, given.support.faster_than))
     if given.vibration is not None and not still:

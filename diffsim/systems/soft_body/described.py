@@ -212,7 +212,6 @@ class DescribedModel:
             "command": torch.from_numpy(np.stack(columns, 1)),
             "command_dt": dt,
             "actuate": actuate,
-            "actuates_rows": True,
             "pressurize": pressurize if self.given.chambers else None,
         }
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.interpolation import sample
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene
@@ -28,19 +28,12 @@ def _slack_string(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
     Not smooth: the time of the fall, sqrt(2 size / g), has no derivative at 0.
     """
-    if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
-        return scene
-    if not float(size[0].detach()) > 0.0:
+    carries = bool((scene.parameter("attached_mass") > 0.0).any())
+    if not carries or not float(size[0].detach()) > 0.0:
         return scene
     kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
     g = scene.parameter("gravity").norm()
     return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
-
-
-def _needs_weight(study: Study) -> str | None:
-    if not any(run.setup.get("tip_load_mass_kg", 0.0) > 0.0 for run in study.fit_runs):
-        return "a run with a weight (setup tip_load_mass_kg)"
-    return None
 
 
 SLACK_STRING = Effect(
@@ -53,7 +46,6 @@ SLACK_STRING = Effect(
     signed=False,
     smooth=False,
     also_looks_like=("a hand that goes down with the tip at first", "weight let go later"),
-    needs=_needs_weight,
     apply=_slack_string,
 )
 
@@ -83,16 +75,13 @@ class SlackScene(SoftScene):
 
     def falling(self, last: int) -> SoftScene:
         """The body without the weight; places of all nodes are observed."""
-        load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
-        held = self.holding_force
+        load = self.parameter("attached_mass")
         return self._plain(
             sample_times=torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64),
             time_scale=torch.ones((), dtype=torch.float64),
             clock_offset=torch.zeros((), dtype=torch.float64),
             late=(),
             parameters={**self.parameters, "attached_mass": torch.zeros_like(load)},
-            # the hand need not hold the weight
-            holding_force=None if held is None else held + load[:, None] * gravity,
             observe=_places,
         )
 
@@ -105,7 +94,6 @@ class SlackScene(SoftScene):
         gap = (gravity * self.slack_s - v) @ down
         return self._plain(
             start="given",
-            holding_force=None,
             start_position=x,
             start_velocity=v + (load / (load + own) * gap)[:, None] * down,
             start_time=float(self.slack_s.detach()),

@@ -106,7 +106,6 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
     ]
     if reads is None:  # forces that say what they read do not read how it starts
         values += [
-            (a.holding_force, b.holding_force),
             (a.start_position, b.start_position),
             (a.start_velocity, b.start_velocity),
         ]

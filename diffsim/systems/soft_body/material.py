@@ -20,7 +20,6 @@ _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 
 
 _SOLID = ("youngs_modulus", "poissons_ratio")
-_WEIGHT = ("density", "attached_mass", "gravity")
 
 
 def _stiffness_damping(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -62,10 +61,9 @@ def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) 
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
-    leading_axes = True
+    leading_axes, reads = True, _SOLID
 
     def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
-        self.reads = _SOLID if plain.history is None else (*_SOLID, *_WEIGHT)
         self._plain, self._strength = plain, strength
         self._solid = plain.solid_force()
         self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
@@ -76,7 +74,7 @@ class _Relaxation(Force):
         force, _ = self._solid(moment.x)
         tau = self._tau.reshape(-1, *(1 for _ in force.shape))
         if self._memory is None or self._before is None:
-            self._memory = self._at_first(scene, force)
+            self._memory = force.expand(len(self._tau), *force.shape)
         else:
             steady = tau * (force - self._before) / moment.dt
             error = (self._before - self._memory - steady) * torch.exp(-moment.dt / tau) + steady
@@ -90,7 +88,7 @@ class _Relaxation(Force):
         if not isinstance(other, _Relaxation) or not torch.equal(self._tau, other._tau):
             return None
         a, b = self._plain, other._plain
-        if a.body is not b.body or a.history is not None or b.history is not None:
+        if a.body is not b.body:
             return None
         if not torch.equal(a.parameter("poissons_ratio"), b.parameter("poissons_ratio")):
             return None
@@ -101,14 +99,6 @@ class _Relaxation(Force):
         if not torch.allclose(modulus / modulus.mean(), others / others.mean(), rtol=1e-14, atol=0):
             return None
         return other._strength * others.mean() / mean
-
-    def _at_first(self, scene: SoftScene, force: Tensor) -> Tensor:
-        """(num_branches, ..., num_nodes, 3) [N]."""
-        if scene.history is None:
-            return force.expand(len(self._tau), *force.shape)
-        mass = scene.solid_mass + scene.parameter("attached_mass")
-        weight = mass[:, None] * scene.parameter("gravity")
-        return scene.history.memory(force, weight, self._tau)
 
 
 def stiffening(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:

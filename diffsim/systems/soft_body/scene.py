@@ -20,7 +20,6 @@ from diffsim.soft.forces import ElasticGradient
 from diffsim.soft.inputs import check_loads
 from diffsim.soft.physics import LumpedVolume
 from diffsim.soft.prepared import Prepared
-from diffsim.systems.soft_body.history import History
 
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
 _STATIC_ITERATIONS = 60
@@ -99,19 +98,15 @@ class SoftScene:
             their components.
         parameters: Physical parameters for ``body.physics`` by name; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
-            command and ``holding_force``, or "given": ``start_position``.
-        holding_force: (num_nodes, 3) of a hand that lets go at 0 [N]; None: none.
+            command, or "given": ``start_position``.
         start_position: (num_nodes, 3) for the start "given" [m].
         start_velocity: (num_nodes, 3) at 0 [m/s]; None: at rest.
         relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
             first guess of the equilibrium, which is iterated all the same.
-        history: Loads before the start, for hooks with memory; None: the loads of the start acted
-            for long.
         start_time: Time that the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Time between two commands [s].
-        actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
-        actuates_rows: ``actuate`` takes all commands (n, width) at once, which is quicker.
+        actuate: Commands (n, width) -> activations (n, num_muscles); None: the commands themselves.
         command_maps: Functions that change the command, in order.
         forces: Functions that make the extra forces of a rollout.
         water: Drag and thrust of a fluid, explicit; None: there is none.
@@ -138,16 +133,13 @@ class SoftScene:
     axes: tuple[int, ...]
     parameters: Mapping[str, Tensor] = field(default_factory=dict)
     start: str = "rest"
-    holding_force: Tensor | None = None
     start_position: Tensor | None = None
     start_velocity: Tensor | None = None
     relaxed: Mapping[str, Tensor] = field(default_factory=dict)
-    history: History | None = None
     start_time: float = 0.0
     command: Tensor | None = None
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
-    actuates_rows: bool = False
     command_maps: tuple[CommandMap, ...] = ()
     forces: tuple[Callable[[], Force], ...] = ()
     water: soft.Hydrodynamics | None = None
@@ -290,7 +282,7 @@ class SoftScene:
         return soft.State(x, state.v if self.start_velocity is None else self.start_velocity)
 
     def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
-        """At rest under the first command, the holding force and all hooks' forces."""
+        """At rest under the first command and all hooks' forces."""
         pressures = self.pressures(1)
         pressure = None if pressures is None else pressures[0]
         return self.equilibrium(activation, physics, pressure=pressure)
@@ -303,7 +295,7 @@ class SoftScene:
         pressure: Tensor | None = None,
         guess: Tensor | None = None,
     ) -> soft.State:
-        """At rest under commands, the holding force and all hooks' forces at time 0.
+        """At rest under commands and all hooks' forces at time 0.
 
         Args:
             activation: Activations of the muscles, (num_muscles,); None: none.
@@ -311,12 +303,10 @@ class SoftScene:
             pressure: Pressures of the chambers, (num_chambers,) [Pa]; None: none.
             guess: Places to begin from, (num_nodes, 3) [m]; None: the unstrained shape.
         """
-        held = self.holding_force
         relaxed = {**self.parameters, **self.relaxed}
         loads = {"activation": activation, "pressure": pressure}
         state = self.body.static_equilibrium(
             guess=guess,
-            external_force=held,
             physics=self.body.physics(**relaxed) if self.relaxed else physics,
             **loads,
         )
@@ -330,7 +320,7 @@ class SoftScene:
             before = state.x.detach()
             state = self.body.static_equilibrium(
                 guess=before,
-                external_force=force if held is None else force + held,
+                external_force=force,
                 physics=physics,
                 **loads,
             )
@@ -350,9 +340,7 @@ class SoftScene:
         if self.command is None or not self.body.muscles.num_muscles:
             return None
         at_steps = self.commands(num_steps)
-        if self.actuate is None or self.actuates_rows:
-            return at_steps if self.actuate is None else self.actuate(at_steps)
-        return torch.stack([self.actuate(row) for row in at_steps])
+        return at_steps if self.actuate is None else self.actuate(at_steps)
 
     def pressures(self, num_steps: int) -> Tensor | None:
         """Pressure of every chamber in every step, (num_steps, num_chambers) [Pa]."""

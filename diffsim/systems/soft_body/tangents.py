@@ -162,7 +162,6 @@ class _Motion:
         if self._forces is None:
             directions = soft.Directions(
                 activation=None if moved is None else moved[:, 0],
-                external_force=self._rates_of("holding_force"),
                 physics=changing,
             )
             return soft.static_tangents(
@@ -171,7 +170,6 @@ class _Motion:
                 len(self._lines),
                 directions,
                 activation=first,
-                external_force=scene.holding_force,
                 physics=self._physics,
             )
 

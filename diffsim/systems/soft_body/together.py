@@ -44,7 +44,7 @@ def _alike(a: Any, b: Any) -> bool:
         return False
     if a.command is None or b.command is None or not a.body.muscles.num_muscles:
         return False
-    settings = [(s.start, s.num_steps(), tuple(s.relaxed), s.history) for s in (a, b)]
+    settings = [(s.start, s.num_steps(), tuple(s.relaxed)) for s in (a, b)]
     return settings[0] == settings[1] and not a.relaxed and same_surroundings(a, b, None)
 
 

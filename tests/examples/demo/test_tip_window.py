@@ -1,40 +1,12 @@
-"""Markers on a face, common times, release shift: each with an answer known beforehand."""
+"""Common times and release shift: each with an answer known beforehand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
-from diffsim.systems.soft_body.markers import marker_weights
-from diffsim.systems.soft_body.tip_window import Window, rms, sampling_matrix, window
-
-MARKERS = np.array([[0.0, 0.015, 0.036], [0.0, -0.006, 0.024], [0.0, 0.036, 0.006]])
-
-
-def face(n: int = 4) -> np.ndarray:
-    y, z = np.meshgrid(np.linspace(0, 0.03, n), np.linspace(0, 0.03, n))
-    return np.column_stack([0 * y.ravel(), y.ravel(), z.ravel()])
-
-
-@pytest.mark.property
-def test_markers_follow_any_rigid_motion_of_the_face():
-    points = face()
-    w = marker_weights(points, MARKERS)
-    rot = Rotation.from_rotvec([0.1, 0.35, -0.2]).as_matrix()
-    move = np.array([0.001, -0.002, -0.017])
-    np.testing.assert_allclose(w @ (points @ rot.T + move), MARKERS @ rot.T + move, atol=1e-15)
-
-
-def test_faces_and_markers_that_do_not_fit_are_refused():
-    tilted = face() + np.column_stack([face()[:, 1], np.zeros((16, 2))])
-    with pytest.raises(ValueError, match=r"must share one x"):
-        marker_weights(tilted, MARKERS)
-    with pytest.raises(ValueError, match=r"within 1 mm of the face x = 0 m, got 0.094 m"):
-        marker_weights(face(), np.array([[-0.094, 0.0, 0.0]]))
-    with pytest.raises(ValueError, match=r"not on one line"):
-        marker_weights(face()[:4], MARKERS)
+from examples.demo.tip_window import Window, rms, sampling_matrix, window
 
 
 def motion(t, release=0.0):
