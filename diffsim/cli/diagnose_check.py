@@ -20,7 +20,7 @@ from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_schema import StudyFile
-from diffsim.diagnose.checks.separate import alike_channels, cut_in_two, require_separate
+from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
 from diffsim.diagnose.faults.given import given_by
 from diffsim.systems.registry import description_of, setup_of
 

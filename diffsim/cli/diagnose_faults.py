@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.diagnose_inputs import study_file
+from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.core.files import write_json_atomic
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.faults import FaultReport, FaultVerdict, judge_faults
 from diffsim.diagnose.faults.groups import groups_of
-from diffsim.diagnose.say.progress import progress_bar
 from diffsim.systems.registry import setup_of
 
 FAULTS_FILE = "faults.json"

@@ -23,6 +23,7 @@ from diffsim.cli.diagnose_files import (
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.cli.diagnose_judged import write_judged
+from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -35,7 +36,6 @@ from diffsim.diagnose.judge.records import OutsideRow
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
-from diffsim.diagnose.say.progress import progress_bar
 from diffsim.diagnose.say.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 from diffsim.identify.numerics import Numerics

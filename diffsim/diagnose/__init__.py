@@ -9,18 +9,17 @@ order:
    ``linearization``, ``fitting``, ``unknown``.
 3. The pipeline, in the order of its steps: ``diagnose/diagnosis``. Each of the four folders below
    imports only from those before it.
-4. ``checks``: ``separate``, ``gates``, ``gradients``, ``refine`` (data, numerical settings,
-   repeatability), ``noise`` (the noise floor and its whitening).
-5. ``search``: ``fit``, ``gauss_newton``, ``windows`` (the plain model, by Gauss-Newton in a trust
-   region), ``screen`` (scores of all candidates at the null fit), ``evidence``, ``optimum``,
-   ``simulations``, ``search``, ``scan`` (Laplace evidence of sets of effects, and what was
-   simulated for it).
-6. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face a
-   ``referee``: runs with use: select, or fit runs left out, ``left_out``), ``averaging``, ``form``,
-   ``wrong_sheet``, ``data_sheet``. The answer is frozen here. Test runs are looked at once:
-   ``unseen``, ``gain``, ``outside``; new runs later: ``frozen``.
-7. ``say``: ``causes`` (a verdict per cause), ``answer``, ``headline``, ``wording``, ``tables``,
-   ``assemble``, ``report``, ``force_map``: the answer as it is read and saved.
+4. ``checks``: ``gates`` (data), ``numerics`` (steps, mesh, tolerance), ``gradients``, ``noise``
+   (the noise floor and its whitening).
+5. ``search``: ``fit``, ``gauss_newton`` (the plain model, by Gauss-Newton in a trust region),
+   ``evidence``, ``optimum``, ``simulations``, ``weighed_sets``, ``search``, ``scan`` (Laplace
+   evidence of sets of effects, and what was simulated for it).
+6. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face
+   runs that were not fitted, ``gain`` and ``left_out``), ``averaging``, ``stand_ins``,
+   ``data_sheet``. The answer is frozen here. Test runs are looked at once: ``unseen``; new runs
+   later: ``frozen``.
+7. ``say``: ``causes`` (a verdict per cause), ``headline``, ``wording``, ``tables``, ``assemble``,
+   ``report``, ``force_map``: the answer as it is read and saved.
 
 ``faults`` is a way of its own through the same parts: groups of runs with a fault each.
 

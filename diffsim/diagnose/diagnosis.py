@@ -14,34 +14,34 @@ from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
-    NUMERICS_LAMBDA,
     GateResult,
     data_gate,
     effort_gate,
-    numerical_effects,
     refit_gate,
     repeatability_gate,
     scan_gate,
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
+from diffsim.diagnose.judge.gain import Referee, referee_of
 from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
-from diffsim.diagnose.judge.referee import Referee, referee_of
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
-from diffsim.diagnose.search.coarse import Told, begun, coarse_gate, corrected, renewed_at
+from diffsim.diagnose.search.coarse import Corrected, coarse_gate, corrected, renewed_at
+from diffsim.diagnose.search.evidence import Screen, screen
 from diffsim.diagnose.search.fit import (
     Case,
     Null,
     Progress,
     Refined,
     check_numerics,
+    coarsen_first_look,
     null_fit,
     refit_under,
     silent,
 )
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.diagnose.search.screen import Screen, screen
 from diffsim.diagnose.search.search import begin, search_sets, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Center, Simulations
 from diffsim.diagnose.search.store import Store, key_of
@@ -51,7 +51,6 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.stability import runs_away
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -102,7 +101,7 @@ def diagnose(
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))
     case.progress("null fit", 0.0, "the model without effects")
-    case, once = begun(_with_own_step(case))
+    case, once = coarsen_first_look(case)
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")
     null, checks, simulations = _checked(null, gates, cache, started, once)
@@ -125,16 +124,6 @@ def diagnose(
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once
     return tested(frozen, study, seed)
-
-
-def _with_own_step(case: Case) -> Case:
-    """The case with its model's own time step, where the longer one of a first look runs away."""
-    if case.numerics is None or case.settings.first_step == 1.0:
-        return case
-    if not runs_away(case.model, case.study.fit_runs[:1], case.numerics):
-        return case
-    own = Numerics(time_step=1.0 / case.settings.first_step)
-    return replace(case, numerics=case.numerics.refined(own))
 
 
 def search_rounds(null: Null, simulations: Simulations) -> Search:
@@ -243,7 +232,7 @@ def _checked(
     null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, started: float, once: float
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
-    found: Told | Refined
+    found: Corrected | Refined
     if once > 0.0:
         null, found = corrected(null, once)
     else:

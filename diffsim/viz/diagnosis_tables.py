@@ -17,8 +17,8 @@ from diffsim.diagnose.judge.records import (
     Interval,
     OutsideRow,
 )
-from diffsim.diagnose.say.answer import component_words
 from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.wording import component_words
 from diffsim.viz.numbers import figure, signed, unit_of, with_interval, with_sd
 from diffsim.viz.report import Table
 

@@ -10,12 +10,8 @@ import yaml
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, next_run
-from diffsim.diagnose.checks.gates import (
-    data_gate,
-    numerical_effects,
-    numerical_shift,
-    numerics_gate,
-)
+from diffsim.diagnose.checks.gates import data_gate
+from diffsim.diagnose.checks.numerics import numerical_effects, numerical_shift, numerics_gate
 from diffsim.diagnose.judge.crosscheck import swap_probability
 from diffsim.diagnose.say.next_run import Narrowing, narrowing
 from diffsim.identify import (

@@ -16,8 +16,7 @@ from scipy.linalg import expm
 from diffsim.causes.holding import looks_held
 from diffsim.data.study import Command, Run
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.diagnosis import _with_own_step
-from diffsim.diagnose.search.fit import Case
+from diffsim.diagnose.search.fit import Case, _with_own_step
 from diffsim.identify import Numerics, Problem, WhiteNoise
 from diffsim.identify.stability import runs_away
 from diffsim.systems.ode import described as described_file

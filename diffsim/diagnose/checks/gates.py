@@ -1,33 +1,229 @@
-"""Checks before any physics is blamed: data, numerical settings, repeatability."""
+"""Checks of the recordings before any physics is blamed, of repeats, and of budgets that ended.
+
+Runs with use: select or test must be recordings of their own: a run that was cut in two proves
+nothing about its other half.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, groupby
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from diffsim.data.study import Study
+from diffsim.data.signal import noise_std
+from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import UNREPEATABLE
-from diffsim.diagnose.checks.separate import cut_in_two, require_separate
-from diffsim.identify import Fit, Problem
+from diffsim.identify import Fit
 from diffsim.identify.effort import FIT_RTOL, DiagnosisSettings
-from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.linearization import Linearization, record_at, whitened
-from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 Array = NDArray[np.float64]
-NUMERICS_LAMBDA = 2.0
-# Of what a cause does, from which refining a setting once could be the cause: all further
-# refinements of a first-order method change as much again, and near kinks none are in proportion.
-NUMERICS_SHARE = 0.25
+Place = tuple[int, int]  # run and sample
+SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains them
+COMMON = 50  # places of a row from which it says nothing, such as a sensor at rest
+BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
+STEP_RTOL = 0.02  # of the clock's step between the end of one run and the beginning of the next
+FEWEST = 12  # steps of a channel, from which its noise can be told
+STRETCH = 8  # rows of a stretch that is remembered of a fitted run
+REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
+JOINT = 6.0  # noise sd and usual changes from sample to sample
+
+
+def require_separate(study: Study) -> None:
+    """Refuse runs of different uses that share samples, unless declared as blocks of one run.
+
+    Raises:
+        ValueError: two runs share samples; the message names both.
+    """
+    for ours, theirs in _uses(study):
+        index = _rows_by_content(ours)
+        for b in theirs:
+            for a, count in _shared(index, ours, b):
+                if not _declared(a, b):
+                    raise ValueError(
+                        f"run {b.name} (use: {b.use}) and run {a.name} (use: {a.use}) share "
+                        f"{count} samples: they are one recording. Give both the same use, leave "
+                        f"one out, or declare them as blocks of one run with setup: "
+                        f"{{{BLOCK_OF}: NAME}}"
+                    )
+
+
+def shared_samples(a: Run, b: Run) -> int:
+    """Length of the longest stretch of ``b`` that ``a`` holds, too; 0 if chance may explain it.
+
+    Whole rows are compared, all channels to the last digit; missing channels equal each other.
+    """
+    return max((count for _, count in _shared(_rows_by_content([a]), [a], b)), default=0)
+
+
+def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
+    """Pairs of runs of different uses, with the channels of which both hold a stretch that was
+    recorded once, such as the height in two frames of one recording."""
+    found: dict[tuple[str, str], list[str]] = {}
+    by_name = {run.name: run for run in study.runs}
+    for c, channel in enumerate(study.channels):
+        for pair in _alike(study, c):
+            found.setdefault(pair, []).append(channel.name)
+    return [(by_name[a], by_name[b], names) for (a, b), names in found.items()]
+
+
+def _alike(study: Study, column: int) -> Iterator[tuple[str, str]]:
+    """Names of runs of different uses that share a stretch of one channel."""
+    places: dict[bytes, list[Place]] = {}
+    for k, run in enumerate(study.runs):
+        values = run.measured[:, column] + 0.0
+        for i in range(len(values) - STRETCH + 1):
+            part = values[i : i + STRETCH]
+            if len(set(part.tolist())) == STRETCH and np.isfinite(part).all():
+                places.setdefault(part.tobytes(), []).append((k, i))
+    shared: dict[tuple[int, int], set[int]] = {}
+    for alike in places.values():
+        for (a, _), (b, i) in combinations(alike, 2) if 1 < len(alike) <= COMMON else ():
+            if study.runs[a].use != study.runs[b].use and not _declared(
+                study.runs[a], study.runs[b]
+            ):
+                shared.setdefault((a, b), set()).update(range(i, i + STRETCH))
+    for (a, b), rows in shared.items():
+        values = study.runs[b].measured[:, [column]]
+        if sum(_bits(values[part]) for part in _parts(sorted(rows))) > SHARED_BITS:
+            yield study.runs[a].name, study.runs[b].name
+
+
+def stretches_of(run: Run) -> dict[str, int]:
+    """Some stretches of rows by the hash of their content, with the row where each begins.
+
+    Which ones depends on their content alone, so that a part of a recording has those of the whole.
+    """
+    rows = [_key(row) if np.isfinite(row).any() else None for row in run.measured]
+    out: dict[str, int] = {}
+    for i in range(len(rows) - STRETCH + 1):
+        stretch = rows[i : i + STRETCH]
+        if None in stretch or len(set(stretch)) < STRETCH:
+            continue
+        digest = hashlib.sha256(b"".join(filter(None, stretch))).digest()
+        if digest[0] % REMEMBERED == 0:
+            out[digest[1:7].hex()] = i
+    return out
+
+
+def shared_with(run: Run, known: Mapping[str, str]) -> tuple[str, int] | None:
+    """The run from which most remembered stretches of this one are, and how many samples they hold;
+    None if chance may explain them.
+
+    Args:
+        run: Run that should be another recording.
+        known: Name of a run by the hash of its stretches.
+    """
+    found: dict[str, set[int]] = {}
+    for key, begin in stretches_of(run).items():
+        if key in known:
+            found.setdefault(known[key], set()).update(range(begin, begin + STRETCH))
+    if not found:
+        return None
+    name = max(found, key=lambda n: len(found[n]))
+    bits = sum(_bits(run.measured[part]) for part in _parts(sorted(found[name])))
+    return (name, len(found[name])) if bits > SHARED_BITS else None
+
+
+def _parts(rows: Sequence[int]) -> Iterator[list[int]]:
+    """Rows that follow each other, together."""
+    for _, part in groupby(enumerate(rows), key=lambda pair: pair[1] - pair[0]):
+        yield [row for _, row in part]
+
+
+def cut_in_two(study: Study) -> list[tuple[Run, Run]]:
+    """Pairs of runs of different uses of which the second goes on where the first ends."""
+    return [
+        (first, second)
+        for ours, theirs in _uses(study)
+        for pair in (*_on_one_clock(ours, theirs), *_on_one_clock(theirs, ours))
+        for first, second in [pair]
+        if not _declared(first, second) and _goes_on(first, second)
+    ]
+
+
+def _on_one_clock(first: Sequence[Run], second: Sequence[Run]) -> list[tuple[Run, Run]]:
+    """Pairs of which the second begins one step of the clock after the first ends."""
+    first = [run for run in first if len(run.time_s) > 2]
+    if not first or not second:
+        return []
+    step = np.array([np.median(np.diff(run.time_s)) for run in first])[:, None]
+    end = np.array([run.time_s[-1] for run in first])[:, None]
+    gap = np.array([run.time_s[0] for run in second]) - end
+    return [(first[i], second[k]) for i, k in np.argwhere(abs(gap - step) <= STEP_RTOL * step)]
+
+
+def _uses(study: Study) -> Iterator[tuple[Sequence[Run], Sequence[Run]]]:
+    """Runs of one use and of another."""
+    yield study.fit_runs, study.select_runs
+    yield study.fit_runs, study.test_runs
+    yield study.select_runs, study.test_runs
+
+
+def _declared(a: Run, b: Run) -> bool:
+    """Whether both runs are declared as blocks of one recording."""
+    return BLOCK_OF in a.setup and a.setup[BLOCK_OF] == b.setup.get(BLOCK_OF)
+
+
+def _rows_by_content(runs: Sequence[Run]) -> dict[bytes, list[Place]]:
+    """Places of every row by its content, those left out that many samples have."""
+    out: dict[bytes, list[Place]] = {}
+    for k, run in enumerate(runs):
+        for i, row in enumerate(run.measured):
+            if np.isfinite(row).any():
+                out.setdefault(_key(row), []).append((k, i))
+    return {key: places for key, places in out.items() if len(places) <= COMMON}
+
+
+def _shared(
+    index: dict[bytes, list[Place]], runs: Sequence[Run], b: Run
+) -> Iterator[tuple[Run, int]]:
+    """Runs with a stretch of ``b`` that was recorded once, and its length."""
+    longest: dict[int, Place] = {}  # by run: length of the stretch and its end in b
+    running: dict[Place, int] = {}
+    for end, row in enumerate(b.measured):
+        # for each place: how many rows up to it were equal, too
+        running = {(k, i): running.get((k, i - 1), 0) + 1 for k, i in index.get(_key(row), ())}
+        for (k, _), count in running.items():
+            longest[k] = max(longest.get(k, (0, 0)), (count, end + 1))
+    for k, (count, end) in longest.items():
+        if _bits(b.measured[end - count : end]) > SHARED_BITS:
+            yield runs[k], count
+
+
+def _bits(rows: Array) -> float:
+    """Information in the changes from row to row: none in a constant or a steady ramp."""
+    steps = np.diff(rows, axis=0)
+    largest = np.nanmax(np.abs(steps), axis=0, initial=0.0)
+    steps = np.round(steps / np.where(largest > 0.0, largest, 1.0), 6)  # rounding is no change
+    counts = np.array(list(Counter(_key(d) for d in steps).values()), dtype=np.float64)
+    return float(-(counts * np.log2(counts / counts.sum())).sum())
+
+
+def _key(row: Array) -> bytes:
+    return np.where(np.isfinite(row), row + 0.0, np.nan).tobytes()
+
+
+def _goes_on(first: Run, second: Run) -> bool:
+    """Whether a run begins at the place where another ends."""
+    if first.measured.shape[1] != second.measured.shape[1]:
+        return False
+    for values, start in zip(first.measured.T, second.measured[0], strict=True):
+        usual = np.abs(np.diff(values[np.isfinite(values)]))
+        if len(usual) < FEWEST or not (np.isfinite(values[-1]) and np.isfinite(start)):
+            continue
+        if abs(start - values[-1]) > JOINT * (noise_std(values) + float(np.median(usual))):
+            return False
+    return True
+
+
 FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
-ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
-NUMERICS_GATES = ("time_step", "mesh", "tolerance")
 REPEATS = "repeats:"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
@@ -105,120 +301,6 @@ def _separate_gate(study: Study) -> GateResult:
         note = f"run {second.name} goes on where run {first.name} ends: it tests little"
     others = len(study.select_runs) + len(study.test_runs)
     return GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0)
-
-
-def numerics_changes(
-    problem: Problem, at: Linearization, names: Iterable[str] = tuple(REFINEMENTS)
-) -> dict[str, Array]:
-    """(N,) change of the record by refining each setting; zero where the model has no such one.
-
-    A setting coarser than the model's own may be no coarser in effect: steps end at samples at the
-    latest. Where refining it changes nothing, it is refined beyond the model's own.
-
-    Args:
-        problem: Fitting problem whose runs are simulated again.
-        at: Record with the settings in use, and where.
-        names: Settings that are refined, one at a time.
-    """
-    out = {}
-    for name in names:
-        finer = (problem.numerics or Numerics()).refined(REFINEMENTS[name])
-        out[name] = record_at(replace(problem, numerics=finer), at.x) - at.record
-        while getattr(finer, name) >= 1.0 and _is_rounding(problem, out[name]):
-            finer = finer.refined(REFINEMENTS[name])
-            out[name] = record_at(replace(problem, numerics=finer), at.x) - at.record
-    return out
-
-
-def _is_rounding(problem: Problem, change: Array) -> bool:
-    return length(whitened(problem, change)) < ROUNDING
-
-
-def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
-    """Change of the record by refining each numerical setting, in noise units.
-
-    lambda^2 = c' (1 + J J')^-1 c with c = W (S(refined) - S): what base parameters leave of it and
-    what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had.
-    Without the latter, parameters could be pulled far off their priors, and causes named for it.
-
-    A cause of the set may have been named for the change itself, which then is not seen beside it.
-    So a cause of which the change could be a good part is not refitted.
-    """
-    out = []
-    for name, raw in changes.items():
-        change = whitened(fit.problem, raw)
-        size = length(left_over(change, fit.jacobian))
-        for i in range(len(fit.problem.effects)):
-            size = max(size, could_be(fit, i, change))
-        out.append(
-            GateResult(
-                name,
-                size < NUMERICS_LAMBDA,
-                size,
-                NUMERICS_LAMBDA,
-                "noise and prior sd that refining moves record and refit",
-            )
-        )
-    return out
-
-
-def could_be(fit: Fit, i: int, change: Array) -> float:
-    """Length of a whitened change of the record, all but a cause refitted; 0 where it is little of
-    what the cause does.
-
-    Args:
-        fit: Fit of a set of effects.
-        i: The effect's place in the fitted problem.
-        change: (num_valid,) by refining a numerical setting once.
-    """
-    slopes = fit.jacobian[:, others_of(fit, i)]
-    size = length(left_over(change, slopes))
-    return size if size > NUMERICS_SHARE * length(left_over(moved_by(fit, i), slopes)) else 0.0
-
-
-def moved_by(fit: Fit, i: int) -> Array:
-    """(num_valid,) what an effect, by its place in the fitted problem, does to the record."""
-    own = fit.problem.columns_of(fit.problem.effects[i])
-    slopes = fit.jacobian[:, own] / fit.problem.stretch(fit.x)[own]
-    return np.asarray(slopes @ fit.problem.scaled(fit.x)[own])
-
-
-def others_of(fit: Fit, i: int) -> list[int]:
-    """Coordinates of all but an effect."""
-    own = fit.problem.columns_of(fit.problem.effects[i])
-    return [c for c in range(len(fit.x)) if c not in own]
-
-
-def left_over(change: Array, slopes: Array) -> Array:
-    """A change of the record after a refit of coordinates with these slopes and unit priors, with
-    the pull on these below it."""
-    gram = slopes.T @ slopes + np.eye(slopes.shape[1])
-    taken = np.linalg.solve(gram, slopes.T @ change)
-    return np.concatenate([change - slopes @ taken, taken])
-
-
-def length(change: Array) -> float:
-    """Euclidean length."""
-    return float(np.linalg.norm(change))
-
-
-def numerical_effects(fit: Fit, changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
-    """One candidate per setting that the model knows; rounding is none."""
-    return tuple(
-        coarse(name, REFINEMENTS[name])
-        for name, change in changes.items()
-        if not _is_rounding(fit.problem, change)
-    )
-
-
-def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
-    """(n,) how far refined settings would move the coordinates of a fit, all settings in
-    quadrature: (J'J + 1)^-1 J' W (S(refined) - S), no simulation."""
-    j = fit.jacobian
-    total = np.zeros(j.shape[1])
-    for raw in changes.values():
-        total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
-    return np.asarray(np.sqrt(total))
 
 
 def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:

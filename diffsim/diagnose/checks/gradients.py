@@ -26,7 +26,8 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.checks.gates import ROUNDING, GateResult
+from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.numerics import ROUNDING
 from diffsim.identify import Jacobian, Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import has_tangents

@@ -1,4 +1,4 @@
-"""The noise floor: how large, what color, and whether repeats scatter more than the sensor."""
+"""Noise floor of the recordings, and what whitens it; whether what is left is white."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import linalg, sparse, special
 from scipy.ndimage import median_filter
 
 from diffsim.data.rounding import rounding_sd
 from diffsim.data.signal import noise_std
 from diffsim.data.study import Channel, Run
+from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
 MAX_ORDER = 4
@@ -232,3 +233,44 @@ def _autocorrelation(a: Array, count: int) -> Array:
     while len(rho) < count:
         rho.append(float(a @ np.array(rho[-1 : -p - 1 : -1])))
     return np.array(rho[:count])
+
+
+LAGS = 10
+
+
+def ljung_box(fit: Fit, lags: int = LAGS) -> Array:
+    """(num_channels,) probability that white residuals are at least as correlated as these.
+
+    Q = n (n + 2) sum_k r_k^2 / (n - k) ~ chi2(lags), summed over runs (Ljung and Box 1978, "On a
+    measure of lack of fit in time series models"). Residuals are whitened by the noise floor;
+    missing samples join what lies on both sides.
+
+    Args:
+        fit: Fit whose whitened residual is tested.
+        lags: Largest lag [samples]; a fifth of a run's samples where that is fewer.
+
+    Returns:
+        NaN where a channel has too few samples.
+    """
+    problem, start = fit.problem, 0
+    num_channels = problem.runs[0].measured.shape[1]
+    statistic, freedom = np.zeros(num_channels), np.zeros(num_channels)
+    for run in problem.runs:
+        matrix = problem.whitener.matrix(run)
+        left = fit.residual[start : start + matrix.shape[0]]
+        start += matrix.shape[0]
+        # a row belongs to its newest sample: the largest column it uses
+        newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
+        for c in range(num_channels):
+            own = left[newest % num_channels == c]
+            count = min(lags, len(own) // 5)
+            if count:
+                statistic[c] += _statistic(own, count)
+                freedom[c] += count
+    return np.where(freedom > 0, special.chdtrc(np.maximum(freedom, 1), statistic), np.nan)
+
+
+def _statistic(x: Array, lags: int) -> float:
+    n, power = len(x), float(x @ x)
+    r = np.array([x[k:] @ x[: n - k] / power for k in range(1, lags + 1)])
+    return float(n * (n + 2) * (r**2 / (n - np.arange(1, lags + 1))).sum())

@@ -31,7 +31,7 @@ from diffsim.diagnose.faults.verdict import (
     verdict_of,
 )
 from diffsim.diagnose.judge.records import Interval
-from diffsim.diagnose.search.screen import VISIBLE
+from diffsim.diagnose.search.evidence import VISIBLE
 from diffsim.identify.effect import Effect
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup

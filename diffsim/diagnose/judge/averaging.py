@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
-from diffsim.diagnose.checks.gates import numerical_shift
+from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.left_out import (
     Folds,
     blocks_of,

@@ -12,11 +12,10 @@ import numpy as np
 from diffsim.core.check import require_choice
 from diffsim.core.threads import one_thread
 from diffsim.data.study import Run, Study
+from diffsim.diagnose.checks.gates import BLOCK_OF, require_separate, shared_with, stretches_of
 from diffsim.diagnose.checks.noise import ArWhitener
-from diffsim.diagnose.checks.separate import BLOCK_OF, require_separate, shared_with, stretches_of
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.judge.outside import Span, spans_of
-from diffsim.diagnose.judge.unseen import At, Unseen, on_unseen
+from diffsim.diagnose.judge.unseen import At, Span, Unseen, on_unseen, spans_of
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.model_file import (

@@ -1,15 +1,27 @@
-"""Gain of an extension on runs that no fit has seen."""
+"""Gain of an extension on what no fit has seen.
+
+Names are held against such parts: runs with use: select, else fit runs left out one after the
+other.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run
+from diffsim.diagnose.judge.left_out import (
+    Folds,
+    Repeats,
+    folds_of,
+    left_out_residual,
+)
 from diffsim.diagnose.judge.own_values import Frozen, held_out_point
+from diffsim.identify import Fit, Problem
 
 Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # per run; fewer in all say nothing: equal models win three in a row by chance
@@ -160,3 +172,92 @@ def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen)
     rows = [np.bincount(label, w, size) for w in (np.ones_like(null), null**2, extended**2)]
     table = np.column_stack(rows)
     return np.asarray(table[table[:, 0] > 0], dtype=np.float64)
+
+
+class Referee(Protocol):
+    """Runs, or parts of runs, that a fit has not seen.
+
+    Attributes:
+        words: What they are, as the report says it.
+        runs: Runs that residuals belong to.
+    """
+
+    @property
+    def words(self) -> str: ...
+
+    @property
+    def runs(self) -> Sequence[Run]: ...
+
+    def residuals(self, fit: Fit) -> Sequence[Array]:
+        """(num_valid,) whitened residuals by run."""
+        ...
+
+
+@dataclass(eq=False)
+class SelectRuns:
+    """Runs with use: select, to which nothing is fitted but what is their own.
+
+    Args:
+        runs: These runs.
+    """
+
+    runs: Sequence[Run]
+    words: str = "runs with use: select"
+    _kept: dict[Fit, Sequence[Array]] = field(default_factory=dict, repr=False)
+
+    def residuals(self, fit: Fit) -> Sequence[Array]:
+        """(num_valid,) whitened residuals by run."""
+        if fit not in self._kept:
+            self._kept[fit] = held_out_residuals(fit, self.runs)
+        return self._kept[fit]
+
+
+@dataclass(eq=False)
+class LeftOut:
+    """Parts of the fit runs, each predicted by a fit without it.
+
+    Args:
+        problem: Problem with the runs that are fitted.
+        folds: Parts that are left out.
+    """
+
+    problem: Problem
+    folds: Folds
+    repeats: Repeats = field(default_factory=Repeats)
+    _kept: dict[Fit, Sequence[Array]] = field(default_factory=dict, repr=False)
+
+    @property
+    def words(self) -> str:
+        """How parts were left out."""
+        return self.folds.words
+
+    @property
+    def runs(self) -> Sequence[Run]:
+        """Runs that are fitted."""
+        return self.problem.runs
+
+    def residuals(self, fit: Fit) -> Sequence[Array]:
+        """(num_valid,) whitened residuals by run."""
+        if fit not in self._kept:
+            rows = left_out_residual(fit, self.folds, self.repeats)
+            self._kept[fit] = fit.problem.by_run(rows)
+        return self._kept[fit]
+
+
+def referee_of(plain: Fit, select: Sequence[Run]) -> Referee | None:
+    """Select runs if there are any, else fit runs left out; None where they are too few.
+
+    Args:
+        plain: Fit of the plain model.
+        select: Runs with use: select.
+    """
+    if select:
+        return SelectRuns(select)
+    folds = folds_of(plain)
+    return None if folds is None else LeftOut(plain.problem, folds)
+
+
+def gain_over(referee: Referee, without: Fit, best: Fit, seed: int) -> Gain:
+    """Gain of a fit over another on what neither has seen."""
+    before, after = referee.residuals(without), referee.residuals(best)
+    return compared(referee.runs, without, before, after, seed=seed)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.crosscheck import swap_probability
-from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.referee import Referee, gain_over
+from diffsim.diagnose.judge.gain import Gain, Referee, gain_over
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed
 from diffsim.diagnose.search.search import refit, weigh_unknowns_beside
 from diffsim.diagnose.search.simulations import Members

@@ -13,30 +13,26 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.gates import NUMERICS_GATES, GateResult
+from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
-from diffsim.diagnose.checks.refine import SetNumerics
+from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.averaging import Averaged, averaged, widening
 from diffsim.diagnose.judge.data_sheet import base_rows, far_off
-from diffsim.diagnose.judge.form import without_forms
+from diffsim.diagnose.judge.gain import Referee
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
-from diffsim.diagnose.judge.outside import spans_of
 from diffsim.diagnose.judge.own_values import unmet_by
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, BaseRow, CauseRow
-from diffsim.diagnose.judge.referee import Referee
-from diffsim.diagnose.judge.unseen import on_unseen
-from diffsim.diagnose.judge.wrong_sheet import without_wrong_sheets
-from diffsim.diagnose.say.answer import Answer
-from diffsim.diagnose.say.causes import Told, cause_rows, certain_of, open_rivals, vetoed
+from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_sheets
+from diffsim.diagnose.judge.unseen import on_unseen, spans_of
+from diffsim.diagnose.say.causes import CauseEvidence, cause_rows, certain_of, open_rivals, vetoed
 from diffsim.diagnose.say.force_map import ForceMap, force_map
 from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.say.wording import sentences
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.say.wording import Answer, sentences
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
-from diffsim.diagnose.search.screen import Screen
 from diffsim.diagnose.search.search import refit, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Center
 from diffsim.diagnose.search.weighed_sets import Search
@@ -136,8 +132,10 @@ def report_of(
     left = None if decision.beside is None else _much_left(best)
     may_stand_in = bool(strained) or left is not None
     surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
-    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals, surest)
-    causes = cause_rows(told, base)
+    known = CauseEvidence(
+        judgment, about, screened, effects, members, case.unmet, certain, rivals, surest
+    )
+    causes = cause_rows(known, base)
     findings = tuple(row.name for row in base if row.finding)
     refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
     verdict, named = _verdict(judgment, certain, findings, stands_in=bool(refused))

@@ -25,9 +25,8 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     Interval,
 )
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, VISIBLE, Hypothesis, Screen
 from diffsim.diagnose.search.scan import least_tried
-from diffsim.diagnose.search.screen import VISIBLE, Screen
 from diffsim.identify.effect import Effect
 
 SURE, PROBABLE, POSSIBLE = 0.99, 0.8, 0.2  # probabilities over all sets
@@ -139,7 +138,7 @@ def open_rivals(
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class CauseEvidence:
     """What the rows of causes are made from.
 
     Attributes:
@@ -166,18 +165,18 @@ class Told:
     surest: str = CERTAIN
 
 
-def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
+def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
     """One row per candidate, per data sheet that is contradicted, and per unknown cause in play.
 
     Args:
-        told: Verdict, probabilities and candidates.
+        known: Verdict, probabilities and candidates.
         base: Base parameters, findings among them.
     """
     values = {row.name: row.value for row in base}
-    rows = [_effect_row(told, i, values) for i in range(len(told.effects))]
-    rows += [_unjudged(name, why) for name, why in told.unmet.items()]
-    rows += [_finding_row(told, row) for row in base if row.finding]
-    rows += _unknown_rows(told)
+    rows = [_effect_row(known, i, values) for i in range(len(known.effects))]
+    rows += [_unjudged(name, why) for name, why in known.unmet.items()]
+    rows += [_finding_row(known, row) for row in base if row.finding]
+    rows += _unknown_rows(known)
     return tuple(sorted(rows, key=_rank))
 
 
@@ -187,17 +186,17 @@ def _rank(row: CauseRow) -> tuple[int, float, float]:
     return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
 
-def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
-    effect, about = told.effects[i], told.about
-    decision, gains = told.judgment.decision, told.judgment.gains
-    smallest = _smallest_visible(told, i)
+def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> CauseRow:
+    effect, about = known.effects[i], known.about
+    decision, gains = known.judgment.decision, known.judgment.gains
+    smallest = _smallest_visible(known, i)
     row = CauseRow(
         name=effect.name,
         words=words_of(effect.name),
         origin=EFFECT,
         status=UNJUDGED,
         probability=None,
-        size=_screened_size(told, i),
+        size=_screened_size(known, i),
         unit=effect.unit,
         smallest_visible=smallest,
         gain=gains.get(i),
@@ -209,8 +208,8 @@ def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
         why = "repeats differ more than the noise" if about else "numerical settings come first"
         return replace(row, note=f"not judged: {why}")
     p = about.probability(i)
-    status, rivals = _status(told, about, i, p)
-    helps = i in told.members and status not in (CERTAIN, LIKELY)
+    status, rivals = _status(known, about, i, p)
+    helps = i in known.members and status not in (CERTAIN, LIKELY)
     sizes = about.size(i) or row.size
     if status in (HIDDEN, REFUTED):  # nobody looked below
         least = least_tried(effect)
@@ -231,37 +230,37 @@ def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
     )
 
 
-def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[str, ...]]:
+def _status(known: CauseEvidence, about: Averaged, i: int, p: float) -> tuple[str, tuple[str, ...]]:
     """Status of an effect, and what it cannot be told from."""
-    judgment, decision = told.judgment, told.judgment.decision
+    judgment, decision = known.judgment, known.judgment.decision
     if i in judgment.withdrawn:
         return REFUTED, ()
     if decision.verdict == "unknown":
-        if i in decision.best or i in told.members:
-            return UNTOLD, _unknown_names(told, decision)
-    elif i in told.certain:
-        return told.surest, ()
-    elif i in decision.best or any(i in h.effects for h in told.rivals):
-        rivals, is_best = _rivals_of(told, decision, i), i in decision.best
+        if i in decision.best or i in known.members:
+            return UNTOLD, _unknown_names(known, decision)
+    elif i in known.certain:
+        return known.surest, ()
+    elif i in decision.best or any(i in h.effects for h in known.rivals):
+        rivals, is_best = _rivals_of(known, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         return (LIKELY if is_named else UNTOLD), rivals
     if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
         return REFUTED, (decision.forms[i],)
     if p >= POSSIBLE:
         return UNTOLD, (NOISE,)
-    added = about.added(decision.best | told.members, i)
+    added = about.added(decision.best | known.members, i)
     if added >= KEEP_NATS:  # sets of so many causes were not fitted
         return UNTOLD, (REST,)
-    visible = [s <= 1.5 * told.effects[i].typical for s in _smallest_visible(told, i).values()]
+    visible = [s <= 1.5 * known.effects[i].typical for s in _smallest_visible(known, i).values()]
     return (REFUTED if added < -KEEP_NATS and any(visible) else HIDDEN), ()
 
 
-def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
+def _rivals_of(known: CauseEvidence, decision: Decision, i: int) -> tuple[str, ...]:
     """Causes that act in the place of an effect in rival sets."""
     names: dict[str, None] = {}
     if i in decision.forms:
         names[decision.forms[i]] = None
-    for h in told.rivals:
+    for h in known.rivals:
         if i in h.effects and i in decision.best:
             continue
         if i in decision.best:
@@ -270,34 +269,34 @@ def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
             others, unknown = decision.best - h.effects, None
         else:
             continue
-        names |= dict.fromkeys(told.effects[k].name for k in sorted(others))
+        names |= dict.fromkeys(known.effects[k].name for k in sorted(others))
         if unknown is not None:
-            names[_unknown_name(told, unknown)] = None
+            names[_unknown_name(known, unknown)] = None
         if not others and unknown is None and i not in decision.forms:
             names[NOISE] = None
     return tuple(names)
 
 
-def _unknown_names(told: Told, decision: Decision) -> tuple[str, ...]:
+def _unknown_names(known: CauseEvidence, decision: Decision) -> tuple[str, ...]:
     h = decision.unknown
-    return () if h is None or h.unknown is None else (_unknown_name(told, h.unknown),)
+    return () if h is None or h.unknown is None else (_unknown_name(known, h.unknown),)
 
 
-def _unknown_name(told: Told, u: int) -> str:
-    search = told.judgment.search
+def _unknown_name(known: CauseEvidence, u: int) -> str:
+    search = known.judgment.search
     assert search is not None  # unknown causes are weighed in a search only
     return search.unknowns[u].name
 
 
-def _smallest_visible(told: Told, i: int) -> dict[str, float]:
+def _smallest_visible(known: CauseEvidence, i: int) -> dict[str, float]:
     """Smallest visible size by component: at the plain model, or beside the best set if less.
 
     What was named with a size has been seen: it is not listed as invisible above that.
     """
-    effect, k = told.effects[i], sum(len(e.components) for e in told.effects[:i])
-    screened = told.screened.smallest_visible[k : k + len(effect.components)]
+    effect, k = known.effects[i], sum(len(e.components) for e in known.effects[:i])
+    screened = known.screened.smallest_visible[k : k + len(effect.components)]
     out = dict(zip(effect.components, (float(s) for s in screened), strict=True))
-    search = told.judgment.search
+    search = known.judgment.search
     for h, w in ({} if search is None else search.weighed).items():
         if i in h.effects and w.fit is not None and w.fit.converged:
             own = w.fit.problem.columns_of(effect)
@@ -307,13 +306,13 @@ def _smallest_visible(told: Told, i: int) -> dict[str, float]:
     return {c: max(s, least_tried(effect)) for c, s in out.items()}
 
 
-def _screened_size(told: Told, i: int) -> dict[str, Interval]:
+def _screened_size(known: CauseEvidence, i: int) -> dict[str, Interval]:
     """Size as the plain model's scores ask for it; no fit was made."""
-    effect, k = told.effects[i], sum(len(e.components) for e in told.effects[:i])
+    effect, k = known.effects[i], sum(len(e.components) for e in known.effects[:i])
     out = {}
     for c, component in enumerate(effect.components, start=k):
-        value = float(told.screened.size[c])
-        half = HALF_90 * float(told.screened.smallest_visible[c]) / VISIBLE
+        value = float(known.screened.size[c])
+        half = HALF_90 * float(known.screened.smallest_visible[c]) / VISIBLE
         if np.isfinite([value, half]).all():
             low = value - half if effect.signed else max(value - half, 0.0)
             out[component] = Interval(value, low, max(value + half, 0.0))
@@ -324,16 +323,16 @@ def _unjudged(name: str, why: str) -> CauseRow:
     return CauseRow(name, words_of(name), EFFECT, UNJUDGED, None, {}, "-", note=why)
 
 
-def _finding_row(told: Told, row: BaseRow) -> CauseRow:
+def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
     """A base parameter that the recordings pull off its data sheet."""
-    decision, about = told.judgment.decision, told.about
+    decision, about = known.judgment.decision, known.about
     rivals: tuple[str, ...] = ()
     if decision.verdict == "unknown":
-        status, rivals = UNTOLD, _unknown_names(told, decision)
+        status, rivals = UNTOLD, _unknown_names(known, decision)
     else:
         half = HALF_90 * row.sd / row.prior_sd if row.prior_sd else 0.0
-        status = told.surest if abs(row.pull) - half > row.limit else LIKELY
-        others = _sets_without_pull(told, about, row)
+        status = known.surest if abs(row.pull) - half > row.limit else LIKELY
+        others = _sets_without_pull(known, about, row)
         if others:
             status, rivals = UNTOLD, others
     read = row.as_read()
@@ -351,10 +350,12 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
     )
 
 
-def _sets_without_pull(told: Told, about: Averaged | None, row: BaseRow) -> tuple[str, ...]:
+def _sets_without_pull(
+    known: CauseEvidence, about: Averaged | None, row: BaseRow
+) -> tuple[str, ...]:
     """Causes of the sets within reach in which the parameter stays near its data sheet."""
     names: dict[str, None] = {}
-    forms = told.judgment.decision.forms
+    forms = known.judgment.decision.forms
     for h in () if about is None else about.reach:
         if h.effects & set(forms):  # the data sheet was weighed against these
             continue
@@ -367,29 +368,29 @@ def _sets_without_pull(told: Told, about: Averaged | None, row: BaseRow) -> tupl
             if n == row.name or n.startswith(f"{row.name}@")
         ]
         if own and abs(pull_of(fit.x[own].tolist())) <= row.limit:
-            more = h.effects - told.judgment.decision.best
-            names |= dict.fromkeys(told.effects[k].name for k in sorted(more))
+            more = h.effects - known.judgment.decision.best
+            names |= dict.fromkeys(known.effects[k].name for k in sorted(more))
     return tuple(names)
 
 
-def _unknown_rows(told: Told) -> list[CauseRow]:
+def _unknown_rows(known: CauseEvidence) -> list[CauseRow]:
     """Unknown causes behind the verdict, or with a probability that counts."""
-    about, search = told.about, told.judgment.search
-    if about is None or search is None or told.judgment.decision.verdict == "unrepeatable":
+    about, search = known.about, known.judgment.search
+    if about is None or search is None or known.judgment.decision.verdict == "unrepeatable":
         return []
-    decision, rows = told.judgment.decision, []
+    decision, rows = known.judgment.decision, []
     shown = {h.unknown for h in (decision.unknown, decision.beside, *decision.rivals) if h}
     for u, cause in enumerate(search.unknowns):
         p = about.unknown_probability(u)
-        if u in shown or (p >= PROBABLE and u not in told.judgment.refuted):
+        if u in shown or (p >= PROBABLE and u not in known.judgment.refuted):
             is_verdict = decision.unknown is not None and decision.unknown.unknown == u
             status = CERTAIN if is_verdict and p >= SURE else LIKELY if p >= PROBABLE else UNTOLD
-            rivals = _beside_unknown(told, decision) if status == UNTOLD else ()
+            rivals = _beside_unknown(known, decision) if status == UNTOLD else ()
             rows.append(
                 CauseRow(cause.name, cause.name, UNKNOWN, status, p, {}, "-", rivals=rivals)
             )
     return rows
 
 
-def _beside_unknown(told: Told, decision: Decision) -> tuple[str, ...]:
-    return tuple(told.effects[i].name for i in sorted(decision.best))
+def _beside_unknown(known: CauseEvidence, decision: Decision) -> tuple[str, ...]:
+    return tuple(known.effects[i].name for i in sorted(decision.best))

@@ -18,7 +18,7 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     ErrorRow,
 )
-from diffsim.diagnose.say.answer import (
+from diffsim.diagnose.say.wording import (
     Answer,
     after_number,
     capital,

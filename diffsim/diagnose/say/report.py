@@ -17,10 +17,10 @@ from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, OutsideRow
-from diffsim.diagnose.say.answer import Answer
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.next_run import NextRun
 from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
+from diffsim.diagnose.say.wording import Answer
 from diffsim.identify import Fit
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel

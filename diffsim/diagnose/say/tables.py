@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.diagnose.checks.gates import numerical_shift
+from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
-from diffsim.diagnose.search.evidence import Hypothesis, Weighed
-from diffsim.diagnose.search.screen import Screen
+from diffsim.diagnose.search.evidence import Hypothesis, Screen, Weighed
 from diffsim.diagnose.search.weighed_sets import Search
 from diffsim.identify.coordinates import effect_coordinates
 from diffsim.identify.effect import Effect

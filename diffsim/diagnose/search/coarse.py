@@ -16,18 +16,17 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.checks.gates import COARSE, NUMERICS_LAMBDA, GateResult, numerics_gate
-from diffsim.diagnose.search.fit import Case, Null
+from diffsim.diagnose.checks.gates import COARSE, GateResult
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerics_gate
+from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.identify import Fit, Problem, WhiteNoise
+from diffsim.identify import Fit, Problem
 from diffsim.identify.correction import Correction, Finer
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import record_at, whitened
 from diffsim.identify.numerics import REFINEMENTS, Numerics
 
 Array = NDArray[np.float64]
-PAYS = 1.5  # times that a simulation with larger cells is quicker, from which it is worth it
 MAX_LEVELS = 4  # refinements of one setting
 SHIFTS = 2  # steps to the parameters that make coarse records like finer ones
 FINER_COSTS = 4.0  # times as much, about
@@ -37,7 +36,7 @@ CHEAP = 2.0  # times the first simulation: to refine more than is needed
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class Corrected:
     """A correction, with what is left beyond it.
 
     Attributes:
@@ -51,50 +50,14 @@ class Told:
     gates: tuple[GateResult, ...]
 
 
-def begun(case: Case) -> tuple[Case, float]:
-    """The case with the cells that a first answer begins with.
-
-    Returns:
-        The case, and the CPU seconds of a simulation of all fitted runs with the cells that it was
-        given; 0 where that is not dear.
-    """
-    settings = case.settings
-    if not np.isfinite(settings.dear_seconds) or settings.accept_numerics:
-        return case, 0.0
-    once = _seconds(case)
-    if once is None or once < settings.dear_seconds:
-        return case, 0.0
-    if settings.first_mesh == 1.0:
-        return case, once
-    larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
-    coarse = replace(case, numerics=larger)
-    quicker = _seconds(coarse)
-    return (coarse if quicker is not None and PAYS * quicker < once else case), once
-
-
-def _seconds(case: Case) -> float | None:
-    """CPU seconds of the plain model at its prior, by one run; None: it cannot be simulated."""
-    channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
-    problem = case.problem(WhiteNoise(channels))
-    x, one = np.zeros(problem.num_base), replace(problem, runs=problem.runs[:1])
-    try:
-        record_at(one, x)  # what is built once
-        start = process_time()
-        record_at(one, x)
-    except (DiffsimError, ValueError):
-        return None
-    samples = [len(run.time_s) for run in problem.runs]
-    return (process_time() - start) * sum(samples) / samples[0]
-
-
-def corrected(null: Null, once: float) -> tuple[Null, Told]:
+def corrected(null: Null, once: float) -> tuple[Null, Corrected]:
     """The plain model with the correction that its fit asks for, and fitted again.
 
     Args:
         null: The plain model, fitted with coarse settings.
         once: CPU seconds of a simulation of all runs with the cells that were given.
     """
-    told = _told(null, once)
+    told = _tell_finer(null, once)
     case = replace(null.case, correction=told.correction)
     x = null.at.x - told.correction.shift.numpy()
     problem = case.problem(null.noise.whitener)
@@ -103,7 +66,7 @@ def corrected(null: Null, once: float) -> tuple[Null, Told]:
     return replace(null, case=case, fit=fit, at=at), told
 
 
-def _told(null: Null, once: float) -> Told:
+def _tell_finer(null: Null, once: float) -> Corrected:
     refined = [_refined(null, name, once) for name in REFINEMENTS]
     coarse = null.fit.problem.numerics or Numerics()
     finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
@@ -111,7 +74,7 @@ def _told(null: Null, once: float) -> Told:
     correction = Correction(null.fit.problem, null.at.x, finer)
     gates = tuple(_gate(r.name, r.left, coarse, r.numerics) for r in refined)
     changes = {r.name: _next(r.sizes) * r.change for r in refined}
-    return Told(correction.known(null.fit.problem.runs, total), changes, gates)
+    return Corrected(correction.known(null.fit.problem.runs, total), changes, gates)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +205,3 @@ def coarse_gate(size: float, problem: Problem) -> GateResult:
         f"simulations at the plain fit and at the answer, where {size:.2g} noise sd were left"
     )
     return GateResult(COARSE, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA, note)
-
-
-__all__ = ["Told", "begun", "coarse_gate", "corrected", "renewed_at"]

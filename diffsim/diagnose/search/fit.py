@@ -1,29 +1,36 @@
 """What is given to a diagnosis, and the fit of the plain model with its noise floor.
 
-Its numerical settings are checked at the fit and refined, as long as the budget allows it.
+The misfit of a long run has many minima: a frequency that is a little off is out of phase at its
+end, an unstable motion leaves the range of numbers. A quarter of each run has a wide valley. So
+where whole runs are too hard, windows grow: the end of one fit starts the next.
+
+Numerical settings are checked at the fit and refined, as long as the budget allows it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from time import process_time
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.gates import GateResult, numerics_changes, numerics_gate
+from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import NoiseFloor, noise_floor, without_spikes
-from diffsim.diagnose.checks.refine import (
+from diffsim.diagnose.checks.numerics import (
     names_of_failed,
     note_numerics,
+    numerics_changes,
+    numerics_gate,
     refine_within,
     time_simulation,
 )
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.store import Store
-from diffsim.diagnose.search.windows import first_fit
 from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
@@ -31,15 +38,111 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
+    record_at,
     residuals_by_run,
 )
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.stability import runs_away
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
+MIN_SAMPLES = 8  # of a run in a window
+FAR = 25.0  # chi2 per sample from which short windows are asked
+ABOVE = 10.0  # chi2 per sample over that of the shortest window, from which longer ones are fitted
+MAX_SHORTENED = 4
+
+Ended = tuple[Fit, Linearization]
+
+
+def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
+    """Fit of the plain model from its prior; through growing windows where that fails.
+
+    A model that cannot be simulated over its own windows (multiple shooting) is asked for shorter
+    ones, ``SimModel.shortened``; the fit's problem holds the model that was used.
+
+    Args:
+        problem: The plain model on the runs to be fitted.
+        windows: Shares of each run that are fitted first, ascending; (): only whole runs.
+
+    Raises:
+        DiffsimError: neither whole runs nor windows can be simulated and fitted.
+    """
+    model = problem.model
+    for _ in range(MAX_SHORTENED):
+        problem = replace(problem, model=model)
+        try:
+            return _grown(problem, windows)
+        except DiffsimError:
+            shorter = model.shortened()
+            if shorter is None:
+                raise
+            shorter.simulations = model.simulations  # goes on counting
+            model = shorter
+    return _grown(problem, windows)
+
+
+def cut(run: Run, share: float) -> Run:
+    """The first part of a run.
+
+    Args:
+        run: Recorded run.
+        share: Share of its samples that is kept.
+    """
+    count = len(run.time_s)
+    keep = min(max(int(np.ceil(share * count)), MIN_SAMPLES), count)
+    command = {
+        name: values[:keep] if len(values) == count else values
+        for name, values in run.command.items()
+    }
+    return replace(run, time_s=run.time_s[:keep], measured=run.measured[:keep], command=command)
+
+
+def _grown(problem: Problem, windows: Sequence[float]) -> Ended:
+    start = np.zeros(problem.num_base)
+    try:
+        whole = gauss_newton(problem, linearization_at(problem, start))
+    except DiffsimError as error:
+        if not windows:
+            raise
+        found = _through(problem, start, windows, None)
+        if found is None:
+            raise error
+        return found
+    if not windows or (whole[0].converged and _per_sample(whole[0]) < FAR):
+        return whole
+    through = _through(problem, start, windows, whole[0])
+    ends = [whole] if through is None else [whole, through]
+    return min(ends, key=lambda end: end[0].chi2 + end[0].prior)
+
+
+def _through(
+    problem: Problem, x: Array, windows: Sequence[float], whole: Fit | None
+) -> Ended | None:
+    """Fits to growing parts of the runs; None where they fail, or promise nothing better."""
+    for k, share in enumerate(windows):
+        part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
+        try:
+            short, _ = gauss_newton(part, linearization_at(part, x))
+        except (DiffsimError, ValueError):  # too hard still, or a model of whole runs only
+            continue
+        is_hopeful = whole is None or _per_sample(whole) > ABOVE * _per_sample(short)
+        if k == 0 and whole is not None and whole.converged and not is_hopeful:
+            return None
+        x = short.x
+    try:
+        return gauss_newton(problem, linearization_at(problem, x))
+    except DiffsimError:
+        return None
+
+
+def _per_sample(fit: Fit) -> float:
+    return max(fit.chi2 / fit.num_samples, 1.0)
+
+
 Progress = Callable[[str, float, str], None]
 """Stage, share of the whole that is done, message."""
+PAYS = 1.5  # times that a simulation with larger cells is quicker, from which it is worth it
 MAX_REFITS = 3  # of the plain model: each may show that settings are still too coarse for it
 
 
@@ -138,6 +241,52 @@ class Refined:
     null: Null
     changes: dict[str, Array]
     gates: tuple[GateResult, ...]
+
+
+def coarsen_first_look(case: Case) -> tuple[Case, float]:
+    """The case with the cells that a first answer begins with.
+
+    Returns:
+        The case, and the CPU seconds of a simulation of all fitted runs with the cells that it was
+        given; 0 where that is not dear.
+    """
+    case, settings = _with_own_step(case), case.settings
+    if not np.isfinite(settings.dear_seconds) or settings.accept_numerics:
+        return case, 0.0
+    once = _time_plain_model(case)
+    if once is None or once < settings.dear_seconds:
+        return case, 0.0
+    if settings.first_mesh == 1.0:
+        return case, once
+    larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
+    coarse = replace(case, numerics=larger)
+    quicker = _time_plain_model(coarse)
+    return (coarse if quicker is not None and PAYS * quicker < once else case), once
+
+
+def _time_plain_model(case: Case) -> float | None:
+    """CPU seconds of the plain model at its prior, by one run; None: it cannot be simulated."""
+    channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
+    problem = case.problem(WhiteNoise(channels))
+    x, one = np.zeros(problem.num_base), replace(problem, runs=problem.runs[:1])
+    try:
+        record_at(one, x)  # what is built once
+        start = process_time()
+        record_at(one, x)
+    except (DiffsimError, ValueError):
+        return None
+    samples = [len(run.time_s) for run in problem.runs]
+    return (process_time() - start) * sum(samples) / samples[0]
+
+
+def _with_own_step(case: Case) -> Case:
+    """The case with its model's own time step, where the longer one of a first look runs away."""
+    if case.numerics is None or case.settings.first_step == 1.0:
+        return case
+    if not runs_away(case.model, case.study.fit_runs[:1], case.numerics):
+        return case
+    own = Numerics(time_step=1.0 / case.settings.first_step)
+    return replace(case, numerics=case.numerics.refined(own))
 
 
 def null_fit(case: Case) -> Null:

@@ -21,7 +21,7 @@ from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import Weighed
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
-from diffsim.identify import Fit, Problem, Whitener
+from diffsim.identify import Problem, Whitener
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import (
     Linearization,
@@ -32,18 +32,11 @@ from diffsim.identify.linearization import (
 )
 
 Array = NDArray[np.float64]
-FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 LEAST_REFITS = 4  # sets that are fitted from there
 LINEARIZED = 2.0  # of the scans' time, that slopes there may take
 SHARE = 0.5  # of the CPU time of scans, for those at the data sheet
 WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
 PAIRED = 12  # causes that are best alone, each paired with every other
-
-
-def has_left(fit: Fit) -> bool:
-    """Whether a fit of the plain model took a base parameter far from its prior."""
-    base = np.abs(fit.x[: fit.problem.num_base])
-    return bool(base.max(initial=0.0) > FAR)
 
 
 def center_at_sheet(

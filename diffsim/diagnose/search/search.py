@@ -17,20 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.checks.refine import check_numerics_of_set
-from diffsim.diagnose.search.beside_unknowns import weigh_unknowns
+from diffsim.diagnose.checks.numerics import check_numerics_of_set
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed, families
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.from_sheet import (
     LEAST_REFITS,
     center_at_sheet,
     cooled,
-    has_left,
     promising_sets,
 )
 from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
-from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.diagnose.search.weighed_sets import Search, weigh_unknowns
 from diffsim.identify import Fit, Problem
 from diffsim.identify.linearization import Linearization
 
@@ -38,6 +36,7 @@ Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 MAX_OVERTAKING = 2  # refits after the time for them is over
+FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
 
 
@@ -91,10 +90,16 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
     return replace(search, numerics={**search.numerics, members: found})
 
 
+def has_left_sheet(fit: Fit) -> bool:
+    """Whether a fit of the plain model took a base parameter far from its prior."""
+    base = np.abs(fit.x[: fit.problem.num_base])
+    return bool(base.max(initial=0.0) > FAR)
+
+
 def _from_data_sheet(search: Search) -> tuple[Center, Search]:
     """The plain model; or the best set that was fitted from the data sheet, if its fit has left
     that."""
-    if not has_left(search.fit_of(NONE)):
+    if not has_left_sheet(search.fit_of(NONE)):
         return search.plain, search
     sheet, made = center_at_sheet(search.simulations, search.settings, search.num_families)
     search = replace(search, simulations=made)
@@ -292,7 +297,7 @@ def _refit_promising(
 def _is_near_sheet(search: Search, members: Members) -> bool:
     """Whether the fit of a set left all base parameters near their priors."""
     weighed = search.weighed.get(Hypothesis(members))
-    return weighed is not None and weighed.fit is not None and not has_left(weighed.fit)
+    return weighed is not None and weighed.fit is not None and not has_left_sheet(weighed.fit)
 
 
 def _refit_rivals(search: Search, center: Center, until: float) -> Search:

@@ -19,10 +19,9 @@ from scipy import linalg
 
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.search.fit import Null
-from diffsim.diagnose.search.fit_store import gauss_newton_kept
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
-from diffsim.diagnose.search.store import Store
+from diffsim.diagnose.search.store import Store, gauss_newton_kept
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import SearchSettings

@@ -7,8 +7,9 @@ import pytest
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.checks import refine
-from diffsim.diagnose.checks.gates import effort_gate, numerics_changes
+from diffsim.diagnose.checks import numerics as refine
+from diffsim.diagnose.checks.gates import effort_gate
+from diffsim.diagnose.checks.numerics import numerics_changes
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.search.fit import Case, check_numerics, null_fit, refit_under
 from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel

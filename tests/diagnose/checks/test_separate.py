@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose.checks.gates import data_gate
-from diffsim.diagnose.checks.separate import cut_in_two, shared_samples
+from diffsim.diagnose.checks.gates import cut_in_two, data_gate, shared_samples
 
 CHANNELS = (Channel("x_m", "m", "position", sd=0.01),)
 TIME = 0.01 * np.arange(400)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose.checks.whiteness import ljung_box
+from diffsim.diagnose.checks.noise import ljung_box
 from diffsim.identify import WhiteNoise
 
 CHANNELS = (Channel("a", "m", "position", sd=2.0), Channel("b", "m", "position", sd=0.5))

@@ -10,8 +10,8 @@ import torch
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.judge.form import form_of, without_forms
 from diffsim.diagnose.judge.judge import Decision
+from diffsim.diagnose.judge.stand_ins import form_of, without_forms
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.search import refit

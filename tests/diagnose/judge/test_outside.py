@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Command, Run
-from diffsim.diagnose.judge.outside import outside_rows, spans_of
+from diffsim.diagnose.judge.unseen import outside_rows, spans_of
 
 CHANNELS = (Channel("x_m", "m", "position", sd=0.01),)
 TIME = 0.01 * np.arange(500)

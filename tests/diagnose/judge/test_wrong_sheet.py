@@ -9,7 +9,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.data_sheet import base_rows
-from diffsim.diagnose.judge.wrong_sheet import off_sheet
+from diffsim.diagnose.judge.stand_ins import off_sheet
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.identify import Parameter, SimModel, fit
 from diffsim.identify.unknown import UnknownDrift

@@ -16,10 +16,9 @@ from diffsim.diagnose.judge.judge import Decision
 from diffsim.diagnose.judge.left_out import folds_of
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
-from diffsim.diagnose.say.answer import Answer, opened
 from diffsim.diagnose.say.causes import certain_of
 from diffsim.diagnose.say.headline import _on_unseen, headline
-from diffsim.diagnose.say.wording import _first, _sets
+from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from diffsim.identify.model import Parameter
 from tests.diagnose import linear

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, Interval
-from diffsim.diagnose.say.answer import size_range
+from diffsim.diagnose.say.wording import size_range
 
 PLAY = CauseRow(
     name="sensor_backlash",

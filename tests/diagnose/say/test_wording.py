@@ -7,9 +7,8 @@ import numpy as np
 
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.records import CauseRow, Interval
-from diffsim.diagnose.say.answer import Answer
 from diffsim.diagnose.say.tables import cannot_see
-from diffsim.diagnose.say.wording import sentences
+from diffsim.diagnose.say.wording import Answer, sentences
 from tests.diagnose.linear import line
 
 SIZE = Interval(0.3, 0.1, 0.5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.diagnose.search.bend import Point, definite, learned
+from diffsim.diagnose.search.gauss_newton import Point, definite, learned
 
 RIGHT = np.array([1.0, 2.0])
 

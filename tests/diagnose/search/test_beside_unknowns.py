@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from diffsim.diagnose.search import beside_unknowns
+from diffsim.diagnose.search import weighed_sets as beside_unknowns
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.identify.unknown import UnknownDrift
 from tests.diagnose import linear

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.checks.gates import NUMERICS_LAMBDA, refit_gate
+from diffsim.diagnose.checks.gates import refit_gate
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA
 from diffsim.diagnose.search import search as searching
-from diffsim.diagnose.search.coarse import begun, corrected, renewed_at
+from diffsim.diagnose.search.coarse import corrected, renewed_at
 from diffsim.diagnose.search.evidence import Hypothesis
-from diffsim.diagnose.search.fit import Case, null_fit
+from diffsim.diagnose.search.fit import Case, coarsen_first_look, null_fit
 from diffsim.diagnose.search.search import _center, _refit_promising, _refit_rivals, begin, refit
 from diffsim.diagnose.search.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
@@ -97,9 +98,9 @@ def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
 def test_simulations_that_are_not_dear_begin_as_they_are():
     study = noisy()
     case = Case(study, toy.model(study.runs, STEP), (), (), replace(DEAR, dear_seconds=100.0))
-    assert begun(case) == (case, 0.0)
+    assert coarsen_first_look(case) == (case, 0.0)
     full = replace(case, settings=DiagnosisSettings())
-    assert begun(full) == (full, 0.0)
+    assert coarsen_first_look(full) == (full, 0.0)
 
 
 def test_rivals_for_which_time_is_over_are_said():
@@ -142,5 +143,5 @@ def test_refits_go_on_where_none_stayed_near_the_data_sheet(monkeypatch):
         return sum(Hypothesis(members) in made.weighed for members in ranked)
 
     assert num_refitted(0.0) == 1 and num_refitted(np.inf) == 2
-    monkeypatch.setattr(searching, "has_left", lambda fit: True)
+    monkeypatch.setattr(searching, "has_left_sheet", lambda fit: True)
     assert num_refitted(0.0) == 4 and num_refitted(np.inf) == 2

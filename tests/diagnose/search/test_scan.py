@@ -9,7 +9,7 @@ import torch
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.gates import scan_gate
 from diffsim.diagnose.checks.noise import noise_floor
-from diffsim.diagnose.search import beside_unknowns
+from diffsim.diagnose.search import weighed_sets as beside_unknowns
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.fit import Case, Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton

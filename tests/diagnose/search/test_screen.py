@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from diffsim.diagnose.search.screen import VISIBLE, screen
+from diffsim.diagnose.search.evidence import VISIBLE, screen
 from diffsim.identify import fit
 from tests.diagnose import linear
 

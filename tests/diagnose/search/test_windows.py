@@ -8,9 +8,8 @@ import torch
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose.search.fit import Case, null_fit
+from diffsim.diagnose.search.fit import Case, cut, first_fit, null_fit
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.diagnose.search.windows import cut, first_fit
 from diffsim.identify import DiagnosisSettings, Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.linearization import linearization_at
 

@@ -15,7 +15,7 @@ from diffsim.data.bank import generated_bank
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.search.windows import cut
+from diffsim.diagnose.search.fit import cut
 from diffsim.identify import Numerics, fit
 from diffsim.identify.unknown import UnknownDrift
 from diffsim.systems.registry import description_of, setup_of

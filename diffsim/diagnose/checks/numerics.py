@@ -11,21 +11,142 @@ asked again at the best set of a search (``check_numerics_of_set``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.diagnose.checks.gates import GateResult, numerics_changes, numerics_gate
+from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.linearization import Linearization, record_at
-from diffsim.identify.numerics import REFINEMENTS, Numerics
+from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.linearization import Linearization, record_at, whitened
+from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 Array = NDArray[np.float64]
+NUMERICS_LAMBDA = 2.0
+# Of what a cause does, from which refining a setting once could be the cause: all further
+# refinements of a first-order method change as much again, and near kinks none are in proportion.
+NUMERICS_SHARE = 0.25
+ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
+NUMERICS_GATES = ("time_step", "mesh", "tolerance")
 TIMINGS = 2  # of the plain simulation; the shorter counts
+
+
+def numerics_changes(
+    problem: Problem, at: Linearization, names: Iterable[str] = tuple(REFINEMENTS)
+) -> dict[str, Array]:
+    """(N,) change of the record by refining each setting; zero where the model has no such one.
+
+    A setting coarser than the model's own may be no coarser in effect: steps end at samples at the
+    latest. Where refining it changes nothing, it is refined beyond the model's own.
+
+    Args:
+        problem: Fitting problem whose runs are simulated again.
+        at: Record with the settings in use, and where.
+        names: Settings that are refined, one at a time.
+    """
+    out = {}
+    for name in names:
+        finer = (problem.numerics or Numerics()).refined(REFINEMENTS[name])
+        out[name] = record_at(replace(problem, numerics=finer), at.x) - at.record
+        while getattr(finer, name) >= 1.0 and _is_rounding(problem, out[name]):
+            finer = finer.refined(REFINEMENTS[name])
+            out[name] = record_at(replace(problem, numerics=finer), at.x) - at.record
+    return out
+
+
+def _is_rounding(problem: Problem, change: Array) -> bool:
+    return length(whitened(problem, change)) < ROUNDING
+
+
+def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
+    """Change of the record by refining each numerical setting, in noise units.
+
+    lambda^2 = c' (1 + J J')^-1 c with c = W (S(refined) - S): what base parameters leave of it and
+    what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had.
+    Without the latter, parameters could be pulled far off their priors, and causes named for it.
+
+    A cause of the set may have been named for the change itself, which then is not seen beside it.
+    So a cause of which the change could be a good part is not refitted.
+    """
+    out = []
+    for name, raw in changes.items():
+        change = whitened(fit.problem, raw)
+        size = length(left_over(change, fit.jacobian))
+        for i in range(len(fit.problem.effects)):
+            size = max(size, could_be(fit, i, change))
+        out.append(
+            GateResult(
+                name,
+                size < NUMERICS_LAMBDA,
+                size,
+                NUMERICS_LAMBDA,
+                "noise and prior sd that refining moves record and refit",
+            )
+        )
+    return out
+
+
+def could_be(fit: Fit, i: int, change: Array) -> float:
+    """Length of a whitened change of the record, all but a cause refitted; 0 where it is little of
+    what the cause does.
+
+    Args:
+        fit: Fit of a set of effects.
+        i: The effect's place in the fitted problem.
+        change: (num_valid,) by refining a numerical setting once.
+    """
+    slopes = fit.jacobian[:, others_of(fit, i)]
+    size = length(left_over(change, slopes))
+    return size if size > NUMERICS_SHARE * length(left_over(moved_by(fit, i), slopes)) else 0.0
+
+
+def moved_by(fit: Fit, i: int) -> Array:
+    """(num_valid,) what an effect, by its place in the fitted problem, does to the record."""
+    own = fit.problem.columns_of(fit.problem.effects[i])
+    slopes = fit.jacobian[:, own] / fit.problem.stretch(fit.x)[own]
+    return np.asarray(slopes @ fit.problem.scaled(fit.x)[own])
+
+
+def others_of(fit: Fit, i: int) -> list[int]:
+    """Coordinates of all but an effect."""
+    own = fit.problem.columns_of(fit.problem.effects[i])
+    return [c for c in range(len(fit.x)) if c not in own]
+
+
+def left_over(change: Array, slopes: Array) -> Array:
+    """A change of the record after a refit of coordinates with these slopes and unit priors, with
+    the pull on these below it."""
+    gram = slopes.T @ slopes + np.eye(slopes.shape[1])
+    taken = np.linalg.solve(gram, slopes.T @ change)
+    return np.concatenate([change - slopes @ taken, taken])
+
+
+def length(change: Array) -> float:
+    """Euclidean length."""
+    return float(np.linalg.norm(change))
+
+
+def numerical_effects(fit: Fit, changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
+    """One candidate per setting that the model knows; rounding is none."""
+    return tuple(
+        coarse(name, REFINEMENTS[name])
+        for name, change in changes.items()
+        if not _is_rounding(fit.problem, change)
+    )
+
+
+def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
+    """(n,) how far refined settings would move the coordinates of a fit, all settings in
+    quadrature: (J'J + 1)^-1 J' W (S(refined) - S), no simulation."""
+    j = fit.jacobian
+    total = np.zeros(j.shape[1])
+    for raw in changes.values():
+        total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
+    return np.asarray(np.sqrt(total))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,190 @@
+"""What may stand in place of a named cause: the form of a stronger one, or a wrong data sheet.
+
+No law is exact. Dry friction that is right to a few percent leaves a misfit of that size, and
+whatever else acts there takes it up, with any evidence that long records lend it. So a weak cause
+is certain only where it stands out of what a strong one's form may be wrong by: within a family,
+whose members are laws of one thing, as a whole; in another family where it moves no sample by more
+than the noise. Where numerical settings could not be refined as far as the answer asks, it must
+stand out of what they change, too.
+
+Data sheets have normal priors. Seven standard deviations cost 25 nats, with which any cause is
+credited that takes them up: of a tube with a narrow bore a leak behind it is named. So each set
+without one of its members is weighed once more with the prior of one pulled parameter ten times as
+wide, at the price of one more family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.diagnose.checks.numerics import (
+    NUMERICS_LAMBDA,
+    could_be,
+    left_over,
+    length,
+    moved_by,
+    others_of,
+)
+from diffsim.diagnose.judge.data_sheet import WIDE, pull_limit, words_of
+from diffsim.diagnose.judge.judge import NAMES, Decision
+from diffsim.diagnose.judge.records import WRONG_SHEET
+from diffsim.diagnose.search.evidence import (
+    ALONE_NATS,
+    Hypothesis,
+    LaplaceEvidence,
+    price_of_family,
+    unrealized,
+)
+from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.identify import Fit
+from diffsim.identify.linearization import whitened
+
+Array = NDArray[np.float64]
+FORM = 0.05  # share of what a cause does to the record that its form may be wrong by
+
+
+def without_forms(
+    decision: Decision, fit: Fit, unrefined: Mapping[str, Array] | None = None
+) -> Decision:
+    """The decision with the set that leaves out what may be another cause's form as a rival.
+
+    Args:
+        decision: What the evidence and the checks allow.
+        fit: Fit of its best set; its effects are those of the set, by ascending index.
+        unrefined: Change of the record by refining numerical settings for which the gate failed at
+            that fit, (N,) each by its name.
+    """
+    if decision.verdict not in NAMES:
+        return decision
+    changes = {name: whitened(fit.problem, raw) for name, raw in (unrefined or {}).items()}
+    places = form_of(fit, changes)
+    if not places:
+        return decision
+    index = sorted(decision.best)
+    forms = {index[i]: what for i, what in places.items()}
+    rest = Hypothesis(decision.best - set(forms))
+    rivals = (rest, *(h for h in decision.rivals if h != rest))
+    return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms)
+
+
+def form_of(fit: Fit, changes: Mapping[str, Array]) -> dict[int, str]:
+    """Effects that may be something else, each with what that is, by place in the problem.
+
+    Compared are misfits in noise standard deviations: what the record would lack without the weak
+    one, all else refitted, and what the strong one does, base parameters refitted. Within a family
+    by their lengths; else by their mean squares where the weak one acts.
+
+    Args:
+        fit: Fit of a set of effects.
+        changes: Whitened changes by refining numerical settings that the answer leaves too coarse.
+    """
+    effects = fit.problem.effects
+    base = fit.jacobian[:, : fit.problem.num_base]
+    does = [left_over(moved_by(fit, i), base) for i in range(len(effects))]
+    found = {}
+    for i, effect in enumerate(effects):
+        lacks = left_over(moved_by(fit, i), fit.jacobian[:, others_of(fit, i)])
+        others = {j: does[j] for j in range(len(effects)) if j != i}
+        family = [j for j in others if effects[j].family == effect.family]
+        law = max(family, key=lambda j: length(does[j]), default=i)
+        coarse = [name for name, c in changes.items() if could_be(fit, i, c) >= NUMERICS_LAMBDA]
+        if family and length(lacks) < FORM * length(does[law]):
+            found[i] = f"another form of {effects[law].name}"
+        elif (first := _strongest(lacks, others, len(fit.jacobian))) is not None:
+            found[i] = f"another form of {effects[first].name}"
+        elif coarse:
+            found[i] = f"too coarse a {coarse[0].replace('_', ' ')}"
+    return found
+
+
+def _strongest(lacks: Array, does: Mapping[int, Array], num_samples: int) -> int | None:
+    """The cause that does most where a weak one acts, if the latter stays below the noise and
+    below what the form of the former may be wrong by."""
+    power = lacks[:num_samples] ** 2
+    if not does or not power.any():
+        return None
+    there = {j: float(power @ d[:num_samples] ** 2 / power.sum()) for j, d in does.items()}
+    first = max(there, key=lambda j: there[j])
+    usual = float(power @ power / power.sum())
+    return first if usual < min(1.0, FORM**2 * there[first]) else None
+
+
+def without_wrong_sheets(decision: Decision, search: Search) -> Decision:
+    """The decision with wrong data sheets beside the causes that may stand in for them.
+
+    Where the record holds more than the library does, nothing is changed: pulls of data sheets are
+    part of what is left then. A single cause gives way to a data sheet that leads by 3 nats.
+
+    Args:
+        decision: What the evidence and the checks allow.
+        search: Sets that were weighed; those without one member of the best are fitted.
+    """
+    if decision.verdict not in NAMES or decision.beside is not None or decision.unknown is not None:
+        return decision
+    found = {i: sheet for i in decision.best if (sheet := _instead(search, decision.best, i))}
+    if not found:
+        return decision
+    forms = {**decision.forms, **{i: off_sheet(sheet.name) for i, sheet in found.items()}}
+    own = search.nats(Hypothesis(decision.best))
+    instead = {
+        decision.best - {i}: (off_sheet(sheet.name), own + sheet.nats) for i, sheet in found.items()
+    }
+    if len(decision.best) == 1 and all(sheet.nats >= ALONE_NATS for sheet in found.values()):
+        at = {sheet.name: (sheet.x, sheet.sd) for sheet in found.values()}
+        alone = replace(decision, verdict="none", best=frozenset(), rivals=(), equal=())
+        return replace(alone, forms=forms, sheets=at, instead=instead)
+    rest = Hypothesis(decision.best - set(forms))
+    rivals = (rest, *(h for h in decision.rivals if h != rest))
+    return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms, instead=instead)
+
+
+def off_sheet(name: str) -> str:
+    """What stands in for a cause, in words."""
+    return f"{WRONG_SHEET}{words_of(name)}"
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """A data sheet that may be wrong.
+
+    Attributes:
+        name: Of the parameter.
+        nats: Evidence, or its lead over the set with the cause.
+        x, sd: Where the parameter lies with the wide prior [sd of the data sheet].
+    """
+
+    name: str
+    nats: float
+    x: float
+    sd: float
+
+
+def _instead(search: Search, best: frozenset[int], i: int) -> _Sheet | None:
+    """The data sheet that explains best what a member does, if it can stand in its place."""
+    rest = search.weighed.get(Hypothesis(best - {i}))
+    if rest is None or rest.fit is None:
+        return None
+    tried = list(_wrong_sheets(rest.fit, search.num_families))
+    if not tried:
+        return None
+    sheet = max(tried, key=lambda s: s.nats)
+    lead = sheet.nats - search.nats(Hypothesis(best))
+    return replace(sheet, nats=lead) if lead > -ALONE_NATS else None
+
+
+def _wrong_sheets(fit: Fit, num_families: int) -> Iterator[_Sheet]:
+    """Evidence of a set with the prior of one pulled parameter wide."""
+    problem = fit.problem
+    evidence = LaplaceEvidence(problem, fit.x, fit.residual, fit.jacobian, [], num_families)
+    members = Hypothesis(frozenset(range(len(problem.effects))))
+    lost = unrealized(fit, evidence.weigh(members))
+    limit = pull_limit(problem.model.base)
+    for j, p in enumerate(problem.model.base):
+        if "@" not in p.name and abs(fit.x[j]) > limit:
+            weighed = evidence.weigh(members, wide={j: WIDE})
+            nats = weighed.nats - lost - price_of_family(num_families)
+            yield _Sheet(p.name, nats, float(weighed.x[j]), float(weighed.sd[j]))
