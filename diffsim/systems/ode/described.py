@@ -22,7 +22,6 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.applying import labels_of
-from diffsim.systems.ode.event_effects import runs_of, timings
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
@@ -36,10 +35,7 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
-from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
-from diffsim.systems.ode.stepping import parts_needed
-from diffsim.systems.ode.store_effects import spilled
 from diffsim.systems.quantities import START_IN_PLAY
 
 SLOW_TIME = "slow_time"
@@ -102,7 +98,9 @@ class Described:
         self.inputs = self._inputs(numbers)
         rates = self._parsed("rates", motion.rates)
         readings = self._parsed("readings", keys.readings)
-        self._check_places()
+        if motion != Motion():
+            self._check_places()
+            self._check_events()
         states = tuple(motion.states)
         self.own = own_effects(keys.effects.formulas, study, self.known, states, reader)
         limits = dict(motion.limits)
@@ -218,11 +216,8 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
-        for events in motion.events:
-            given |= timings(events, self.study)
-        given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
-        for place in motion.places:
-            given |= shapes(place)
+        if motion != Motion():
+            given |= self._quantities_of_motion()
         given |= {clock_of(name): q for name, q in motion.clocks.items()}
         if motion.states and self._may_have_play():
             given[PLAY_START] = START_IN_PLAY
@@ -232,6 +227,20 @@ class Described:
             given.setdefault(
                 SLOW_TIME, motion.slow_time or Quantity(value=value, percent=100.0, unit="s")
             )
+        return given
+
+    def _quantities_of_motion(self) -> dict[str, Quantity]:
+        """Parameters of events, stores and places; what they need is loaded only for motion."""
+        from diffsim.systems.ode.event_effects import timings
+        from diffsim.systems.ode.place_effects import shapes
+        from diffsim.systems.ode.store_effects import spilled
+
+        motion, given = self.motion, dict[str, Quantity]()
+        for events in motion.events:
+            given |= timings(events, self.study)
+        given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
+        for place in motion.places:
+            given |= shapes(place)
         return given
 
     def _clocks(self) -> dict[str, tuple[str, ...]]:
@@ -272,8 +281,6 @@ class Described:
                 reader.report(f"stores[{i}].into", f"no store {store.into!r}")
             reader.parse(f"stores[{i}].area", store.area, self.known)
 
-        self._check_events()
-
     @property
     def labels(self) -> dict[str, list[str]]:
         """Values of the facts that the user's own causes are sized by."""
@@ -281,6 +288,8 @@ class Described:
         return {per: list(labels_of(per, self.study)) for per in sorted(pers)}
 
     def _check_events(self) -> None:
+        from diffsim.systems.ode.event_effects import runs_of
+
         channels = [c.name for c in self.study.channels]
         places = [p.name for p in self.motion.places]
         between = (*self.input_held, *self.keys.define, *self.keys.tables)
@@ -304,6 +313,8 @@ class Described:
         self.parts = 1
         if self.motion.time_step is not None or not self.motion.states:
             return 1
+        from diffsim.systems.ode.stepping import parts_needed
+
         formulas = repr((self.keys, self._given, self.motion))
         parts = parts_needed(self.study, self.model(), formulas)
         if parts > 1:
