@@ -15,11 +15,10 @@ from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     GateResult,
+    budget_gates,
     data_gate,
     effort_gate,
-    refit_gate,
     repeatability_gate,
-    scan_gate,
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
@@ -116,10 +115,8 @@ def diagnose(
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
     referee = referee_of(search.fit_of(NONE), select)
-    late = (
-        *scan_gate(len(search.simulations.scans_late), search.settings.scan_seconds),
-        *refit_gate(search.num_late, search.settings.refit_seconds),
-    )
+    num_unscanned = len(search.simulations.scans_late)
+    late = tuple(budget_gates(num_unscanned, search.num_late, search.settings))
     checks, judgment = _judged(search, checks.joined(late), referee, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once

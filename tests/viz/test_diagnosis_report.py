@@ -159,6 +159,8 @@ def example(runs=RUNS, channels=CHANNELS, **changes) -> Report:
         "study": Study("swing", "soft_body", channels, recorded, {"geometry": {}}),
         "model": SimModel(lambda *_: None, base, "beam"),
         "verdict": "named",
+        "decision": None,
+        "floor": None,
         "sentences": ("The command acts 21 ± 2 ms late.", "It explains 98 % of the misfit."),
         "named": ("delay",),
         "hypotheses": (),

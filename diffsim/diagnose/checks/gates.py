@@ -21,7 +21,7 @@ from diffsim.data.signal import noise_std
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.identify import Fit
-from diffsim.identify.effort import FIT_RTOL, DiagnosisSettings
+from diffsim.identify.effort import FIT_RTOL, DiagnosisSettings, SearchSettings
 
 Array = NDArray[np.float64]
 Place = tuple[int, int]  # run and sample
@@ -283,24 +283,18 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
     seen_once = "runs that neither a fit nor the choice of causes has seen"
     if not tests:
         seen_once = "no run with use: test, so no gain is known"
-    scatter = "runs of one command" if repeats else "no repeated run: repeatability is not judged"
-    return (
-        GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),
-        GateResult("held_out", tests >= 1, tests, 1, seen_once, applies=tests > 0),
-        _separate_gate(study),
-        GateResult("repeats", repeats >= 1, repeats, 1, scatter, applies=repeats > 0),
-    )
-
-
-def _separate_gate(study: Study) -> GateResult:
-    """Test and select runs are recordings of their own, not the rest of a fitted one."""
-    pairs = cut_in_two(study)
+    others, pairs = len(study.select_runs) + tests, cut_in_two(study)
     note = "select or test runs that go on where another run ends"
     if pairs:
         first, second = pairs[0]
         note = f"run {second.name} goes on where run {first.name} ends: it tests little"
-    others = len(study.select_runs) + len(study.test_runs)
-    return GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0)
+    scatter = "runs of one command" if repeats else "no repeated run: repeatability is not judged"
+    return (
+        GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),
+        GateResult("held_out", tests >= 1, tests, 1, seen_once, applies=tests > 0),
+        GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0),
+        GateResult("repeats", repeats >= 1, repeats, 1, scatter, applies=repeats > 0),
+    )
 
 
 def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
@@ -322,32 +316,24 @@ def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
     return (GateResult(FIRST_ANSWER, False, settings.fit_rtol, FIT_RTOL, note, applies=False),)
 
 
-def scan_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
-    """Whether the budget ended before all effects with kinks were tried over decades.
-
-    It is in CPU seconds, so that a faster machine may see more: where it ended, this is said.
-
-    Args:
-        num_late: Groups of effects that were not tried.
-        seconds: The budget [CPU s].
-    """
-    if num_late == 0:
-        return ()
-    note = f"groups of causes not tried over decades: {seconds:g} CPU s were over before"
-    return (GateResult("scan_budget", False, float(num_late), 0.0, note),)
-
-
-def refit_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
-    """Whether the budget ended before all rivals of the best set were refitted.
+def budget_gates(
+    num_unscanned: int, num_unfitted: int, settings: SearchSettings
+) -> Iterator[GateResult]:
+    """What budgets left out, in CPU seconds: a faster machine may see more, so it is said.
 
     Args:
-        num_late: Sets that keep their linear evidence.
-        seconds: The budget [CPU s].
+        num_unscanned: Groups of effects with kinks that were not tried over decades.
+        num_unfitted: Rivals of the best set that keep their linear evidence.
+        settings: The budgets.
     """
-    if num_late == 0:
-        return ()
-    note = f"{num_late} rival sets were not refitted, as {seconds:g} CPU s were over"
-    return (GateResult(LATE, False, float(num_late), 0.0, note, applies=False),)
+    if num_unscanned:
+        spent = f"{settings.scan_seconds:g} CPU s were over before"
+        note = f"groups of causes not tried over decades: {spent}"
+        yield GateResult("scan_budget", False, float(num_unscanned), 0.0, note)
+    if num_unfitted:
+        spent = f"{settings.refit_seconds:g} CPU s were over"
+        note = f"{num_unfitted} rival sets were not refitted, as {spent}"
+        yield GateResult(LATE, False, float(num_unfitted), 0.0, note, applies=False)
 
 
 def repeatability_gate(fit: Fit) -> list[GateResult]:

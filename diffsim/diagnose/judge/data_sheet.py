@@ -103,7 +103,13 @@ def base_rows(
         rows.append(row)
     if not judged:
         return tuple(rows)
-    alone = (replace(r, finding=r.run is None and _is_off(r)) for r in rows)
+    # far off, and the interval does not hold the value of the data sheet
+    alone = (
+        replace(r, finding=abs(r.pull) > r.limit and not r.low <= r.prior_value <= r.high)
+        if r.run is None
+        else r
+        for r in rows
+    )
     return (*alone, *_pulled_together(rows))
 
 
@@ -143,12 +149,6 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) 
         limit=limit,
         run=run,
     )
-
-
-def _is_off(row: BaseRow) -> bool:
-    """Whether a parameter ended far off, and its interval does not hold the data sheet's value."""
-    is_held = row.low <= row.prior_value <= row.high
-    return abs(row.pull) > row.limit and not is_held
 
 
 def pull_of(pulls: Sequence[float]) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.crosscheck import swap_probability
 from diffsim.diagnose.judge.gain import Gain, Referee, gain_over
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.search import refit, weigh_unknowns_beside
 from diffsim.diagnose.search.simulations import Members
 from diffsim.diagnose.search.weighed_sets import Search
@@ -89,11 +89,12 @@ def decide(
     explained = (chi2[Hypothesis()] - chi2[best]) / missing if missing > 0.0 else 1.0
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
-    if strongest is not None and _unknown_wins(nats, best, strongest, explained):
+    lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
+    # significant beside the best set, and the set explains too little (or there is none)
+    if lead >= KEEP_NATS and (not best.effects or explained < EXPLAINED):
         return Decision("unknown", best.effects, (), strongest, explained)
     if not best.effects:
         return Decision("none", frozenset(), (), None, 0.0)
-    lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
     # where the record holds more, what single samples say of two sets is not theirs alone
     equal = fits_as_well(cost, free, best) if lead < KEEP_NATS else frozenset()
     rivals = [
@@ -103,7 +104,9 @@ def decide(
         and not h.effects >= best.effects
         and h != best
     ]
-    rivals = sorted((h for h in rivals if _is_kept(nats, h)), key=lambda h: -nats[h])
+    # a rival has the evidence over the plain model that an effect must add
+    kept = (h for h in rivals if nats[h] - nats[Hypothesis()] >= KEEP_NATS)
+    rivals = sorted(kept, key=lambda h: -nats[h])
     verdict = "ambiguous" if rivals else "named"
     beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
     as_well = tuple(h for h in rivals if h in equal)
@@ -145,20 +148,6 @@ def prune(nats: Mapping[Hypothesis, float], best: Hypothesis) -> Hypothesis:
             break
         best = less[min(cost, key=lambda i: cost[i])]
     return best
-
-
-def _unknown_wins(
-    nats: Mapping[Hypothesis, float], best: Hypothesis, strongest: Hypothesis, explained: float
-) -> bool:
-    """Significant beside the best set, and the set explains too little (or there is none)."""
-    if nats[strongest] - nats[best] < KEEP_NATS:
-        return False
-    return not best.effects or explained < EXPLAINED
-
-
-def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
-    """Whether a rival has the evidence over the plain model that an effect must add."""
-    return nats[h] - nats[Hypothesis()] >= KEEP_NATS
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +195,8 @@ def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
     while True:
         asked = decision_of(search, withdrawn)
         decision, checks = confirmed(asked, search, seed)
-        refuted |= _refuted(asked, decision)
+        if (h := asked.unknown) is not None and decision.unknown is None:
+            refuted |= frozenset() if h in decision.rivals or h.unknown is None else {h.unknown}
         gates = (*gates, *(g for g in checks if g not in gates))
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
@@ -229,13 +219,6 @@ def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
             return replace(judgment, search=search, gain=total, gains=gains)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)
-
-
-def _refuted(asked: Decision, decision: Decision) -> frozenset[int]:
-    """The unknown cause that the evidence asked for and repeats refuted."""
-    h = asked.unknown
-    is_open = decision.unknown is not None or h in decision.rivals
-    return frozenset() if h is None or h.unknown is None or is_open else frozenset({h.unknown})
 
 
 def _with_help(judgment: Judgment, referee: Referee, seed: int) -> Judgment:
@@ -293,17 +276,13 @@ def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Deci
         {h: w.nats for h, w in weighed.items()},
         {h: w.chi2 for h, w in weighed.items() if h.unknown is None},
         null.num_samples - fitted,
-        {h: _pull(w) for h, w in weighed.items() if h.unknown is None},
-        {h: _num_sizes(search, h) for h in weighed},
+        {
+            h: float(w.x @ w.x) if w.fit is None else w.fit.prior
+            for h, w in weighed.items()
+            if h.unknown is None
+        },
+        {h: sum(len(search.wide.effects[i].components) for i in h.effects) for h in weighed},
     )
-
-
-def _num_sizes(search: Search, h: Hypothesis) -> int:
-    return sum(len(search.wide.effects[i].components) for i in h.effects)
-
-
-def _pull(weighed: Weighed) -> float:
-    return float(weighed.x @ weighed.x) if weighed.fit is None else weighed.fit.prior
 
 
 def confirmed(

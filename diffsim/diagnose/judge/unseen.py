@@ -249,7 +249,10 @@ def on_unseen(
     for given in runs:
         try:
             run, count = _without_spikes((plain, extended), given)
-            points = [_alone(frozen, run, unmet) for frozen in (plain, extended)]
+            points = [
+                At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
+                for frozen in (plain, extended)
+            ]
             said = (_predicted(points[0], run), _predicted(points[1], run))
             whitened = [point.problem.residual(point.x) for point in points]
         except DiffsimError as error:  # of one run: the answer to all others stands
@@ -257,7 +260,11 @@ def on_unseen(
             continue
         num_spikes += count
         left = [run.measured - prediction for prediction in said]
-        errors += _error_rows(run, left, channels, sd, _num_own(extended, run, unmet), use)
+        # what the study declares unknown of a run, and start states that a model fits away
+        num_own = len(own_names(extended.problem.names, run, unmet))
+        if callable(inside := getattr(extended.problem.model, "num_fitted_inside", None)):
+            num_own += int(inside(run))
+        errors += _error_rows(run, left, channels, sd, num_own, use)
         predicted[run.name] = said
         before.append(whitened[0])
         after.append(whitened[1])
@@ -293,11 +300,6 @@ def shown_unit(channel: Channel) -> tuple[str, float]:
     return (unit, 1.0) if unit == channel.unit else (unit, factor(channel.unit, unit))
 
 
-def _alone(frozen: Frozen, run: Run, unmet: Collection[str]) -> At:
-    """A model on one run, with the values that are the run's own fitted to it."""
-    return At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
-
-
 def _predicted(frozen: Frozen, run: Run) -> Array:
     """What a model says of a run, (num_samples, num_channels) [unit of the channel]."""
     with torch.no_grad():
@@ -314,14 +316,6 @@ def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     count = int(is_spike.sum())
     measured = np.where(is_spike, np.nan, run.measured)
     return (replace(run, measured=measured), count) if count else (run, 0)
-
-
-def _num_own(frozen: Frozen, run: Run, unmet: Collection[str]) -> int:
-    """Values that are fitted to one run: what the study declares unknown, and start states that a
-    model fits away."""
-    declared = len(own_names(frozen.problem.names, run, unmet))
-    inside = getattr(frozen.problem.model, "num_fitted_inside", None)
-    return declared + (int(inside(run)) if callable(inside) else 0)
 
 
 def _error_rows(

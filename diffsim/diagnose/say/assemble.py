@@ -30,7 +30,7 @@ from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.say.wording import Answer, sentences
+from diffsim.diagnose.say.wording import sentences
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.search import refit, with_numerics
@@ -146,15 +146,22 @@ def report_of(
     case.progress("done", 1.0, verdict)
     return Report(
         verdict=verdict,
-        sentences=(),
-        named=tuple(effects[i].name for i in sorted(named)),
+        decision=decision,
+        causes=causes,
         rivals=names,
+        gates=gates,
+        floor=null.noise,
+        named=tuple(effects[i].name for i in sorted(named)),
+        best_names=tuple(effects[i].name for i in sorted(decision.best)),
+        beside=_beside(judgment),
+        strained=strained,
+        left=left,
+        chosen_by="" if referee is None else referee.words,
         hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
         confounding_names=screened.names,
         confounding=screened.confounding,
         cannot_see=cannot_see(effects, screened, case.unmet, rows),
-        gates=gates,
         noise={
             "sd": dict(
                 zip([c.name for c in case.study.channels], null.noise.sd.tolist(), strict=True)
@@ -174,26 +181,10 @@ def report_of(
         model=case.model,
         next_run=_advice(judgment, best, bank),
         force_map=None if search is None else _force_map(search),
-        causes=causes,
         findings=findings,
         base=base,
         unknown_share=_unknown_share(null, best, judgment),
         interval_factor=_interval_factor(causes, about),
-        chosen_by="" if referee is None else referee.words,
-        answer=Answer(
-            verdict=verdict,
-            decision=decision,
-            causes=causes,
-            rivals=names,
-            gates=gates,
-            noise=null.noise,
-            named=tuple(effects[i].name for i in sorted(named)),
-            best_names=tuple(effects[i].name for i in sorted(decision.best)),
-            beside=_beside(judgment),
-            strained=strained,
-            left=left,
-            chosen_by="" if referee is None else referee.words,
-        ),
     )
 
 
@@ -223,15 +214,14 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
     )
     gain = found.gain if frozen.best.problem.effects else None
     gained = gain if is_test else None  # runs that chose between causes prove none
-    assert frozen.answer is not None  # of the same diagnosis
     return replace(
         frozen,
         study=replace(study, runs=(*seen.runs, *study.test_runs)),
         errors=found.errors,
         outside=found.outside,
         gain=gained,
-        headline=headline(frozen.answer, found.errors, found.failed, gain),
-        sentences=sentences(frozen.answer, gained, found.errors, found.failed),
+        headline=headline(frozen, found.errors, found.failed, gain),
+        sentences=sentences(frozen, gained, found.errors, found.failed),
     )
 
 

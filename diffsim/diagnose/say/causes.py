@@ -9,7 +9,6 @@ import numpy as np
 
 from diffsim.diagnose.judge.averaging import HALF_90, Averaged
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
-from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.judge.records import (
     CERTAIN,
@@ -44,10 +43,13 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
     referee took away, that helps nothing on unseen parts, or whose size may as well be zero. A
     single recording makes nothing certain: no other one could contradict it.
     """
-    if decision.verdict not in NAMES or not _has_another_run(about):
+    case = about.search.null.case
+    if decision.verdict not in NAMES or len(case.study.runs) + case.num_tests < 2:
         return frozenset()
     left_out = _left_out(decision, about)
     refused = vetoed(about, decision.best, judgment.withdrawn)
+    # the interval lies at zero or below, although there is something to gain
+    idle = {i for i, gain in judgment.gains.items() if gain.high <= 0.0 < gain.excess}
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return frozenset()
     return frozenset(
@@ -57,7 +59,7 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
         and not _may_be_replaced(about, i, left_out)
         and all(i in h.effects for h in (*about.reach, *decision.equal))
         and all(i in members for members in refused)
-        and not _helps_nothing(judgment.gains.get(i))
+        and i not in idle
         and not _may_be_zero(about, i)
         and i not in decision.forms
     )
@@ -77,18 +79,6 @@ def vetoed(
     if most < weighed[Hypothesis(best)] + ALONE_NATS:
         return []
     return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
-
-
-def _has_another_run(about: Averaged) -> bool:
-    """Whether there is more than one run, those for the test included."""
-    case = about.search.null.case
-    return len(case.study.runs) + case.num_tests > 1
-
-
-def _helps_nothing(gain: Gain | None) -> bool:
-    """Whether the interval of an effect's gain on unseen parts lies at zero or below, although
-    there is something to gain."""
-    return gain is not None and gain.high <= 0.0 < gain.excess
 
 
 def _may_be_zero(about: Averaged, i: int) -> bool:
@@ -174,7 +164,10 @@ def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow,
     """
     values = {row.name: row.value for row in base}
     rows = [_effect_row(known, i, values) for i in range(len(known.effects))]
-    rows += [_unjudged(name, why) for name, why in known.unmet.items()]
+    rows += [
+        CauseRow(name, words_of(name), EFFECT, UNJUDGED, None, {}, "-", note=why)
+        for name, why in known.unmet.items()
+    ]
     rows += [_finding_row(known, row) for row in base if row.finding]
     rows += _unknown_rows(known)
     return tuple(sorted(rows, key=_rank))
@@ -319,10 +312,6 @@ def _screened_size(known: CauseEvidence, i: int) -> dict[str, Interval]:
     return out
 
 
-def _unjudged(name: str, why: str) -> CauseRow:
-    return CauseRow(name, words_of(name), EFFECT, UNJUDGED, None, {}, "-", note=why)
-
-
 def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
     """A base parameter that the recordings pull off its data sheet."""
     decision, about = known.judgment.decision, known.about
@@ -385,12 +374,9 @@ def _unknown_rows(known: CauseEvidence) -> list[CauseRow]:
         if u in shown or (p >= PROBABLE and u not in known.judgment.refuted):
             is_verdict = decision.unknown is not None and decision.unknown.unknown == u
             status = CERTAIN if is_verdict and p >= SURE else LIKELY if p >= PROBABLE else UNTOLD
-            rivals = _beside_unknown(known, decision) if status == UNTOLD else ()
+            named = tuple(known.effects[i].name for i in sorted(decision.best))
+            rivals = named if status == UNTOLD else ()
             rows.append(
                 CauseRow(cause.name, cause.name, UNKNOWN, status, p, {}, "-", rivals=rivals)
             )
     return rows
-
-
-def _beside_unknown(known: CauseEvidence, decision: Decision) -> tuple[str, ...]:
-    return tuple(known.effects[i].name for i in sorted(decision.best))

@@ -84,7 +84,9 @@ def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended
 def _said(answer: Answer) -> list[str]:
     """What is wrong, without a full stop; shorter ones later."""
     named = [
-        r for r in answer.told(CERTAIN, LIKELY) if r.origin != EFFECT or r.name in answer.named
+        r
+        for r in answer.causes_with(CERTAIN, LIKELY)
+        if r.origin != EFFECT or r.name in answer.named
     ]
     if answer.verdict == "unrepeatable":
         return ["Repeats differ more than the sensor's noise, so no cause can be judged"]

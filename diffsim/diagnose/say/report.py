@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
-from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, OutsideRow
+from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.next_run import NextRun
 from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
@@ -28,25 +27,18 @@ from diffsim.identify.model_file import MODEL_FILE, save_extended
 
 Array = NDArray[np.float64]
 
-VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
 
-
-@dataclass(frozen=True, eq=False)
-class Report:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Report(Answer):
     """The verdict with its evidence.
 
     Attributes:
-        verdict: One of ``VERDICTS``.
         sentences: The verdict in words, with numbers and units.
-        named: Effects of the best set; empty unless "named" or "ambiguous".
-        rivals: Sets within 3 nats of it, each a tuple of effect names; a generic unknown cause
-            stands as "unknown force" or the like.
         hypotheses: Sets of effects by evidence, best first.
         table: Candidate causes by evidence, best first.
         confounding_names: Components, in the order of ``confounding``.
         confounding: (n, n) cosines between what base parameters cannot absorb.
         cannot_see: Effect or component -> why, or the smallest visible size.
-        gates: Checks of data, gradients and numerics.
         noise: Source of the noise floor, sd by channel, repeat scatter over sensor noise.
         gain: Gain of the extended model on test runs; None without such runs.
         chi2_null, chi2_best, num_samples: Misfit |W (y - S)|^2 without and with the best set, and
@@ -58,28 +50,19 @@ class Report:
         study, model: Study and model as given.
         headline: The answer in at most 25 plain words, with the error on unseen runs before and
             after in the recordings' own unit.
-        causes: Every candidate cause with its status, probability and size.
         findings: Base parameters that ended beyond the limit of their row, 3 prior sd or more.
         base: Base parameters: fitted value, data sheet, and how far apart they are.
         errors: Error before and after on every test run, by kind of channel.
         outside: Where test runs lie outside of what was fitted.
         unknown_share: Share of the misfit above the noise that no named cause explains.
         interval_factor: How many times wider the widest interval is than noise alone makes it.
-        chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
-            after the other", "leaving out blocks of 2.5 s".
-        answer: What headline and sentences are made from.
     """
 
-    verdict: str
-    sentences: tuple[str, ...]
-    named: tuple[str, ...]
-    rivals: tuple[tuple[str, ...], ...]
     hypotheses: tuple[HypothesisRow, ...]
     table: tuple[EffectRow, ...]
     confounding_names: tuple[str, ...]
     confounding: Array
     cannot_see: Mapping[str, str]
-    gates: tuple[GateResult, ...]
     noise: Mapping[str, Any]
     gain: Gain | None
     chi2_null: float
@@ -93,15 +76,13 @@ class Report:
     next_run: NextRun | None = None
     force_map: ForceMap | None = None
     headline: str = ""
-    causes: tuple[CauseRow, ...] = ()
+    sentences: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     base: tuple[BaseRow, ...] = ()
     errors: tuple[ErrorRow, ...] = ()
     outside: tuple[OutsideRow, ...] = ()
     unknown_share: float | None = None
     interval_factor: float = 1.0
-    chosen_by: str = ""
-    answer: Answer | None = None
 
     def extended_model(self) -> SimModel:
         """The model with the named effects; base parameters and sizes at their posterior."""
@@ -109,11 +90,9 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fits' matrices and the recordings, in types that JSON has."""
+        left_out = ("decision", "floor", "best_names", "beside", "strained", "left")
         plain = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in ("null", "best", "study", "model", "answer")
-            and name not in ("next_run", "gain", "force_map")
+            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in left_out
         }
         for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
             plain[name] = [asdict(row) for row in plain[name]]

@@ -112,9 +112,13 @@ def effect_rows(
         nats = share = None
         if search is not None:
             nats = evidence_for(search, i)
-            share = _share_alone(search, i)
+            null, alone = search.fit_of(frozenset()), search.fits.get(frozenset({i}))
+            missing = null.chi2 - null.num_samples
+            if alone is not None and missing > 0.0:
+                share = (null.chi2 - alone.chi2) / missing
             size, sd = _refitted(search, decision, i, size, sd, changes)
         gained = judgment.gains.get(i)
+        note = "" if gained is None or gained.status == "confirmed" else gained.status
         rows.append(
             EffectRow(
                 effect=effect.name,
@@ -130,7 +134,7 @@ def effect_rows(
                 gain=gained,
                 share=share,
                 aliases=(*effect.also_looks_like, *_twins(effects, screened, i)),
-                note=_note(i, gained, judgment.withdrawn),
+                note="worse on unseen runs" if i in judgment.withdrawn else note,
             )
         )
     return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))
@@ -243,21 +247,6 @@ def _refitted(
     statistical = np.array([fit.sd[n] for n in names])
     fitted = np.array([fit.values[n] for n in names])
     return fitted, np.hypot(statistical, stretch * numerical_shift(fit, changes)[own])
-
-
-def _share_alone(search: Search, i: int) -> float | None:
-    alone = search.weighed.get(Hypothesis(frozenset({i})))
-    null = search.weighed[Hypothesis()]
-    missing = null.chi2 - search.fit_of(frozenset()).num_samples
-    if alone is None or missing <= 0.0:
-        return None
-    return (null.chi2 - alone.chi2) / missing
-
-
-def _note(i: int, gained: Gain | None, withdrawn: Set[int]) -> str:
-    if i in withdrawn:
-        return "worse on unseen runs"
-    return "" if gained is None or gained.status == "confirmed" else gained.status
 
 
 def _status(i: int, decision: Decision, in_rivals: set[int], withdrawn: Set[int]) -> str:

@@ -26,6 +26,7 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.identify.effect import is_of_run
 
+VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
 MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 _RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
 
@@ -35,16 +36,18 @@ class Answer:
     """What is put into words.
 
     Attributes:
-        verdict: Verdict of the report.
+        verdict: One of ``VERDICTS``.
         decision: Decision of the evidence behind it.
-        causes: All causes with their status.
-        rivals: Names of the rival sets.
-        gates: Checks.
-        noise: Noise floor of the fitted runs.
-        named: Effects that the verdict names.
+        causes: Every candidate cause with its status, probability and size.
+        rivals: Sets within 3 nats of the best one, each a tuple of effect names; a generic unknown
+            cause stands as "unknown force" or the like.
+        gates: Checks of data, gradients and numerics.
+        floor: Noise floor of the fitted runs.
+        named: Effects that the verdict names; empty unless "named" or "ambiguous".
         best_names: Effects of the best set.
         beside: Name of an unknown cause that leads beside the named set; empty if none.
-        chosen_by: What chose between causes.
+        chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
+            after the other", "leaving out blocks of 2.5 s".
         strained: Parameters that the set takes further off their data sheets than even wrong ones
             lie while something unknown acts, in words, each with its distance [prior sd].
         left: What the set leaves, if that is much and an unknown cause explains it [noise sd].
@@ -55,7 +58,7 @@ class Answer:
     causes: tuple[CauseRow, ...]
     rivals: tuple[tuple[str, ...], ...]
     gates: tuple[GateResult, ...]
-    noise: NoiseFloor
+    floor: NoiseFloor
     named: tuple[str, ...] = ()
     best_names: tuple[str, ...] = ()
     beside: str = ""
@@ -63,8 +66,8 @@ class Answer:
     strained: Mapping[str, float] = field(default_factory=dict)
     left: float | None = None
 
-    def told(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
-        """Causes with a status, unknown ones left out."""
+    def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
+        """Causes with one of these statuses, unknown ones left out."""
         return [
             row
             for row in self.causes
@@ -168,7 +171,7 @@ def sentences(
         out.append("No gain is known: no run is kept for a test (use: test).")
     if answer.chosen_by and answer.verdict not in ("numerical", "unrepeatable"):
         out.append(f"Names were held against the evidence and against {answer.chosen_by}.")
-    if np.isnan(answer.noise.scatter_ratio).all():
+    if np.isnan(answer.floor.scatter_ratio).all():
         out.append("Repeatability was not judged: that needs repeats and a stated sensor noise.")
     out += [
         f"A check failed: {_plain(g.name)} {g.value:.3g}, wanted {g.limit:g} ({g.note})."
@@ -209,7 +212,7 @@ def _first(answer: Answer) -> str:
         mimics = _members(answer)
         return f"{text}; {_sizes(mimics)} would mimic part of it." if mimics else f"{text}."
     if answer.verdict == "unrepeatable":
-        scatter = _scatter(answer.noise, answer.gates)
+        scatter = _scatter(answer.floor, answer.gates)
         return f"Repeats scatter {scatter}: the misfit is not a function of the command."
     failed = [g for g in answer.gates if not g.passed and g.name in NUMERICS_GATES]
     return (

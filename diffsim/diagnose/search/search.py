@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.numerics import check_numerics_of_set
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Weighed, families
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, families
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.from_sheet import (
     LEAST_REFITS,
@@ -135,7 +135,8 @@ def refit(
     share = 0.85 - 0.6 * 0.9 ** len(search.weighed)
     search.null.case.progress("search", share, names or "no effect")
     near = near or search.plain
-    promised = 0.5 * _cost(near.weigh(members))
+    weighed = near.weigh(members)
+    promised = 0.5 * (weighed.chi2 + float(weighed.x @ weighed.x))
     message, best = "", None
     starts = _starts(search, members, near)
     begin = None if members in search.simulations.fitted else begin
@@ -175,53 +176,37 @@ def _disappoints(search: Search, fit: Fit, promised: float) -> bool:
     return missed > slack + search.settings.linear_error * misfit
 
 
-def _cost(weighed: Weighed) -> float:
-    return weighed.chi2 + float(weighed.x @ weighed.x)
-
-
 def repaired(search: Search) -> Search:
     """Sets that ended above one of their subsets are fitted again, from that one's optimum with the
     further sizes at zero."""
-    for key in sorted((h for h in search.weighed if _is_fitted(search, h)), key=_size):
-        subset = _better_subset(search, key.effects)
+    for members in sorted(search.fits, key=len):
+        subset = _better_subset(search, members)
         if subset is None:
             continue
         made = search.simulations
         try:
             slopes = made.screened.get(subset, search.plain.at)
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
-            fit, at = made.fitted_from(key.effects, start, search.best_cost())
+            fit, at = made.fitted_from(members, start, search.best_cost())
         except DiffsimError as error:  # that end cannot be moved: what it is must be said
-            search = replace(search, failed={**search.failed, key: str(error)})
+            failed = {**search.failed, Hypothesis(members): str(error)}
+            search = replace(search, failed=failed)
             continue
-        made = made.kept(key.effects, at)
-        search = replace(search, simulations=made).with_fit(key.effects, fit)
+        made = made.kept(members, at)
+        search = replace(search, simulations=made).with_fit(members, fit)
     return search
 
 
 def _better_subset(search: Search, members: Members) -> Members | None:
     """The best fitted subset, if the set's own fit is worse by more than fits are exact to."""
-    subsets = [h for h in search.weighed if h.effects < members and _is_fitted(search, h)]
-    if not subsets:
+    costs = {s: 0.5 * (f.chi2 + f.prior) for s, f in search.fits.items() if s < members}
+    if not costs:
         return None
-    costs = {h.effects: 0.5 * _fit_cost(search.fit_of(h.effects)) for h in subsets}
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
     exact = max(WORSE_NATS, fit.problem.fit_nats, fit.problem.fit_rtol * misfit)
-    return best if 0.5 * _fit_cost(fit) > costs[best] + exact else None
-
-
-def _fit_cost(fit: Fit) -> float:
-    return fit.chi2 + fit.prior
-
-
-def _is_fitted(search: Search, key: Hypothesis) -> bool:
-    return key.unknown is None and search.weighed[key].fit is not None
-
-
-def _size(key: Hypothesis) -> int:
-    return len(key.effects)
+    return best if 0.5 * (fit.chi2 + fit.prior) > costs[best] + exact else None
 
 
 def weigh_unknowns_beside(search: Search, members: Members) -> Search:

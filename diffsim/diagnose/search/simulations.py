@@ -153,13 +153,6 @@ class Simulations:
         wide = replace(at, x=x, idx=tuple(own))
         return replace(self, fitted={**self.fitted, members: wide})
 
-    def fit(
-        self, members: Members, start: Linearization, best_cost: float
-    ) -> tuple[Fit, Simulations]:
-        """Fit a set of effects and keep it; arguments as of ``fitted_from``."""
-        fit, at = self.fitted_from(members, start, best_cost)
-        return fit, self.kept(members, at)
-
     def fitted_from(
         self,
         members: Members,
@@ -240,7 +233,7 @@ class Simulations:
         if before is None and self.store is not None:
             before = self.store.load(label)
         if before is not None:
-            return here.joined(before), self._screened(members, before)
+            return here.joined(before), replace(self, screened={**self.screened, members: before})
         if last is None:
             others = [i for i in range(len(here.x)) if i not in here.idx]
             here = here.joined(linearization_at(self.wide, here.x, others, screen=True))
@@ -251,7 +244,7 @@ class Simulations:
             here = here.joined(last)
         if self.store is not None:
             self.store.save(label, here)
-        return here, self._screened(members, here)
+        return here, replace(self, screened={**self.screened, members: here})
 
     def center(self, members: Members, at: Linearization, num_families: int) -> Center:
         """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
@@ -350,9 +343,6 @@ class Simulations:
         residual = whitened(wide, measured_of(wide) - at.record)
         jacobian = whitened(wide, at.slopes(range(len(at.x)))) * wide.stretch(at.x)
         return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
-
-    def _screened(self, members: Members, at: Linearization) -> Simulations:
-        return replace(self, screened={**self.screened, members: at})
 
     def _label(self, members: Members) -> str:
         return " + ".join(self.wide.effects[i].name for i in sorted(members)) + self.place

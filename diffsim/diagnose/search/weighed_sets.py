@@ -91,6 +91,11 @@ class Search:
         assert fit is not None  # sets without an unknown cause are fitted
         return fit
 
+    @property
+    def fits(self) -> dict[Members, Fit]:
+        """Fits of all sets that were refitted, without an unknown cause."""
+        return {h.effects: w.fit for h, w in self.weighed.items() if w.fit is not None}
+
     def neighbors(self, members: Members) -> list[Members]:
         """Sets with one effect more, one less, or one swapped, or a masking pair more."""
         others = [i for i in range(len(self.wide.effects)) if i not in members]
@@ -114,8 +119,7 @@ class Search:
 
     def best_cost(self) -> float:
         """Half the lowest cost of all fits [nats]."""
-        fits = [w.fit for w in self.weighed.values() if w.fit is not None]
-        return 0.5 * min(f.chi2 + f.prior for f in fits)
+        return 0.5 * min(f.chi2 + f.prior for f in self.fits.values())
 
     def with_fit(self, members: Members, fit: Fit) -> Search:
         """The search with the evidence of a fit, which needs the set's own columns only."""

@@ -115,7 +115,7 @@ def test_a_data_sheet_that_is_wrong_is_a_finding_and_never_noise():
     assert not any("noise: no effect" in s for s in report.sentences)
     assert any("the data sheet says 0.3 +- 0.7 kg" in s for s in report.sentences)
     assert report.headline.startswith("Only a data sheet is off: mass is 4.")
-    assert not report.answer.told("certain", "likely", origin="effect")
+    assert not report.causes_with("certain", "likely", origin="effect")
     base = {b.name: b for b in report.base}
     assert base["mass"].finding and base["mass"].pull == pytest.approx(6.0, abs=0.5)
     assert not base["gain"].finding

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.checks.gates import refit_gate
+from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA
 from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.coarse import corrected, renewed_at
@@ -110,7 +110,7 @@ def test_rivals_for_which_time_is_over_are_said():
     settings = DiagnosisSettings(search=search, fit_rtol=0.01)
     report = diagnose(study, toy.model(study.runs), effects, seed=0, settings=settings)
     late = [g for g in report.gates if g.name == "refit_budget"]
-    assert late == list(refit_gate(int(late[0].value), 1e-9)) and late[0].value >= 1
+    assert late == list(budget_gates(0, int(late[0].value), search)) and late[0].value >= 1
     assert any("rival sets were not refitted" in s for s in report.sentences)
 
 

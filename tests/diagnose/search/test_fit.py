@@ -143,7 +143,8 @@ def test_only_effects_that_stand_out_are_differentiated_again(study):
     screened, made = made.kept(NONE, at).screen(NONE, None)
     assert set(screened.idx) == set(range(11))
     drag = frozenset({0})
-    _, made = made.fit(drag, made.start(drag, screened, screened.x), 0.0)
+    _, at = made.fitted_from(drag, made.start(drag, screened, screened.x), 0.0)
+    made = made.kept(drag, at)
     before = wide.model.simulations.count
     again, _ = made.screen(drag, screened)
     # one or two of the three others at most, by noise: two simulations of both runs each
@@ -178,5 +179,5 @@ def test_a_linear_answer_beyond_a_bound_starts_at_the_bound():
     start = made.start(swapped, center, np.array([9.0, 0.0, 0.0, 0.3]))
     np.testing.assert_allclose(start.x, [1.0 / 7.0, 0.0, 0.0, 0.3])
     np.testing.assert_allclose(start.record, record_at(wide, start.x))
-    found, _ = made.fit(swapped, start, 0.0)
+    found, _ = made.fitted_from(swapped, start, 0.0)
     assert found.converged and found.values["mass"] <= 0.4 + 1e-12
