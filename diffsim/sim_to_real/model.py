@@ -182,7 +182,9 @@ class Starfish:
             contraction = torch.from_numpy(np.ascontiguousarray(run.command[COMMAND]))
             times = torch.from_numpy(run.time_s - run.time_s[0])
             scene = self.scene(values, contraction, times, values[f"clock_offset@{run.name}"])
-            return scene.with_output(lambda y, t: displacements(y)[:, : len(CHANNELS)])
+            return scene.changed(
+                output_maps=(lambda y, times: displacements(y)[:, : len(CHANNELS)],)
+            )
 
         return SoftModel(build, (*self.parameters, *clocks), "starfish, thesis 5.2")
 

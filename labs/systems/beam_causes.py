@@ -13,16 +13,20 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from diffsim.causes import commands as actuator
+from diffsim.causes import CommandGroup, command_cause
+from diffsim.causes.needs import needs_command
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.soft_body import forces, material, sensor
+from diffsim.systems.soft_body import forces, material
+from diffsim.systems.soft_body.causes import body_cause, soft_body_library
 from diffsim.systems.soft_body.scene import SoftScene
 
 # Bending: the mean of strain^4 over the section is 9/5 of the square of the mean of strain^2.
 STRAIN4 = 9.0 / 5.0
 TYPICAL_LOSS = 0.1  # of the largest tension
 SLIP_SPEED = 2e-3  # a twentieth of what the tip does [m/s]
+_TENSION = CommandGroup((), {"reach": 1.0, "width": 1.0, "rate": 1.0})
+_BACKLASH = command_cause("backlash", _TENSION)
 
 
 def _volumes(scene: SoftScene) -> Tensor:
@@ -30,11 +34,12 @@ def _volumes(scene: SoftScene) -> Tensor:
 
 
 def _stiffening(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return material.stiffening(scene, STRAIN4 * size, run)
+    return material.stiffen_by_strain(scene, STRAIN4 * size, run)
 
 
 def _backlash(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return actuator.BACKLASH.apply(scene, 0.5 * size, run)
+    made: SoftScene = _BACKLASH.apply(scene, 0.5 * size, run)
+    return made
 
 
 def _sideways_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -44,12 +49,12 @@ def _sideways_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 def _tip_scale(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     first = torch.eye(len(scene.axes), dtype=torch.float64)[0]
-    return scene.with_output(lambda y, t: y * (1.0 + size[0] * first))
+    return scene.with_reading((), lambda y, grid: y * (1.0 + size[0] * first)[:, None])
 
 
 def _tension_limit(scene: SoftScene, size: Tensor, run: Run, *, largest_N: float) -> SoftScene:
     return scene.with_command(
-        lambda u, dt: torch.minimum(u, (1.0 - size[0]) * largest_N * torch.ones_like(u))
+        (), lambda u, grid: torch.minimum(u, (1.0 - size[0]) * largest_N * torch.ones_like(u))
     )
 
 
@@ -57,11 +62,11 @@ def _needs_tension(study: Study, *, largest_N: float) -> str | None:
     top = max(float(run.command["tendon_N"].max()) for run in study.fit_runs)
     if top < (1.0 - TYPICAL_LOSS) * largest_N:
         return f"a tension near {largest_N:g} N; the largest that was commanded is {top:g} N"
-    return actuator.needs_command(study)
+    return needs_command(study)
 
 
 VOLUME_DRAG = replace(
-    forces.LINEAR_DRAG,
+    body_cause("linear_drag"),
     name="volume_drag",
     form="Force per volume -size v.",
     unit="N s/m^4",
@@ -69,7 +74,7 @@ VOLUME_DRAG = replace(
     apply=forces.drag(_volumes, quadratic=False),
 )
 QUADRATIC_VOLUME_DRAG = replace(
-    forces.QUADRATIC_DRAG,
+    body_cause("quadratic_drag"),
     name="quadratic_volume_drag",
     form="Force per volume -size |v| v.",
     unit="N s^2/m^5",
@@ -77,7 +82,7 @@ QUADRATIC_VOLUME_DRAG = replace(
     apply=forces.drag(_volumes, quadratic=True),
 )
 STIFFENING = replace(
-    material.STIFFENING,
+    body_cause("stiffening"),
     form="Stress E (1 + size strain^2) strain, under bending of one curvature.",
     typical=400.0,
     apply=_stiffening,
@@ -93,37 +98,37 @@ SIDEWAYS_TILT = Effect(
     apply=_sideways_tilt,
 )
 DRY_FRICTION = replace(
-    forces.DRY_FRICTION,
+    body_cause("dry_friction"),
     form="Coulomb friction -size tanh(v / v_s) at the tip.",
     typical=5e-4,
     apply=forces.dry_friction(SLIP_SPEED),
 )
 ADDED_MASS = replace(
-    forces.ADDED_MASS,
+    body_cause("added_mass"),
     typical=0.05,
 )
 LOSS_FACTOR = replace(
-    material.LOSS_FACTOR,
+    body_cause("loss_factor"),
     typical=0.03,
 )
 DELAY = replace(
-    actuator.COMMAND_DELAY,
+    command_cause("delay", _TENSION),
     form="The tension comes size later; it cannot be early.",
     typical=0.006,
     signed=False,
 )
 LAG = replace(
-    actuator.LAG,
+    command_cause("lag", _TENSION),
     typical=0.006,
 )
 TENSION_DEAD_BAND = replace(
-    actuator.DEAD_BAND,
+    command_cause("dead_band", _TENSION),
     name="tension_dead_band",
     unit="N",
     typical=0.04,
 )
 TENSION_BACKLASH = replace(
-    actuator.BACKLASH,
+    _BACKLASH,
     name="tension_backlash",
     form="Play of the tension, full width size.",
     unit="N",
@@ -131,11 +136,11 @@ TENSION_BACKLASH = replace(
     apply=_backlash,
 )
 TEMPERATURE_DRIFT = replace(
-    material.TEMPERATURE_DRIFT,
+    body_cause("temperature_drift"),
     typical=0.003,
 )
 SENSOR_SCALE = replace(
-    sensor.SENSOR_SCALE,
+    next(e for e in soft_body_library() if e.name == "sensor_scale"),
     typical=0.06,
 )
 TIP_SCALE = Effect(
@@ -181,14 +186,14 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
     return (
         LOSS_FACTOR,
         STIFFENING,
-        material.STIFFNESS_LOSS,
+        body_cause("stiffness_loss"),
         TEMPERATURE_DRIFT,
         VOLUME_DRAG,
         QUADRATIC_VOLUME_DRAG,
         ADDED_MASS,
         SIDEWAYS_TILT,
         DRY_FRICTION,
-        actuator.in_words(actuator.quantization(largest_N), "N"),
+        command_cause("quantization", CommandGroup((), {"reach": largest_N}, unit="N")),
         DELAY,
         LAG,
         TENSION_DEAD_BAND,

@@ -18,7 +18,7 @@ from diffsim.systems.registry import library, setup_of
 from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
-from diffsim.systems.soft_body.hanging import SLACK_STRING
+from diffsim.systems.soft_body.causes import body_cause
 from labs.systems import network
 from labs.systems.beam_causes import causes
 from labs.virtual import NetworkLab
@@ -45,7 +45,7 @@ DESCRIBED = Vehicle(
 @pytest.fixture(scope="module")
 def libraries() -> dict[str, tuple[Effect, ...]]:
     return {
-        "soft_body": (*library("soft_body"), SLACK_STRING),
+        "soft_body": (*library("soft_body"), body_cause("slack_string")),
         "multicopter": tuple(library("copter", num_rotors=6)),
         "described multicopter": candidate_causes(DESCRIBED),
         "flow_device": stokes_library(),

@@ -6,23 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes import commands as actuator
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics
 from diffsim.systems import library
-from diffsim.systems.soft_body import forces as soft_forces
-from diffsim.systems.soft_body import material as soft_material
-from diffsim.systems.soft_body import sensor as soft_sensor
 from diffsim.systems.soft_body import unknown_force
-from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.scene import Moment
-from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from tests.diagnose.gate import score_error, typical
 from tests.systems.soft_body.bars import held_bar, model_of, pulled_bar, released_bar
+from tests.systems.soft_body.causes import ANY_BODY, CAUSES
 
 CELLS = (6, 2, 2)
-EFFECTS = library("soft_body")
+EFFECTS = ANY_BODY
 SMOOTH = [e for e in EFFECTS if e.smooth]
 
 
@@ -105,7 +100,7 @@ def test_scores(effect, in_air):
 @pytest.mark.grad
 def test_score_of_a_current_that_a_smooth_drag_feels(in_air):
     model, base = in_air
-    drag, current = soft_forces.QUADRATIC_DRAG, soft_forces.CURRENT
+    drag, current = CAUSES["quadratic_drag"], CAUSES["current"]
     rng = np.random.default_rng(0)
     measured = base + torch.as_tensor(1e-3 * rng.standard_normal(base.shape))
 
@@ -119,10 +114,10 @@ def test_score_of_a_current_that_a_smooth_drag_feels(in_air):
 def test_needs():
     run = make_run()
     study = Study("s", "soft_body", (Channel("tip_z_m", "m", "position"),), (run,))
-    assert "command" in actuator.LAG.needs(study)
-    assert "three runs" in soft_material.TEMPERATURE_DRIFT.needs(study)
-    assert "water" in soft_forces.CURRENT.needs(study)
-    assert soft_forces.LINEAR_DRAG.needs(study) is None
+    assert "command" in CAUSES["lag"].needs(study)
+    assert "three runs" in CAUSES["temperature_drift"].needs(study)
+    assert "water" in CAUSES["current"].needs(study)
+    assert CAUSES["linear_drag"].needs(study) is None
 
 
 def swing(model, effect=None, at=None, until_s=1.2, run=None):
@@ -144,14 +139,14 @@ def undamped(modulus=2.6e5, **changes):
 def test_stiffness_damping_has_ratio_beta_omega_over_two():
     frequency, none, _ = swing(undamped())
     assert none < 0.002  # what BDF2 adds at this step
-    _, ratio, _ = swing(undamped(), soft_material.STIFFNESS_DAMPING, size(2e-3))
+    _, ratio, _ = swing(undamped(), CAUSES["stiffness_damping"], size(2e-3))
     # the fit takes turning points at 2 ms, and the second mode decays in the first swings
     assert ratio == pytest.approx(none + 2e-3 * np.pi * frequency, rel=0.05)
 
 
 def test_loss_factor_is_flat_in_frequency():
     """Twice the frequency (four times E): the same damping ratio, half the loss factor."""
-    loss = soft_material.LOSS_FACTOR
+    loss = CAUSES["loss_factor"]
     slow_hz, slow, _ = swing(undamped(), loss, size(0.1), until_s=0.9)
     fast_hz, fast, _ = swing(undamped(4 * 2.6e5), loss, size(0.1), until_s=0.5)
     assert fast_hz / slow_hz == pytest.approx(2.0, rel=0.1)
@@ -164,7 +159,7 @@ def test_linear_drag_decays_as_work_over_energy():
     """Rate = drag power / kinetic energy with the cantilever's mean square shape of 1/4."""
     drag = 40.0
     frequency, none, _ = swing(undamped())
-    _, ratio, _ = swing(undamped(), soft_forces.LINEAR_DRAG, size(drag))
+    _, ratio, _ = swing(undamped(), CAUSES["linear_drag"], size(drag))
     section, around, length = 0.03**2, 4 * 0.03, 0.1
     rate = drag * (around * length / 4 + section) / (2 * 1070 * section * length / 4)
     # stubby bar: shear makes its shape straighter than Bernoulli's
@@ -176,7 +171,7 @@ def test_quadratic_drag_grows_with_amplitude_and_linear_does_not():
         model = undamped(gravity=9.81 / light)
         return swing(model, effect, at)[1] - swing(model)[1]
 
-    quadratic, linear = soft_forces.QUADRATIC_DRAG, soft_forces.LINEAR_DRAG
+    quadratic, linear = CAUSES["quadratic_drag"], CAUSES["linear_drag"]
     ratio = loss(quadratic, size(10.0), 2.0) / loss(quadratic, size(10.0), 1.0)
     # the larger swing also decays faster, which evens them out
     assert ratio == pytest.approx(0.5, abs=0.04)
@@ -199,13 +194,13 @@ def scene_of(model, run):
 def test_drags_and_friction_of_a_body_that_moves_as_a_whole():
     scene, v = scene_of(beam(), RUN), size(0.3, -0.4, 0.0)
     area = 2 * 0.03**2 + 4 * 0.03 * 0.1
-    linear = soft_forces.LINEAR_DRAG.apply(scene, size(7.0), RUN)
+    linear = CAUSES["linear_drag"].apply(scene, size(7.0), RUN)
     torch.testing.assert_close(forces(linear, v), -7.0 * area * v)
-    quadratic = soft_forces.QUADRATIC_DRAG.apply(scene, size(7.0), RUN)
+    quadratic = CAUSES["quadratic_drag"].apply(scene, size(7.0), RUN)
     torch.testing.assert_close(forces(quadratic, v), -7.0 * area * 0.5 * v)
-    moving = soft_forces.CURRENT.apply(linear, v, RUN)
+    moving = CAUSES["current"].apply(linear, v, RUN)
     torch.testing.assert_close(forces(moving, v), 0 * v)
-    friction = soft_forces.DRY_FRICTION.apply(scene, size(0.02), RUN)
+    friction = CAUSES["dry_friction"].apply(scene, size(0.02), RUN)
     torch.testing.assert_close(forces(friction, v), size(-0.02, 0.02, 0.0))
 
 
@@ -214,7 +209,7 @@ def test_stiffening_force_is_that_of_its_energy():
     rng = np.random.default_rng(0)
     x = scene.body.x_rest * 1.05 + torch.as_tensor(1e-3 * rng.standard_normal((63, 3)))
     way = torch.as_tensor(rng.standard_normal((63, 3)))
-    stiff = soft_material.STIFFENING.apply(scene, size(20.0), RUN)
+    stiff = CAUSES["stiffening"].apply(scene, size(20.0), RUN)
     force = stiff.forces[0]()(stiff, Moment(x, 0 * x, 0.0, 1e-3))
 
     def energy(at):
@@ -230,8 +225,8 @@ def test_support_that_moves_as_a_whole():
     """Constant acceleration of the support is gravity; what is seen moves with it."""
     model = beam()
     rise = make_run(0.2, support_x_m=lambda t: 0.0 * t, support_z_m=lambda t: 0.25 * t**2)
-    found = predict(model, rise, SUPPORT_MOTION, size(1.0, 0.0))
-    heavy = predict(model, rise, soft_forces.WEIGHT, size(0.5))
+    found = predict(model, rise, CAUSES["support_motion"], size(1.0, 0.0))
+    heavy = predict(model, rise, CAUSES["weight"], size(0.5))
     heavy[:, 2] += torch.as_tensor(0.25 * rise.time_s**2)
     torch.testing.assert_close(found, heavy, atol=1e-8, rtol=0)
 
@@ -240,30 +235,28 @@ def test_added_mass_only_slows_time_down():
     """As much again as the bar's own mass: the same motion, sqrt(2) times slower."""
     plain = undamped()
     wide = replace(RUN, time_s=RUN.time_s * np.sqrt(2.0))
-    slow = predict(
-        plain, wide, soft_forces.ADDED_MASS, size(1.07), Numerics(time_step=np.sqrt(2.0))
-    )
+    slow = predict(plain, wide, CAUSES["added_mass"], size(1.07), Numerics(time_step=np.sqrt(2.0)))
     torch.testing.assert_close(slow, predict(plain, RUN), atol=1e-8, rtol=0)
 
 
 def test_weight_tilt_and_drift_are_what_other_settings_give():
     model = beam()
-    heavy = predict(model, RUN, soft_forces.WEIGHT, size(0.5))
+    heavy = predict(model, RUN, CAUSES["weight"], size(0.5))
     torch.testing.assert_close(heavy, predict(beam(gravity=10.31), RUN), atol=1e-9, rtol=0)
-    leaning = predict(model, RUN, soft_forces.TILT, size(0.0, 0.5))
+    leaning = predict(model, RUN, CAUSES["tilt"], size(0.0, 0.5))
     assert float(leaning[-1, 1].abs()) > 1e-4 and float(predict(model, RUN)[-1, 1].abs()) < 1e-9
-    drifted = predict(model, RUN, soft_material.TEMPERATURE_DRIFT, size(0.05))
+    drifted = predict(model, RUN, CAUSES["temperature_drift"], size(0.05))
     stiffer = beam(young=1.1 * 2.6e5)
     torch.testing.assert_close(drifted, predict(stiffer, RUN), atol=1e-9, rtol=0)
-    lost = predict(model, RUN, soft_material.STIFFNESS_LOSS, size(-0.1, -0.1, -0.1))
+    lost = predict(model, RUN, CAUSES["stiffness_loss"], size(-0.1, -0.1, -0.1))
     torch.testing.assert_close(lost, drifted, atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize(
     ("effect", "at"),
     [
-        (soft_material.TEMPERATURE_DRIFT, size(-0.6)),  # RUN is third of its series
-        (soft_material.STIFFNESS_LOSS, size(0.0, 0.0, 1.2)),
+        (CAUSES["temperature_drift"], size(-0.6)),  # RUN is third of its series
+        (CAUSES["stiffness_loss"], size(0.0, 0.0, 1.2)),
     ],
 )
 def test_size_that_leaves_no_stiffness_is_a_step_too_far_for_a_search(effect, at):
@@ -273,14 +266,14 @@ def test_size_that_leaves_no_stiffness_is_a_step_too_far_for_a_search(effect, at
 
 def test_current_bends_the_bar_downstream(plain):
     model, base = plain
-    flowing = predict(model, PULLED, soft_forces.CURRENT, size(0.0, 0.1, 0.0))
+    flowing = predict(model, PULLED, CAUSES["current"], size(0.0, 0.1, 0.0))
     assert float((flowing - base)[:, 1].mean()) > 1e-5
 
 
 def test_delay_of_command_and_late_clock_are_the_same():
     model = tendon(rtol=1e-8)
-    late = predict(model, PULLED, soft_sensor.CLOCK_OFFSET, size(0.03))
-    slow = predict(model, PULLED, actuator.COMMAND_DELAY, size(0.03))
+    late = predict(model, PULLED, CAUSES["sensor_delay"], size(0.03))
+    slow = predict(model, PULLED, CAUSES["delay"], size(0.03))
     # the command is straight between samples of 10 ms, steps are 4 ms: both see it at other places
     assert float((late - slow).abs().max()) < 0.01 * float(late.abs().max())
     early = predict(model, PULLED)
@@ -293,15 +286,15 @@ def test_sensors_by_their_formulas(plain):
     def seen(effect, at):
         return predict(model, PULLED, effect, at)
 
-    torch.testing.assert_close(seen(soft_sensor.SENSOR_SCALE, size(0.1)), 1.1 * y)
-    torch.testing.assert_close(seen(soft_sensor.PLACEMENT, size(1.0, 2.0, 3.0)), y + size(1, 2, 3))
-    tilted = seen(soft_sensor.SENSOR_TILT, size(0.0, 0.01, 0.0))  # x gains z, z loses x
+    torch.testing.assert_close(seen(CAUSES["sensor_scale"], size(0.1)), 1.1 * y)
+    torch.testing.assert_close(seen(CAUSES["placement"], size(1.0, 2.0, 3.0)), y + size(1, 2, 3))
+    tilted = seen(CAUSES["sensor_tilt"], size(0.0, 0.01, 0.0))  # x gains z, z loses x
     torch.testing.assert_close(tilted[:, 0], y[:, 0] + 0.01 * y[:, 2])
     radius = y.norm(dim=1, keepdim=True)
-    torch.testing.assert_close(seen(soft_sensor.LENS, size(20.0)), y * (1 + 20 * radius**2))
+    torch.testing.assert_close(seen(CAUSES["lens"], size(20.0)), y * (1 + 20 * radius**2))
     free = beam()  # without a command, whose samples have the record's times
     fast = replace(RUN, time_s=1.01 * RUN.time_s)
-    rate = predict(free, RUN, soft_sensor.CLOCK_RATE, size(0.01))
+    rate = predict(free, RUN, CAUSES["clock_rate"], size(0.01))
     torch.testing.assert_close(rate, predict(free, fast), atol=1e-12, rtol=0)
 
 
@@ -320,7 +313,7 @@ def test_unknown_force_of_even_knots_is_weight():
     knots = torch.zeros(3, 2, 3, dtype=torch.float64)
     knots[2, 0] = -1070.0 * 0.5
     found = predict(model, RUN, unknown, knots.flatten())
-    want = predict(model, RUN, soft_forces.WEIGHT, size(0.5))
+    want = predict(model, RUN, CAUSES["weight"], size(0.5))
     torch.testing.assert_close(found, want, atol=1e-9, rtol=0)
 
 
@@ -341,7 +334,7 @@ def held_beam():
 
 
 def test_slack_string_lets_the_bar_go_alone_first():
-    model, slack = held_beam(), SLACK_STRING
+    model, slack = held_beam(), CAUSES["slack_string"]
     loaded, light = held_run(0.05), held_run(0.0)
     alone, late = predict(model, light), predict(model, loaded, slack, size(0.5 * 9.81 * 0.05**2))
     before = loaded.time_s < 0.045
@@ -356,7 +349,8 @@ def test_slack_string_lets_the_bar_go_alone_first():
 
 def test_catch_of_the_string_keeps_momentum():
     model, run = held_beam(), held_run(0.05)
-    scene = SLACK_STRING.apply(model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2), run)
+    fixed, fall = model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2)
+    scene = CAUSES["slack_string"].apply(fixed, fall, run)
     load = scene.parameter("attached_mass")
     own = scene.parameter("density") * scene.body.nodal_volume
     falling = scene.falling(scene.last_fall_step())
@@ -374,7 +368,7 @@ def test_catch_of_the_string_keeps_momentum():
 
 def test_creep_takes_the_stiffness_of_motion_away_in_time():
     scene = scene_of(beam(), RUN)
-    crept = soft_material.CREEP.apply(scene, size(0.04), RUN)
+    crept = CAUSES["creep"].apply(scene, size(0.04), RUN)
     hook = crept.forces[0]()
     rest = scene.body.x_rest
     bent = rest + torch.stack([0 * rest[:, 0], 0 * rest[:, 0], 0.05 * rest[:, 0]], 1)

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes import commands as actuator
-from diffsim.causes import library
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
 from diffsim.systems.soft_body import (
@@ -20,17 +18,15 @@ from diffsim.systems.soft_body import (
     tangents,
     unknown_force,
 )
-from diffsim.systems.soft_body import forces as soft_forces
-from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.material import _Relaxation
 from diffsim.systems.soft_body.scene import Force
-from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from diffsim.systems.soft_body.unknown import _Knots
 from tests.systems.soft_body.bars import model_of, pulled_bar, released_bar
+from tests.systems.soft_body.causes import ANY_BODY, CAUSES
 from tests.systems.test_soft_body import held_beam, held_run
 
 CELLS = (4, 1, 1)
-SMOOTH = [e for e in library("soft_body") if e.smooth]
+SMOOTH = [e for e in ANY_BODY if e.smooth]
 AIR = [e for e in SMOOTH if e.kind != "actuator" and e.name != "delay"]
 NOISE = WhiteNoise([Channel(c, "m", "position", sd=1e-3) for c in "xyz"])
 
@@ -136,7 +132,7 @@ def test_solids_that_differ_by_a_factor_share_one_evaluation(monkeypatch):
 def test_tendon_from_equilibrium():
     """A command on its way through a lag, a start that depends on the material, no forces."""
     effects = tuple(e for e in SMOOTH if e.name in ("lag", "weight", "sensor_scale", "delay"))
-    late = actuator.COMMAND_DELAY
+    late = CAUSES["delay"]
     for delay in (effects, (*(e for e in effects if e.name != "delay"), late)):
         problem = problem_of(tendon(), PULLED, *delay)
         x = np.zeros(len(problem.names))
@@ -145,7 +141,7 @@ def test_tendon_from_equilibrium():
 
 def test_tendon_in_water():
     """Drag, in a start that is sought with the forces and in the motion."""
-    problem = problem_of(tendon(in_water=True), PULLED, soft_forces.LINEAR_DRAG)
+    problem = problem_of(tendon(in_water=True), PULLED, CAUSES["linear_drag"])
     x = np.zeros(len(problem.names))
     x[-1] = 0.2
     assert_alike(problem, x)
@@ -153,7 +149,7 @@ def test_tendon_in_water():
 
 def test_unknown_force():
     effect = unknown_force(3, 0.2)
-    problem = problem_of(beam(), FREE, soft_forces.LINEAR_DRAG, effect)
+    problem = problem_of(beam(), FREE, CAUSES["linear_drag"], effect)
     x = np.zeros(len(problem.names))
     x[3] = 0.3
     assert_alike(problem, x)
@@ -162,7 +158,7 @@ def test_unknown_force():
 def test_knots_are_evaluated_at_once(monkeypatch):
     """What each gives alone: to the last bit from zero on, where an unknown cause is weighed."""
     effect = unknown_force(3, 0.2)
-    problem = problem_of(beam(), FREE, soft_forces.LINEAR_DRAG, effect)
+    problem = problem_of(beam(), FREE, CAUSES["linear_drag"], effect)
     x = np.zeros(len(problem.names))
     acting = x + 0.3 * np.arange(len(x))
     zero_at_once, at_once = problem.linearize(x)[1], problem.linearize(acting)[1]
@@ -184,7 +180,7 @@ def test_knots_are_evaluated_at_once(monkeypatch):
     monkeypatch.undo()
     assert one.beside([one]) is not None
     assert one.beside([other]) is None
-    assert one.beside([soft_forces.DRY_FRICTION.apply(scene, size, FREE).forces[-1]()]) is None
+    assert one.beside([CAUSES["dry_friction"].apply(scene, size, FREE).forces[-1]()]) is None
 
 
 def test_lines_of_effects_share_one_plain_scene(monkeypatch):
@@ -224,10 +220,10 @@ def test_forces_of_time_after_a_catch():
     loaded = held_run(0.05)
     time = loaded.time_s
     run = replace(loaded, command={name: sway(time) for name, sway in SWAY.items()}, order=2)
-    caught = replace(SLACK_STRING, smooth=True)  # at sizes above zero it is
-    problem = problem_of(held_beam(), run, SUPPORT_MOTION, caught)
+    caught = replace(CAUSES["slack_string"], smooth=True)  # at sizes above zero it is
+    problem = problem_of(held_beam(), run, CAUSES["support_motion"], caught)
     x = np.zeros(len(problem.names))
-    x[problem.columns_of(SUPPORT_MOTION)[0]] = 0.5
+    x[problem.columns_of(CAUSES["support_motion"])[0]] = 0.5
     x[problem.columns_of(caught)[0]] = 0.5
     found, simulated = problem, replace(problem, jacobian=Jacobian(method="differences", step=2e-3))
     columns, expected = (p.linearize(x)[1] for p in (found, simulated))
@@ -238,7 +234,7 @@ def test_forces_of_time_after_a_catch():
 
 
 def test_non_smooth_effects_are_simulated(monkeypatch):
-    band = actuator.DEAD_BAND
+    band = CAUSES["dead_band"]
     problem = problem_of(tendon(), PULLED, band)
     x = np.zeros(len(problem.names))
     count = simulations(monkeypatch)
@@ -263,7 +259,7 @@ class OldHook(Force):
 
 
 def remembering(scene, size, run):
-    return scene.with_force(lambda: OldHook(size[0]))
+    return scene.with_hook(lambda: OldHook(size[0]))
 
 
 def test_hooks_and_observers_without_leading_axes():
@@ -275,8 +271,8 @@ def test_hooks_and_observers_without_leading_axes():
         return scene.changed(observe=lambda x: x[nodes].mean(0) + values["place"], output_maps=())
 
     model = SoftModel(build, (*plain.base, Parameter("place", 0.0, 1e-3, "m")))
-    old = replace(soft_forces.LINEAR_DRAG, typical=2e-3, apply=remembering)
-    problem = problem_of(model, FREE, old, soft_forces.LINEAR_DRAG)
+    old = replace(CAUSES["linear_drag"], typical=2e-3, apply=remembering)
+    problem = problem_of(model, FREE, old, CAUSES["linear_drag"])
     x = np.zeros(len(problem.names))
     x[-2:] = 0.3
     assert_alike(problem, x)

@@ -11,9 +11,8 @@ from diffsim.identify import Jacobian, Problem, SearchSettings, WhiteNoise
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import linearization_at
 from diffsim.systems.registry import description_of
-from diffsim.systems.soft_body import forces, material
-from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from tests.systems.soft_body.bars import released_bar
+from tests.systems.soft_body.causes import CAUSES
 from tests.systems.swaying_lab import GRAVITY, SHIFT, TURN, beam_matrices, recorded
 
 
@@ -55,7 +54,7 @@ def test_a_beam_of_the_laboratory_is_a_cantilever():
 def test_sizes_are_those_that_were_hidden():
     """What the clamp's record shows explains the swing, with the shift and turn that it has."""
     study = recorded()
-    plain, moved = fitted(study), fitted(study, SUPPORT_MOTION)
+    plain, moved = fitted(study), fitted(study, CAUSES["support_motion"])
     assert plain.chi2 > 10.0 * plain.num_samples
     assert moved.chi2 < 2.0 * moved.num_samples
     shift, turn = (moved.values[f"support_motion.{n}"] for n in ("shift", "turn"))
@@ -69,21 +68,22 @@ def test_a_support_at_rest_is_left_alone():
     still = {n: np.full_like(v, 1e-3) for n, v in study.runs[0].command.items()}
     run = replace(study.runs[0], command=still)
     scene = model.scene(run, model.at_prior())
-    assert SUPPORT_MOTION.apply(scene, model.at_prior()[:2] + 1.0, run) is scene
+    assert CAUSES["support_motion"].apply(scene, model.at_prior()[:2] + 1.0, run) is scene
 
 
 def test_it_needs_the_record_of_the_support():
     study = recorded()
-    assert SUPPORT_MOTION.needs(study) is None
+    assert CAUSES["support_motion"].needs(study) is None
     bare = replace(study, runs=tuple(replace(r, command={}) for r in study.runs))
-    assert "support_x_m" in SUPPORT_MOTION.needs(bare)
+    assert "support_x_m" in CAUSES["support_motion"].needs(bare)
 
 
 @pytest.mark.slow
 def test_it_is_named_where_it_was_hidden():
     """Among other causes of damping and drift, by a diagnosis that sees recordings only."""
     study = recorded()
-    causes = (material.LOSS_FACTOR, material.CREEP, forces.LINEAR_DRAG, SUPPORT_MOTION)
+    named = ("loss_factor", "creep", "linear_drag", "support_motion")
+    causes = tuple(CAUSES[name] for name in named)
     found = diagnose(
         study,
         model_of(study, (8, 3, 3)),

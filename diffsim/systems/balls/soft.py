@@ -151,9 +151,9 @@ class SoftBallScene:
     corners: Tensor
     balls: SoftBalls
 
-    def with_added(self, name: str, size: Tensor) -> SoftBallScene:
-        """A copy with one number larger by ``size`` ()."""
-        return replace(self, values={**self.values, name: self.values[name] + size})
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> SoftBallScene:
+        """A copy in which a number is f(number)."""
+        return replace(self, values={**self.values, name: change(self.values[name])})
 
     def simulate(self) -> Tensor:
         """(T, 6): u, v of the resting ball, of the coming one, and of the corner [px]."""

@@ -1,179 +1,326 @@
-"""Candidate causes of a described soft body: those that its parts allow."""
+"""Candidate causes of a described soft body: the rows that its parts allow, and their functions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.causes.commands import BACKLASH, DEAD_BAND, LAG, SATURATION, in_words, quantization
-from diffsim.identify.effect import Effect
-from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
-from diffsim.systems.soft_body import forces, material, sensor
-from diffsim.systems.soft_body.hanging import SLACK_STRING
-from diffsim.systems.soft_body.loads import (
-    BODY_SCALE,
-    LOAD_INERTIA,
-    base_vibration,
-    one_sided_stop,
-    tip_mass,
+from diffsim.causes.catalogue import rows
+from diffsim.causes.channel_groups import ChannelGroup, channel_groups, channels_of
+from diffsim.causes.commands import CommandGroup, command_causes
+from diffsim.causes.ports import on_clock, on_numbers, on_readings
+from diffsim.causes.readings import (
+    SENSOR,
+    Instrument,
+    pace,
+    reading_cause,
+    reading_causes,
+    spell_plainly,
+    usual_sample,
 )
-from diffsim.systems.soft_body.pulling import PULLING, unknown_pull
+from diffsim.causes.scales import SCALES, Scales
+from diffsim.identify.effect import Apply, Effect, needs_nothing
+from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
+from diffsim.systems.soft_body import forces, loads, material, sensor
+from diffsim.systems.soft_body.hanging import hang_slack
+from diffsim.systems.soft_body.pulling import unknown_pull
 from diffsim.systems.soft_body.readings import main_axis
-from diffsim.systems.soft_body.support import support_motion
+from diffsim.systems.soft_body.support import needs_record, support_of
 from diffsim.systems.soft_body.unknown import unknown_force
 
 if TYPE_CHECKING:
     from diffsim.data.study import Study
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 
-REACH, TIMED = "reach", "timed"  # their places in a study's frame
+SYSTEM = "soft_body"
+SUPPORT = ("support_x_m", "support_z_m")  # places of a support that nobody names otherwise
+BODY, TIMED = "body", "is_timed"  # of the scales: magnitudes of the body; whether time matters
 MOST_KNOTS = 16
 KNOTS_PER_S = 6.0
-TYPICAL_SHARE = 0.1  # of the commanded range: slack, play and dead band that are no surprise
-LIMIT_SHARE = 4.0  # a limit is felt where it is well below what is commanded
-TYPICAL_MASS = 0.1  # of the body's mass
+SLIP_SPEED = 1e-2  # below which dry friction grows linearly [m/s]
+PULL_SHARE = 0.1  # of the command's range: a pull that nothing explains and is no surprise
+# from the motor to the body: the slack of a tendon lies behind what limits the motor
+ON_THE_WAY = (
+    *("quantization", "lag", "dead_band", "backlash", "saturation", "command_gain", "rate_limit"),
+    *("slack", "delay", "gain_slope", "command_offset"),
+)
+# of commands and of readings: what poses without a past do not show
+OVER_TIME = ("lag", "delay", "rate_limit", "backlash")
+READ_OVER_TIME = ("sensor_delay", "sensor_lag", "sensor_drift", "sensor_backlash")
+
+#: What causes do that no port says, by the names of their rows.
+ACTS: Mapping[str, Apply] = MappingProxyType(
+    {
+        "loss_factor": material.lose_in_motion,
+        "creep": material.creep,
+        "stiffening": material.stiffen_by_strain,
+        "stiffness_loss": material.lose_stiffness,
+        "temperature_drift": material.drift_with_order,
+        "body_scale": loads.enlarge_body,
+        "dry_friction": forces.dry_friction(SLIP_SPEED),
+        "linear_drag": forces.drag(forces.areas_of, quadratic=False),
+        "quadratic_drag": forces.drag(forces.areas_of, quadratic=True),
+        "added_mass": forces.add_fluid_mass,
+        "current": forces.move_fluid,
+        "weight": forces.change_weight,
+        "tilt": forces.tilt_gravity,
+        "tip_mass": loads.load_free_end,
+        "load_inertia": loads.attach_load,
+        "slack_string": hang_slack,
+        "placement": sensor.displace,
+        "sensor_tilt": sensor.tilt_camera,
+        "lens": sensor.distort,
+    }
+)
+_UNITS = {"dry_friction": "N"}
+_TABLES = ("material", "surroundings", "force", "load", "camera")
 
 
-def library(given: SoftBodyKeys, study: Study, mass_kg: float) -> tuple[Effect, ...]:
+def body_cause(
+    name: str, scales: Mapping[str, float] | None = None, apply: Apply | None = None, **own: Any
+) -> Effect:
+    """A cause in a soft body, around it or in the cameras.
+
+    Args:
+        name: Name of its row.
+        scales: Usual magnitudes that the row may use.
+        apply: How it acts where that depends on the description; None: as ``ACTS`` or the row says.
+        **own: Fields of the effect that differ, as for :meth:`diffsim.causes.Row.effect`.
+    """
+    row = next(rows(table)[name] for table in _TABLES if name in rows(table))
+    acts = apply or ACTS.get(name) or on_numbers(row)
+    unit = {"unit": _UNITS[name]} if name in _UNITS else {}
+    return row.effect(acts, scales, system=SYSTEM, **{**unit, **own})
+
+
+def library(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Effect, ...]:
     """Causes that the description leaves room for.
 
     What is a base parameter already is no cause beside it: the two could not be told apart.
 
     Args:
         given: Description of the body.
-        study: Study whose commands say what sizes are usual.
-        mass_kg: Mass of the body [kg].
+        study: Study with the recordings.
+        scales: Usual magnitudes, see ``scales_of``.
     """
     still = given.numerics.motion == "quasi_static"
-    timed = is_timed(given, study)
-    found: list[Effect] = [] if still else [material.LOSS_FACTOR, material.CREEP]
-    if not given.material.rayleigh_beta.is_fitted and not still:
-        found.append(material.STIFFNESS_DAMPING)
-    if not still:  # by iteration, which large poses leave
-        found.append(material.STIFFENING)
-    found += [material.STIFFNESS_LOSS, material.TEMPERATURE_DRIFT]
-    found += _of_surroundings(given, still)
-    found += _of_loads(given, study, mass_kg, still)
-    found += _of_commands(given, study, timed)
-    return (*found, *_of_cameras(given, timed))
+    # stiffening goes by iteration, which large poses leave
+    found = [] if still else ["loss_factor", "creep", "stiffness_damping", "stiffening"]
+    if given.material.rayleigh_beta.is_fitted and not still:
+        found.remove("stiffness_damping")
+    found += ["stiffness_loss", "temperature_drift", *_of_surroundings(given, still)]
+    causes = [body_cause(name) for name in found]
+    if given.water is not None and not still:
+        causes.append(body_cause("current", needs=needs_nothing))
+        if not given.water.added_mass.is_fitted:
+            causes.append(body_cause("added_mass"))
+    causes.append(body_cause("body_scale"))
+    causes += _of_loads(given, scales, still)
+    causes += _of_commands(given, study, scales)
+    return (*causes, *_of_cameras(given, study, scales), *_of_instruments(given, study, scales))
+
+
+def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
+    """Usual magnitudes; of a study with a ``frame``, those of the saved model.
+
+    Args:
+        given: Description of the body.
+        study: Study with the recordings.
+        mass_kg: Mass of the body [kg].
+
+    Raises:
+        ValueError: the frame has none.
+    """
+    if not study.frame:
+        facts = {TIMED: is_timed(given, study)}
+        return replace(Scales.of_runs(study), plain={BODY: {"mass": mass_kg}}, facts=facts)
+    kept = Scales.kept_in(study)
+    if kept is None:
+        raise ValueError(f"the saved model has no {SCALES}, as older ones have none; fit it again")
+    return kept
+
+
+def usual_motion(given: SoftBodyKeys, scales: Scales) -> dict[str, float]:
+    """How far markers move: the widest channel; how fast: as far in a tenth of the longest run.
+
+    Args:
+        given: Description of the body.
+        scales: Usual magnitudes of the recordings.
+    """
+    seen = [name for name, reading in given.channels.items() if reading.axis is not None]
+    distance = max((scales.of_channels([name])["width"] for name in seen), default=1.0)
+    return {"distance": distance, "speed": 10.0 * distance / (scales.longest_s or 1.0)}
 
 
 def is_timed(given: SoftBodyKeys, study: Study) -> bool:
     """Whether time matters: something moves by itself, or commands were recorded over time."""
-    if TIMED in study.frame:
-        return bool(study.frame[TIMED])
     is_still = given.numerics.motion == "quasi_static"
     is_long = any(len(r.time_s) > 2 for r in study.runs)
     return not is_still or (bool(given.commands) and is_long)
 
 
-def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[Effect]:
-    found = [] if still else [forces.LINEAR_DRAG, forces.QUADRATIC_DRAG, forces.DRY_FRICTION]
+def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[str]:
+    found = [] if still else ["linear_drag", "quadratic_drag", "dry_friction"]
     if any(given.gravity.vector):
-        found.append(forces.WEIGHT)
+        found.append("weight")
         if not given.gravity.roll.is_fitted and not given.gravity.pitch.is_fitted:
-            found.append(forces.TILT)
-    if given.water is not None and not still:
-        found.append(replace(forces.CURRENT, needs=lambda study: None))
-        if not given.water.added_mass.is_fitted:
-            found.append(forces.ADDED_MASS)
-    found.append(BODY_SCALE)
+            found.append("tilt")
     return found
 
 
-def _of_loads(given: SoftBodyKeys, study: Study, mass_kg: float, still: bool) -> list[Effect]:
+def _of_loads(given: SoftBodyKeys, scales: Scales, still: bool) -> list[Effect]:
     weighs = any(given.gravity.vector) or not still
-    found = [tip_mass(TYPICAL_MASS * mass_kg)] if weighs else []
+    found = [body_cause("tip_mass", scales.plain[BODY])] if weighs else []
     if any(load.acts_as == "weight" for load in given.masses) and not still:
-        found.append(LOAD_INERTIA)
+        found.append(body_cause("load_inertia"))
     if given.slack_string is not None:
-        found.append(replace(SLACK_STRING, typical=given.slack_string))
+        found.append(replace(body_cause("slack_string"), typical=given.slack_string))
     if given.support is not None:
         found.append(support_motion(given.support.x, given.support.z, given.support.faster_than))
     if given.vibration is not None and not still:
-        found.append(base_vibration(given.vibration.frequency, given.vibration.axes))
-    found += [one_sided_stop(s.where, s.direction, s.gap) for s in given.stops]
+        hertz, axes = given.vibration.frequency, given.vibration.axes
+        parts = tuple(f"{a}_{s}" for a in axes for s in ("cos", "sin"))
+        acts = loads.shaking_of(hertz, axes)
+        found.append(body_cause("base_vibration", {"frequency": hertz}, acts, components=parts))
+    for stop in given.stops:
+        acts = loads.stop_of(stop.where, stop.direction, stop.gap)
+        found.append(body_cause("one_sided_stop", {"gap": 1e3 * stop.gap}, acts))
     return found
 
 
-def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]:
+def _of_commands(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
     if not given.commands:
         return []
-    width, rate = commanded(study, given.commands)
-    drives = (*given.tendons, *given.muscles, *given.chambers)
-    sized = {
-        "dead_band": TYPICAL_SHARE * width,
-        "backlash": TYPICAL_SHARE * width,
-        "slack": TYPICAL_SHARE * width,
-        "rate_limit": LIMIT_SHARE / rate,
-    }
-    reach = max(np.abs(fitted_reach(study, given.commands)))
-    found = [quantization(reach or 1.0), LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
-    if all(d.gain.is_fitted for d in drives):
-        found = [e for e in found if e.name != "command_gain"]
-    if not timed:
-        found = [e for e in found if e.name not in ("lag", "rate_limit", "backlash")]
     # of a command that only pulls, slack and dead band are one
-    pulls_only = bool(given.tendons) and fitted_reach(study, given.commands)[0] >= 0.0
-    doubled = "dead_band" if pulls_only else "slack"
-    found = [e for e in found if e.name != doubled]
+    pulls_only = bool(given.tendons) and scales.is_one_sided(given.commands)
     units = {c.name: c.unit for c in study.commands}
     unit = (units.get(given.commands[0]) if len(given.commands) == 1 else None) or "-"
-    found = [in_words(e, unit, "mm" if unit == "m" else None) for e in found]
-    return [replace(e, typical=sized[e.name]) if e.name in sized else e for e in found]
+    group = CommandGroup(
+        given.commands,
+        scales.of_commands(given.commands),
+        is_one_sided=pulls_only,
+        unit=unit,
+        shown="mm" if unit == "m" else None,
+    )
+    without = [] if pulls_only else ["slack"]
+    drives = (*given.tendons, *given.muscles, *given.chambers)
+    if all(d.gain.is_fitted for d in drives):
+        without.append("command_gain")
+    if given.clock.offset.is_fitted:
+        without.append("delay")
+    if not scales.facts[TIMED]:
+        without += OVER_TIME
+    found = command_causes(group, system=SYSTEM, without=without)
+    return sorted(found, key=lambda cause: ON_THE_WAY.index(cause.name))
 
 
-def _of_cameras(given: SoftBodyKeys, timed: bool) -> list[Effect]:
+def _of_cameras(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
+    """Causes in what all channels share."""
     readings = given.channels.values()
     turns = (given.camera.roll, given.camera.pitch, given.camera.yaw)
+    whole = _instrument(study, scales, ChannelGroup("", tuple(c.name for c in study.channels)))
     found = []
-    if timed:
-        found += [] if given.clock.offset.is_fitted else [sensor.CLOCK_OFFSET]
-        found += [] if given.clock.rate.is_fitted else [sensor.CLOCK_RATE]
+    if scales.facts[TIMED]:
+        if not given.clock.offset.is_fitted and not _begins_with_command(given):
+            found.append(reading_cause("sensor_delay", whole, system=SYSTEM))
+        found += [] if given.clock.rate.is_fitted else [body_cause("clock_rate")]
     if not given.camera.scale.is_fitted and not all(r.scale.is_fitted for r in readings):
-        found.append(sensor.SENSOR_SCALE)
+        found.append(reading_cause("sensor_scale", whole, system=SYSTEM))
     if not all(r.zero.is_fitted for r in readings) and given.camera.relative_to != "first":
-        found.append(sensor.PLACEMENT)
+        found.append(body_cause("placement"))
     if not any(q.is_fitted for q in turns):
-        found.append(sensor.SENSOR_TILT)
-    found.append(sensor.LENS)
-    return found
+        found.append(body_cause("sensor_tilt"))
+    return [*found, body_cause("lens")]
 
 
-def commanded(study: Study, names: Sequence[str]) -> tuple[float, float]:
-    """Range of the commands, and the greatest rate that most of a record stays below [1/s]."""
-    widths, rates = [], []
-    for run in study.runs:
-        for name in names:
-            values = np.asarray(run.command[name], dtype=np.float64)
-            known = np.isfinite(values)
-            if known.sum() < 1:
-                continue
-            widths.append(float(np.ptp(values[known])))
-            if known.sum() > 2:
-                rate = np.abs(np.diff(values[known])) / np.diff(np.asarray(run.time_s)[known])
-                rates.append(float(np.percentile(rate, 90)))
-    return max([*widths, 1e-12]), max([*rates, 1e-12])
+def _begins_with_command(given: SoftBodyKeys) -> bool:
+    """Whether all motion comes from commands, so that a late record is a late command."""
+    is_still = given.numerics.motion == "quasi_static" or given.start.shape == "equilibrium"
+    return bool(given.commands) and is_still and given.support is None
 
 
-def commanded_reach(study: Study, names: Sequence[str]) -> tuple[float, float]:
-    """Least and greatest command of the study and of its ``frame``, 0 included."""
-    every = np.concatenate([np.asarray(r.command[n], float) for r in study.runs for n in names])
-    known = every[np.isfinite(every)]
-    low, high = study.frame.get(REACH) or (0.0, 0.0)
-    return min(0.0, low, float(known.min())), max(0.0, high, float(known.max()))
+def _of_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
+    """Causes in each stated sensor, but what is a base parameter of theirs already."""
+    if all(c.sensor is None for c in study.channels):
+        return []
+    readings = given.channels.items()
+    fitted = {
+        "sensor_offset": {name for name, r in readings if r.zero.is_fitted},
+        "sensor_scale": {name for name, r in readings if r.scale.is_fitted},
+    }
+    clocks = [channels_of(study.channels, name) for name in given.clocks]
+    found: list[Effect] = []
+    for group in channel_groups(study.channels, late_record=False):
+        if len(group.channels) == len(study.channels):
+            continue  # of all channels: causes of the whole record
+        left_out = {name for name, own in fitted.items() if set(group.channels) <= own}
+        left_out |= {"sensor_delay"} if group.channels in clocks else set()
+        left_out |= set() if scales.facts[TIMED] else set(READ_OVER_TIME)
+        tried = tuple(name for name in group.causes if name not in left_out)
+        instrument = _instrument(study, scales, replace(group, causes=tried))
+        found += reading_causes(instrument, system=SYSTEM)
+    return list(pace(found, usual_sample(study.runs)))
 
 
-def fitted_reach(study: Study, names: Sequence[str]) -> tuple[float, float]:
-    """Least and greatest command of what was fitted: of the ``frame``, else of the study."""
-    low, high = study.frame.get(REACH) or commanded_reach(study, names)
-    return low, high
+def _instrument(study: Study, scales: Scales, group: ChannelGroup) -> Instrument:
+    names = [c.name for c in study.channels]
+    places = tuple(names.index(name) for name in group.channels)
+    channels = tuple(study.channels[i] for i in places)
+    return Instrument(
+        channels,
+        places,
+        scales.of_channels(group.channels),
+        f"_of_{spell_plainly(group.name)}" if group.name else "",
+        channels[0].unit,
+        group.causes,
+    )
 
 
-def unknowns(given: SoftBodyKeys, study: Study) -> tuple[Unknown, ...]:
+def soft_body_library(reach: float = 0.1) -> tuple[Effect, ...]:
+    """Causes in soft bodies, around them, in their actuators and in the cameras, of any body.
+
+    Args:
+        reach: Greatest magnitude of the command, in its unit.
+    """
+    named = (
+        *("stiffness_damping", "loss_factor", "creep", "stiffening", "stiffness_loss"),
+        *("temperature_drift", "linear_drag", "quadratic_drag", "added_mass", "weight", "tilt"),
+        *("current", "dry_friction"),
+    )
+    sensors = rows(SENSOR)
+    return (
+        *(body_cause(name) for name in named),
+        support_motion(*SUPPORT),
+        *command_causes(CommandGroup((), dict.fromkeys(("reach", "width", "rate"), reach))),
+        sensors["sensor_delay"].effect(on_clock(())),
+        sensors["sensor_scale"].effect(on_readings(sensors["sensor_scale"], ())),
+        *(body_cause(name) for name in ("clock_rate", "placement", "sensor_tilt", "lens")),
+    )
+
+
+def support_motion(x: str, z: str, faster_hz: float | None = None) -> Effect:
+    """The effect of a support that moves as its markers show.
+
+    Args:
+        x, z: Commands with its places along the body and up [m].
+        faster_hz: What is faster is noise [Hz]; None: nothing is.
+    """
+    acts = support_of((x, z), faster_hz)
+    return body_cause("support_motion", apply=acts, needs=partial(needs_record, names=(x, z)))
+
+
+def command_reach(scales: Scales, names: Sequence[str]) -> tuple[float, float]:
+    """Least and greatest command of what was fitted, 0 included."""
+    own = [scales.commands[name] for name in names if name in scales.commands]
+    return min([0.0, *(c.low for c in own)]), max([0.0, *(c.high for c in own)])
+
+
+def unknowns(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Unknown, ...]:
     """A smooth force along the axes that are seen, and a smooth change of a single command."""
     until_s = max(float(r.time_s[-1] - r.time_s[0]) for r in study.runs)
     if given.numerics.motion == "quasi_static" or until_s <= 0.0:
@@ -187,8 +334,8 @@ def unknowns(given: SoftBodyKeys, study: Study) -> tuple[Unknown, ...]:
     shapes = np.kron(np.eye(2 * len(axes)), in_time).astype(np.float64)
     found: list[Unknown] = [UnknownForce(unknown_force(count, until_s, axes), shapes)]
     if len(given.commands) == 1:
-        width, _ = commanded(study, given.commands)
-        effect = replace(unknown_pull(count, spacing), typical=TYPICAL_SHARE * width)
+        width = scales.of_commands(given.commands)["width"]
+        effect = replace(unknown_pull(count, spacing), typical=PULL_SHARE * width)
         found.append(UnknownForce(effect, in_time, "unknown pull of the actuators"))
     return tuple(found)
 
@@ -199,4 +346,13 @@ def seen_axes(given: SoftBodyKeys, study: Study) -> set[int]:
     return {main_axis(r) for r in readings if r.axis is not None} or {0, 1, 2}
 
 
-__all__ = ["commanded", "commanded_reach", "fitted_reach", "is_timed", "library", "unknowns"]
+__all__ = [
+    "body_cause",
+    "command_reach",
+    "library",
+    "scales_of",
+    "soft_body_library",
+    "support_motion",
+    "unknowns",
+    "usual_motion",
+]

@@ -20,7 +20,7 @@ from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.quasi_static import posed
 from diffsim.systems.soft_body.readings import main_axis, seen
 from diffsim.systems.soft_body.rig import SOFT_CABLE_N, Rig, mesh_softness
-from diffsim.systems.soft_body.scene import SoftScene
+from diffsim.systems.soft_body.scene import Place, SoftScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -42,6 +42,7 @@ class DescribedModel:
         pose_commands: Values of the only command at which slow motions are computed, (num_poses,);
             None: there is none, or several.
         clocks: Indices of the channels that are late together, by the quantity that says how much.
+        speed: Usual speed of the markers [m/s].
     """
 
     def __init__(
@@ -52,9 +53,10 @@ class DescribedModel:
         parameters: BaseParameters,
         pose_commands: Tensor | None = None,
         clocks: Mapping[str, tuple[int, ...]] | None = None,
+        speed: float = 1.0,
     ):
         self.given, self.channels, self.parameters = given, tuple(channels), parameters
-        self._clocks = clocks or {}
+        self._clocks, self._speed = clocks or {}, speed
         numerics = given.numerics
         self._dt, self._rtol = numerics.time_step, numerics.tolerance
         self.commands = given.commands
@@ -104,6 +106,7 @@ class DescribedModel:
             "parameters": physical,
             "forces": () if hung is None else (HungWeight,),
             "hung_mass": hung,
+            "places": {name: Place(own, self._speed) for name, own in rig.places.items()},
             "friction_shares": rig.sliding,
             "time_scale": own["clock_rate"],
             "clock_offset": own["clock_offset"],
@@ -210,6 +213,7 @@ class DescribedModel:
         actuate, pressurize = self._drives(rig, own)
         return {
             "command": torch.from_numpy(np.stack(columns, 1)),
+            "command_names": self.commands,
             "command_dt": dt,
             "actuate": actuate,
             "pressurize": pressurize if self.given.chambers else None,

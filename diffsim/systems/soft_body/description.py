@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from diffsim.causes import Ports, Scales
 from diffsim.causes.channel_groups import channels_of, clock_of, clock_problems
+from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify import Jacobian
-from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import (
@@ -21,22 +24,19 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.causes import (
-    REACH,
+    BODY,
     TIMED,
-    commanded_reach,
-    fitted_reach,
-    is_timed,
+    command_reach,
     library,
+    scales_of,
     unknowns,
+    usual_motion,
 )
 from diffsim.systems.soft_body.described import DescribedModel
-from diffsim.systems.soft_body.instruments import (
-    INSTRUMENTS,
-    instrument_effects,
-    instrument_scales,
-)
 from diffsim.systems.soft_body.quasi_static import pose_commands
+from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS
 
+G = 9.81  # [m/s^2]
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
 
 
@@ -96,12 +96,8 @@ class SoftBodyDescription(SoftBodyKeys):
         """Model of the body, causes that its parts allow, and options."""
         self.require_possible(study)
         described = self._described(study)
-        model = described.model()
-        reach = {REACH: list(fitted_reach(study, self.commands))} if self.commands else {}
-        instruments = instrument_scales(study)
-        model.frame = {TIMED: is_timed(self, study), **reach, INSTRUMENTS: instruments}
-        rig = described.rig()
-        mass_kg = float(rig.volume.sum()) * self.material.density.value
+        model, scales = described.model(), self._scales(study, described)
+        model.frame = {SCALES: scales.saved()}
         advised = DiagnosisSettings(
             search=SearchSettings(max_effects=3, num_refits=2, max_rounds=4),
             jacobian=Jacobian(step=DIFFERENCE) if self.tendons else Jacobian(),
@@ -109,41 +105,62 @@ class SoftBodyDescription(SoftBodyKeys):
         )
         return DiagnosisSetup(
             model,
-            chosen_effects(
-                (*library(self, study, mass_kg), *self._of_instruments(study)), self.effects
-            ),
-            unknowns=unknowns(self, study),
+            chosen_effects(library(self, study, scales), self.effects),
+            unknowns=unknowns(self, study, scales),
             settings=settings_with(advised, self.effort),
         )
 
-    def _of_instruments(self, study: Study) -> list[Effect]:
-        """Causes in stated sensors, but what is a base parameter of theirs already."""
-        readings = self.channels.items()
-        zeros = {name for name, r in readings if r.zero.is_fitted}
-        scales = {name for name, r in readings if r.scale.is_fitted}
-        return instrument_effects(
-            study,
-            timed=is_timed(self, study),
-            clocks=tuple(self._late(study).values()),
-            fitted={"sensor_offset": zeros, "sensor_scale": scales},
+    def ports(self, study: Study) -> Ports:
+        """What the body offers to causes of a user.
+
+        Args:
+            study: Study with this description as its ``model``.
+        """
+        described = self._described(study)
+        scales = self._scales(study, described)
+        is_still = self.numerics.motion == "quasi_static"
+        usual = {"force": G * scales.plain[BODY]["mass"], **usual_motion(self, scales)}
+        absent = {CLOCK_RATE} if not scales.facts[TIMED] else set()
+        absent |= {"rayleigh_alpha", "rayleigh_beta"} if is_still else set()
+        absent |= set() if self.tendons or self.muscles else {"fiber_stiffness"}
+        return Ports(
+            scales,
+            commands=dict.fromkeys(self.commands, "straight"),
+            channels=tuple(c.name for c in study.channels),
+            has_clock=bool(scales.facts[TIMED]),
+            numbers=tuple(name for name in NUMBERS if name not in absent),
+            places={} if is_still else dict.fromkeys(described.rig().places, usual),
         )
+
+    def _scales(self, study: Study, described: DescribedModel) -> Scales:
+        mass_kg = float(described.rig().volume.sum()) * self.material.density.value
+        return scales_of(self, study, mass_kg)
 
     def _described(self, study: Study) -> DescribedModel:
         parameters = BaseParameters(self.quantities(), study.runs)
         names = [c.name for c in study.channels]
-        commands = None
+        fitted, commands = Scales.kept_in(study) or Scales.of_runs(study), None
         if len(self.commands) == 1:
-            now = commanded_reach(study, self.commands)
-            commands = pose_commands(fitted_reach(study, self.commands), now, self.numerics.poses)
+            reach = command_reach(fitted, self.commands)
+            now = _reach_of_runs(study.runs, self.commands[0])
+            commands = pose_commands(reach, now, self.numerics.poses)
         clocks = {
             clock_of(name): tuple(names.index(c) for c in own)
             for name, own in self._late(study).items()
         }
-        return DescribedModel(self, study.folder, names, parameters, commands, clocks)
+        speed = usual_motion(self, fitted)["speed"]
+        return DescribedModel(self, study.folder, names, parameters, commands, clocks, speed)
 
     def _late(self, study: Study) -> dict[str, tuple[str, ...]]:
         """Channels of each stated clock."""
         return {name: channels_of(study.channels, name) for name in self.clocks}
+
+
+def _reach_of_runs(runs: Sequence[Run], command: str) -> tuple[float, float]:
+    """Least and greatest value of a command in runs of any use, 0 included."""
+    every = np.concatenate([np.asarray(run.command[command], dtype=np.float64) for run in runs])
+    known = every[np.isfinite(every)]
+    return min(0.0, float(known.min())), max(0.0, float(known.max()))
 
 
 def _masses(where: str, fact: str, runs: Sequence[Run]) -> Iterator[Problem]:

@@ -8,8 +8,8 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Apply, Effect
+from diffsim.data.study import Run
+from diffsim.identify.effect import Apply
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
 from diffsim.systems.soft_body.kept import OfScene, ratio
@@ -23,10 +23,10 @@ def drag(shares: Callable[[SoftScene], Tensor], *, quadratic: bool) -> Apply:
         shares: Area or volume of each node of a scene, (num_nodes,) [m^2] or [m^3].
         quadratic: Whether drag grows with the square of the speed.
     """
-    return partial(_dragged, shares=shares, quadratic=quadratic)
+    return partial(_drag_nodes, shares=shares, quadratic=quadratic)
 
 
-def _dragged(
+def _drag_nodes(
     scene: SoftScene,
     size: Tensor,
     run: Run,
@@ -35,10 +35,11 @@ def _dragged(
     quadratic: bool,
 ) -> SoftScene:
     own = shares(scene)
-    return scene.with_force(lambda: _Drag(own, size[0], quadratic=quadratic))
+    return scene.with_hook(lambda: _Drag(own, size[0], quadratic=quadratic))
 
 
-def _areas(scene: SoftScene) -> Tensor:
+def areas_of(scene: SoftScene) -> Tensor:
+    """Share of the surface at rest that belongs to each node, (num_nodes,) [m^2]."""
     return node_areas(scene.body.mesh)
 
 
@@ -74,18 +75,21 @@ def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
     return areas.index_add(0, faces.flatten(), (area / 3.0).repeat_interleave(3))
 
 
-def _added_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def add_fluid_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """Inertia of ``size`` times the displaced fluid."""
     mass = added_mass(scene.body.mesh, size[0], scene.fluid_density)
     return scene.with_parameter("added_mass", scene.parameter("added_mass") + mass)
 
 
-def _weight(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def change_weight(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """More gravity along gravity, by ``size`` [m/s^2]."""
     gravity = scene.parameter("gravity")
     down, _, _ = _gravity_axes(gravity)
     return scene.with_parameter("gravity", gravity + size[0] * down)
 
 
-def _tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def tilt_gravity(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """Gravity across its direction, (2,) [m/s^2]."""
     gravity = scene.parameter("gravity")
     _, first, second = _gravity_axes(gravity)
     return scene.with_parameter("gravity", gravity + size[0] * first + size[1] * second)
@@ -104,7 +108,7 @@ def _gravity_axes(gravity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return down, first, torch.linalg.cross(down, first)
 
 
-def _current(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def move_fluid(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """The fluid moves: every drag acts on v - size.
 
     Not smooth: the drag of :class:`diffsim.soft.Hydrodynamics` jumps where a face turns edge-on,
@@ -113,23 +117,17 @@ def _current(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     return scene.changed(current=scene.current + size)
 
 
-def _needs_water(study: Study) -> str | None:
-    if str(study.metadata.get("medium", "")) != "water":
-        return 'a fluid that drags (metadata "medium: water")'
-    return None
-
-
 def dry_friction(slip_speed: float) -> Apply:
     """An effect's ``apply`` with Coulomb friction -size tanh(v / slip_speed) per axis.
 
     Args:
         slip_speed: Speed of slip below which friction grows linearly [m/s].
     """
-    return partial(_rubbed, slip_speed=slip_speed)
+    return partial(_rub, slip_speed=slip_speed)
 
 
-def _rubbed(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
-    return scene.with_force(lambda: _DryFriction(size[0], slip_speed))
+def _rub(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
+    return scene.with_hook(lambda: _DryFriction(size[0], slip_speed))
 
 
 class _DryFriction(Force):
@@ -137,7 +135,7 @@ class _DryFriction(Force):
 
     def __init__(self, size: Tensor, slip_speed: float):
         self._size, self._slip_speed = size, slip_speed
-        self._shares = OfScene(_friction_shares)
+        self._shares = OfScene(_share_friction)
         self._scaled = OfScene(lambda scene: -size * self._shares(scene)[:, None])
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
@@ -151,98 +149,8 @@ class _DryFriction(Force):
         return ratio(self._size, other._size)
 
 
-def _friction_shares(scene: SoftScene) -> Tensor:
+def _share_friction(scene: SoftScene) -> Tensor:
     """(num_nodes,) of dry friction, summing to 1."""
     if scene.friction_shares is not None:
         return scene.friction_shares
     return scene.body.nodal_volume / scene.body.nodal_volume.sum()
-
-
-LINEAR_DRAG = Effect(
-    name="linear_drag",
-    form="Force per surface area -size (v - current).",
-    family="damping",
-    kind="force",
-    unit="N s/m^3",
-    typical=5.0,
-    signed=False,
-    also_looks_like=("mass-proportional damping", "quadratic drag at one amplitude"),
-    apply=drag(_areas, quadratic=False),
-)
-QUADRATIC_DRAG = Effect(
-    name="quadratic_drag",
-    form="Force per surface area -size |v - current| (v - current); size is density C_d / 2.",
-    family="damping",
-    kind="force",
-    unit="kg/m^3",
-    typical=50.0,
-    signed=False,
-    also_looks_like=("linear drag at one amplitude",),
-    apply=drag(_areas, quadratic=True),
-)
-ADDED_MASS = Effect(
-    name="added_mass",
-    form="Inertia of size times the displaced fluid, the same in all directions.",
-    family="inertia",
-    kind="force",
-    unit="-",
-    typical=0.5,
-    signed=False,
-    also_looks_like=("density", "Young's modulus with weight and drag jointly"),
-    apply=_added_mass,
-)
-WEIGHT = Effect(
-    name="weight",
-    form="More or less gravity along gravity, as buoyancy is; inertia unchanged.",
-    family="gravity",
-    kind="environment",
-    unit="m/s^2",
-    typical=0.5,
-    also_looks_like=("buoyancy", "density", "sag of the clamp"),
-    apply=_weight,
-)
-TILT = Effect(
-    name="tilt",
-    form="Gravity across its nominal direction, along the world axes nearest to horizontal.",
-    family="gravity",
-    kind="environment",
-    unit="m/s^2",
-    typical=0.3,
-    components=("first", "second"),
-    also_looks_like=("current", "a bent rest shape"),
-    apply=_tilt,
-)
-CURRENT = Effect(
-    name="current",
-    form="The fluid moves: every drag acts on v - size.",
-    family="flow",
-    kind="environment",
-    unit="m/s",
-    typical=0.05,
-    components=("x", "y", "z"),
-    smooth=False,
-    also_looks_like=("tilt",),
-    needs=_needs_water,
-    apply=_current,
-)
-DRY_FRICTION = Effect(
-    name="dry_friction",
-    form="Coulomb friction -size tanh(v / v_s) where the body slides, per axis.",
-    family="damping",
-    kind="force",
-    unit="N",
-    typical=0.01,
-    signed=False,
-    also_looks_like=("linear drag at small speed", "friction where a weight hangs"),
-    apply=dry_friction(1e-2),
-)
-
-FORCES: tuple[Effect, ...] = (
-    LINEAR_DRAG,
-    QUADRATIC_DRAG,
-    ADDED_MASS,
-    WEIGHT,
-    TILT,
-    CURRENT,
-    DRY_FRICTION,
-)

@@ -13,13 +13,12 @@ from torch import Tensor
 
 from diffsim.causes.interpolation import sample
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.tangents import motion_tangents
 
 
-def _slack_string(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def hang_slack(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """The weight falls freely by the height size after release, then the string catches it.
 
     Until then the body moves without it; the catch is plastic (momentum is kept). Size 0 is the
@@ -34,20 +33,6 @@ def _slack_string(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
     g = scene.parameter("gravity").norm()
     return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
-
-
-SLACK_STRING = Effect(
-    name="slack_string",
-    form="The weight falls freely by the height size after release, then the string catches it.",
-    family="load",
-    kind="force",
-    unit="m",
-    typical=0.01,
-    signed=False,
-    smooth=False,
-    also_looks_like=("a hand that goes down with the tip at first", "weight let go later"),
-    apply=_slack_string,
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Apply
 from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.places import Region, spread_evenly
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
@@ -22,19 +22,19 @@ class HungWeight(Force):
     leading_axes, reads = True, ("gravity",)
 
     def __init__(self) -> None:
-        self._weight = OfScene(_hung_weight)
+        self._weight = OfScene(_weigh_hung)
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         return self._weight(scene).expand(moment.x.shape)
 
 
-def _hung_weight(scene: SoftScene) -> Tensor:
+def _weigh_hung(scene: SoftScene) -> Tensor:
     """(num_nodes, 3) [N]."""
     assert scene.hung_mass is not None
     return scene.hung_mass[:, None] * scene.parameter("gravity")
 
 
-def _load_inertia(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def attach_load(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Attach the share ``size`` of what hangs: it weighs as much as before, and is inert."""
     if scene.hung_mass is None:
         return scene
@@ -43,36 +43,8 @@ def _load_inertia(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     return heavier.changed(hung_mass=scene.hung_mass - moved)
 
 
-LOAD_INERTIA = Effect(
-    name="load_inertia",
-    form="What hangs from the body moves with it: inertia of size times the hung mass.",
-    family="load",
-    kind="force",
-    unit="-",
-    typical=1.0,
-    signed=False,
-    scanned=True,  # a descent from zero follows the phase of the first swings into another valley
-    also_looks_like=("a heavier tip", "a softer body, at one load"),
-    apply=_load_inertia,
-)
-
-
-def tip_mass(typical_kg: float) -> Effect:
-    """The effect of a mass that nobody recorded; ``typical_kg`` would be no surprise [kg]."""
-    return Effect(
-        name="tip_mass",
-        form="A mass of size at the free end, where loads and markers are.",
-        family="load",
-        kind="force",
-        unit="kg",
-        typical=typical_kg,
-        signed=False,  # no mass is below zero; central slopes across that are half of the true ones
-        also_looks_like=("density", "markers and cables that weigh something"),
-        apply=_tip_mass,
-    )
-
-
-def _tip_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def load_free_end(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """A mass of ``size`` at the free end [kg]."""
     mass = scene.parameter("attached_mass") + size[0] * free_end(scene)
     return scene.with_parameter("attached_mass", mass.clamp(min=0.0))
 
@@ -90,29 +62,18 @@ def free_end(scene: SoftScene) -> Tensor:
     return volume / volume.sum()
 
 
-def one_sided_stop(where: Region, direction: Sequence[float], gap_m: float) -> Effect:
-    """The effect of a stop in the way of some nodes.
+def stop_of(where: Region, direction: Sequence[float], gap_m: float) -> Apply:
+    """How a stop in the way of some nodes acts.
 
     Args:
         where: Nodes whose mean place meets it.
         direction: In which it stops them, (3,).
         gap_m: How far they move freely [m].
     """
-    return Effect(
-        name="one_sided_stop",
-        form=f"A spring of stiffness size that is met after {1e3 * gap_m:g} mm.",
-        family="stop",
-        kind="force",
-        unit="N/m",
-        typical=10.0,
-        signed=False,
-        smooth=False,
-        also_looks_like=("stiffening", "a cable that comes taut"),
-        apply=partial(_stopped, where=where, direction=tuple(direction), gap_m=gap_m),
-    )
+    return partial(_stop, where=where, direction=tuple(direction), gap_m=gap_m)
 
 
-def _stopped(
+def _stop(
     scene: SoftScene,
     size: Tensor,
     run: Run,
@@ -124,7 +85,7 @@ def _stopped(
     shares = spread_evenly(scene.body.nodal_volume, where.nodes(scene.body.mesh))
     unit = torch.tensor(direction, dtype=torch.float64)
     unit = unit / unit.norm()
-    return scene.with_force(lambda: _Stop(size[0], shares, unit, gap_m))
+    return scene.with_hook(lambda: _Stop(size[0], shares, unit, gap_m))
 
 
 class _Stop(Force):
@@ -141,25 +102,20 @@ class _Stop(Force):
         return force[..., None] * self._direction
 
 
-def base_vibration(frequency_hz: float, axes: str) -> Effect:
-    """The effect of a base that shakes at one frequency: its acceleration, cosine and sine."""
-    return Effect(
-        name="base_vibration",
-        form=f"The base shakes at {frequency_hz:g} Hz; size is its acceleration.",
-        family="support",
-        kind="environment",
-        unit="m/s^2",
-        typical=0.2,
-        components=tuple(f"{a}_{s}" for a in axes for s in ("cos", "sin")),
-        also_looks_like=("a second mode", "a fan, a motor or a person nearby"),
-        apply=partial(_shaken, frequency_hz=frequency_hz, axes=axes),
-    )
+def shaking_of(frequency_hz: float, axes: str) -> Apply:
+    """How a base acts that shakes at one frequency: its acceleration, cosine and sine.
+
+    Args:
+        frequency_hz: Its frequency [Hz].
+        axes: Along which axes it shakes.
+    """
+    return partial(_shake, frequency_hz=frequency_hz, axes=axes)
 
 
-def _shaken(
+def _shake(
     scene: SoftScene, size: Tensor, run: Run, *, frequency_hz: float, axes: str
 ) -> SoftScene:
-    return scene.with_force(lambda: _Shaking(size, frequency_hz, axes))
+    return scene.with_hook(lambda: _Shaking(size, frequency_hz, axes))
 
 
 class _Shaking(Force):
@@ -183,7 +139,7 @@ class _Shaking(Force):
         return (self._mass(scene) * self._acceleration(moment)).expand(moment.x.shape)
 
 
-def _body_scale(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def enlarge_body(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """All lengths (1 + size) times as drawn, by similarity, on the mesh as drawn.
 
     With k = 1 + size: forces of the solid grow with k^2, its mass with k^3. In lengths of the drawn
@@ -199,16 +155,3 @@ def _body_scale(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
         small = small.changed(hung_mass=small.hung_mass / k**3)
     rest = small.observe(small.body.x_rest)
     return small.with_places(lambda y, t: rest + k * (y - rest))
-
-
-BODY_SCALE = Effect(
-    name="body_scale",
-    form="The body is (1 + size) times as large as drawn.",
-    family="geometry",
-    kind="material",
-    unit="-",
-    shown_unit="%",
-    typical=0.03,
-    also_looks_like=("Young's modulus", "scale of the cameras"),
-    apply=_body_scale,
-)

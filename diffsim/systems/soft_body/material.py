@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
-from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Effect
+from diffsim.data.study import Run
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 # Branches of the loss factor: half a decade apart, flat from about 0.6 to 50 Hz.
@@ -22,12 +21,7 @@ _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 _SOLID = ("youngs_modulus", "poissons_ratio")
 
 
-def _stiffness_damping(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    beta = scene.parameter("rayleigh_beta") + size[0]
-    return scene.with_parameter("rayleigh_beta", beta)
-
-
-def _loss_factor(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def lose_in_motion(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Loss factor that does not depend on the frequency: damping ratio size / 2.
 
     Maxwell branches of equal strength, half a decade apart: the solid's force f is joined by
@@ -35,27 +29,25 @@ def _loss_factor(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     the stiffness is E at rest and E (1 + size (2 / pi) ln(...)) in fast motion. Memory is kept in
     world axes, so rotations of the body must stay small (a bending bar, not a tumbling one).
     """
-    return _relaxing(scene, _BRANCH_HZ, _STRENGTH * size[0])
+    return _relax(scene, _BRANCH_HZ, _STRENGTH * size[0])
 
 
-def _creep(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def creep(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Compliance that grows by the share size per decade of time, from half a second to minutes.
 
     Slow Maxwell branches, one per decade, of strength size: slower than any swing, so that no
     damping comes with them. The stiffness is E for loads that last, E (1 + 3 size) in motion.
     """
-    return _relaxing(scene, _CREEP_HZ, size[0])
+    return _relax(scene, _CREEP_HZ, size[0])
 
 
-def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
+def _relax(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
     """Maxwell branches of equal strength beside the solid."""
     # the branches' instantaneous part is stiffness, which the implicit step takes
     young = scene.parameter("youngs_modulus")
     stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(branch_hz) * strength))
     relaxed = {"youngs_modulus": young, **scene.relaxed}
-    return stiff.changed(relaxed=relaxed).with_force(
-        lambda: _Relaxation(scene, branch_hz, strength)
-    )
+    return stiff.changed(relaxed=relaxed).with_hook(lambda: _Relaxation(scene, branch_hz, strength))
 
 
 class _Relaxation(Force):
@@ -101,9 +93,9 @@ class _Relaxation(Force):
         return other._strength * others.mean() / mean
 
 
-def stiffening(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def stiffen_by_strain(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """E (1 + size e^2), e^2 the body's mean square strain 2 U / (E V)."""
-    return scene.with_force(lambda: _Stiffening(size[0]))
+    return scene.with_hook(lambda: _Stiffening(size[0]))
 
 
 class _Stiffening(Force):
@@ -121,7 +113,7 @@ class _Stiffening(Force):
         return self._size * strain_squared[..., None, None] * force
 
 
-def _stiffness_loss(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def lose_stiffness(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """E (1 - sum_i size_i hat_i) with straight-sided hats at the ends and the middle of the body.
 
     Places are shares of its length along its longest axis.
@@ -133,20 +125,15 @@ def _stiffness_loss(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     share = (center - mesh.x_rest[:, axis].min()) / spread[axis]
     places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
     hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
-    return _stiffness_times(scene, 1.0 - hats @ size)
+    return _scale_stiffness(scene, 1.0 - hats @ size)
 
 
-def _temperature_drift(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return _stiffness_times(scene, 1.0 + size[0] * run.order)
+def drift_with_order(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """E (1 + size order), order the place of the run in the series."""
+    return _scale_stiffness(scene, 1.0 + size[0] * run.order)
 
 
-def _needs_order(study: Study) -> str | None:
-    if len({run.order for run in study.fit_runs}) < 3:
-        return "three runs or more of known order"
-    return None
-
-
-def _stiffness_times(scene: SoftScene, factor: Tensor) -> SoftScene:
+def _scale_stiffness(scene: SoftScene, factor: Tensor) -> SoftScene:
     """The scene with E times a factor, one or per element.
 
     Raises:
@@ -155,79 +142,3 @@ def _stiffness_times(scene: SoftScene, factor: Tensor) -> SoftScene:
     if not bool((factor > 0.0).all()):
         raise DiffsimError(f"no stiffness: E times {float(factor.min()):.3g}; the size is too far")
     return scene.with_parameter("youngs_modulus", scene.parameter("youngs_modulus") * factor)
-
-
-STIFFNESS_DAMPING = Effect(
-    name="stiffness_damping",
-    form="Force -size K v: damping ratio size w / 2, growing with the frequency w.",
-    family="damping",
-    kind="material",
-    unit="s",
-    typical=0.002,
-    signed=False,
-    also_looks_like=("numerical damping of implicit steps", "viscosity of the solid"),
-    apply=_stiffness_damping,
-)
-LOSS_FACTOR = Effect(
-    name="loss_factor",
-    form="Loss factor that does not depend on the frequency: damping ratio size / 2.",
-    family="damping",
-    kind="material",
-    unit="-",
-    typical=0.1,
-    signed=False,
-    also_looks_like=("friction inside filled rubber", "damping at a clamp"),
-    apply=_loss_factor,
-)
-CREEP = Effect(
-    name="creep",
-    form="Compliance grows by the share size per decade of time, half a second to minutes.",
-    family="creep",
-    kind="material",
-    unit="1/decade",
-    typical=0.04,
-    signed=False,
-    also_looks_like=("slow sinking of the clamp", "drift of the held state", "lower end of a loss"),
-    apply=_creep,
-)
-STIFFENING = Effect(
-    name="stiffening",
-    form="E (1 + size e^2), e^2 the body's mean square strain 2 U / (E V).",
-    family="stiffness",
-    kind="material",
-    unit="-",
-    typical=20.0,
-    also_looks_like=("strain softening (negative)", "saturating drive"),
-    apply=stiffening,
-)
-STIFFNESS_LOSS = Effect(
-    name="stiffness_loss",
-    form="E (1 - sum_i size_i hat_i), straight-sided hats at the ends and the middle.",
-    family="stiffness_field",
-    kind="material",
-    unit="-",
-    typical=0.2,
-    components=("root", "middle", "tip"),
-    also_looks_like=("loose clamp", "tear", "uneven cure", "Young's modulus, all three alike"),
-    apply=_stiffness_loss,
-)
-TEMPERATURE_DRIFT = Effect(
-    name="temperature_drift",
-    form="E (1 + size order), order the place of the run in the series.",
-    family="drift",
-    kind="environment",
-    unit="1/run",
-    typical=0.01,
-    also_looks_like=("aging", "softening by repeated strain (Mullins)", "drying"),
-    needs=_needs_order,
-    apply=_temperature_drift,
-)
-
-MATERIAL: tuple[Effect, ...] = (
-    STIFFNESS_DAMPING,
-    LOSS_FACTOR,
-    CREEP,
-    STIFFENING,
-    STIFFNESS_LOSS,
-    TEMPERATURE_DRIFT,
-)

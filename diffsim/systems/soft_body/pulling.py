@@ -1,28 +1,23 @@
-"""Causes between a command and what it pulls, as they are said; a pull that nothing explains."""
+"""A pull of the actuators that nothing explains."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
-import torch
 from torch import Tensor
 
-from diffsim.causes.commands import COMMAND_GAIN, RATE_LIMIT, SLACK
 from diffsim.causes.interpolation import straight
+from diffsim.causes.signals import Grid
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.scene import SoftScene
 
-PULLING: tuple[Effect, ...] = (replace(COMMAND_GAIN, typical=0.2), RATE_LIMIT, SLACK)
 
+def _pull_more(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -> SoftScene:
+    def add(u: Tensor, grid: Grid) -> Tensor:
+        return u + straight(size[:, None], spacing, grid.times).mT
 
-def _pull(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -> SoftScene:
-    def changed(u: Tensor, dt: float) -> Tensor:
-        times = dt * torch.arange(len(u), dtype=u.dtype)
-        return u + straight(size[:, None], spacing, times)
-
-    return scene.with_command(changed)
+    return scene.with_command((), add)
 
 
 def unknown_pull(num_knots: int, spacing: float) -> Effect:
@@ -33,6 +28,6 @@ def unknown_pull(num_knots: int, spacing: float) -> Effect:
         kind="actuator",
         unit="command",
         typical=0.01,
-        apply=partial(_pull, spacing=spacing),
+        apply=partial(_pull_more, spacing=spacing),
         components=tuple(f"knot_{k}" for k in range(num_knots)),
     )

@@ -124,6 +124,7 @@ class Look:
     """Markers on one mesh, and channels as linear functions of their places.
 
     Attributes:
+        markers: Names of the markers.
         nodes: (n,) nodes that carry markers.
         weights: (num_markers, n) place of each marker by the places of the nodes.
         rest: (3 num_markers,) places at rest [m].
@@ -131,6 +132,7 @@ class Look:
         turns: (num_channels,) which channels show rotations.
     """
 
+    markers: tuple[str, ...]
     nodes: Tensor
     weights: Tensor
     rest: Tensor
@@ -140,6 +142,16 @@ class Look:
     def places(self, x: Tensor) -> Tensor:
         """Places of all markers in a row, (..., 3 num_markers), of nodes (..., V, 3)."""
         return (self.weights @ x[..., self.nodes, :]).flatten(-2)
+
+    def shares(self, num_nodes: int) -> dict[str, Tensor]:
+        """Each marker's displacement along each axis, (num_nodes, 3) of the nodes', by "tip.z"."""
+        found = {}
+        for name, weights in zip(self.markers, self.weights, strict=True):
+            for k, axis in enumerate("xyz"):
+                own = torch.zeros(num_nodes, 3, dtype=torch.float64)
+                own[self.nodes, k] = weights
+                found[f"{name}.{axis}"] = own
+        return found
 
 
 def look_of(
@@ -176,6 +188,7 @@ def look_of(
     at_rest = weights @ mesh.x_rest.numpy()[nodes]
     rows = [_row(reading, index, at_rest) for _, reading in readings]
     return Look(
+        tuple(used),
         torch.from_numpy(nodes),
         torch.from_numpy(weights),
         torch.from_numpy(at_rest.reshape(-1)),

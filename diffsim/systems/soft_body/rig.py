@@ -82,6 +82,7 @@ class Rig:
         readings = [(name, given.channels[name]) for name in channels]
         self.look = look_of(self.mesh, given.markers, readings)
         self.observe = self.look.places
+        self.places = self.look.shares(self.mesh.num_nodes)
         self._seen = {main_axis(r) for _, r in readings if r.axis is not None} or {0, 1, 2}
         self._hold()
         self._water = lru_cache(maxsize=64)(self._new_water)

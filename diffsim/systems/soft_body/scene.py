@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -13,6 +14,8 @@ from torch import Tensor
 from diffsim import soft
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.interpolation import sample, straight
+from diffsim.causes.ports import ForceLaw, SignalMap
+from diffsim.causes.signals import Grid
 from diffsim.contact import Obstacle
 from diffsim.core.check import require
 from diffsim.core.errors import ConvergenceError
@@ -24,9 +27,14 @@ from diffsim.soft.prepared import Prepared
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
 _STATIC_ITERATIONS = 60
 _STATIC_RTOL = 1e-9  # of the largest displacement
+CLOCK_RATE = "clock_rate"
+#: Numbers that causes may change, beside those of other names in ``SoftScene.parameters``.
+NUMBERS = (
+    *("youngs_modulus", "poissons_ratio", "density", "rayleigh_alpha", "rayleigh_beta"),
+    *("fiber_stiffness", CLOCK_RATE),
+)
 _NO_FIBERS = 1e-12  # share of the fibers' stiffness that is left in the solid's own force
 
-CommandMap = Callable[[Tensor, float], Tensor]
 OutputMap = Callable[[Tensor, Tensor], Tensor]
 
 
@@ -81,6 +89,38 @@ class Force:
         return None
 
 
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A point of the body and a direction, along which a force may act.
+
+    Attributes:
+        shares: (num_nodes, 3) by which the point's displacement is that of the nodes; a force at
+            the point acts on them alike.
+        speed: Usual speed of the point [m/s].
+    """
+
+    shares: Tensor
+    speed: float
+
+
+class PointForce(Force):
+    """A force by a law at a place."""
+
+    leading_axes, reads = True, ()
+
+    def __init__(self, place: Place, law: ForceLaw):
+        self._shares, self._law = place.shares, law
+        self._speed = torch.tensor(place.speed, dtype=torch.float64)
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        moved = ((moment.x - scene.body.x_rest) * self._shares).sum((-1, -2))
+        speed = (moment.v * self._shares).sum((-1, -2))
+        force = self._law.formula(
+            {"size": self._law.size, "x": moved, "v": speed, "w": self._speed}
+        )
+        return (force[..., None, None] * self._shares).expand(moment.x.shape)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SoftScene:
     """One run of a soft body; effects return changed copies.
@@ -105,9 +145,10 @@ class SoftScene:
             first guess of the equilibrium, which is iterated all the same.
         start_time: Time that the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
+        command_names: Names of the commands; empty: none is called by its name.
         command_dt: Time between two commands [s].
         actuate: Commands (n, width) -> activations (n, num_muscles); None: the commands themselves.
-        command_maps: Functions that change the command, in order.
+        command_changes: Columns of the command and maps that change them, in order.
         forces: Functions that make the extra forces of a rollout.
         water: Drag and thrust of a fluid, explicit; None: there is none.
         current: Velocity of the fluid, which every drag force is relative to, (3,) [m/s].
@@ -123,6 +164,7 @@ class SoftScene:
         output_maps: Functions of channels (num_samples, num_channels) and sample times that change
             the channels, in order.
         pressurize: Commands (n, width) -> pressures (n, num_chambers) [Pa]; None: no chambers.
+        places: Places at which causes may put a force, by name.
         hung_mass: (num_nodes,) what hangs from each node as a force only [kg]; None: nothing.
         obstacles: What the body meets; see :class:`diffsim.contact.Obstacle`.
     """
@@ -138,9 +180,10 @@ class SoftScene:
     relaxed: Mapping[str, Tensor] = field(default_factory=dict)
     start_time: float = 0.0
     command: Tensor | None = None
+    command_names: tuple[str, ...] = ()
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
-    command_maps: tuple[CommandMap, ...] = ()
+    command_changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     forces: tuple[Callable[[], Force], ...] = ()
     water: soft.Hydrodynamics | None = None
     current: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
@@ -153,6 +196,7 @@ class SoftScene:
     rest_places: Tensor | None = None
     output_maps: tuple[OutputMap, ...] = ()
     pressurize: Callable[[Tensor], Tensor] | None = None
+    places: Mapping[str, Place] = field(default_factory=dict)
     hung_mass: Tensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
 
@@ -169,25 +213,42 @@ class SoftScene:
         """A copy with one physical parameter replaced."""
         return self.changed(parameters={**self.parameters, name: value})
 
-    def with_force(self, make: Callable[[], Force]) -> SoftScene:
-        """A copy with one more force."""
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> SoftScene:
+        """A copy in which a number is f(number): a physical parameter, or the rate of the clock."""
+        if name == CLOCK_RATE:
+            return self.changed(time_scale=change(self.time_scale))
+        return self.with_parameter(name, change(self.parameter(name)))
+
+    def with_hook(self, make: Callable[[], Force]) -> SoftScene:
+        """A copy with one more force on the nodes."""
         return self.changed(forces=(*self.forces, make))
 
-    def with_command(self, change: CommandMap) -> SoftScene:
-        """A copy whose command is changed on its way: f(command, dt) -> command."""
-        return self.changed(command_maps=(*self.command_maps, change))
+    def with_force(self, place: str, law: ForceLaw) -> SoftScene:
+        """A copy with one more force at a place."""
+        return self.with_hook(partial(PointForce, self.places[place], law))
+
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> SoftScene:
+        """A copy in which some commands are f(commands (width, num_commands), grid)."""
+        columns = tuple(self.command_names.index(name) for name in names)
+        return self.changed(command_changes=(*self.command_changes, (columns, change)))
 
     def with_places(self, change: OutputMap) -> SoftScene:
         """A copy whose observed places are changed: f(places, times) -> places."""
         return self.changed(place_maps=(*self.place_maps, change))
 
-    def with_late(self, channels: tuple[int, ...], delay: Tensor) -> SoftScene:
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> SoftScene:
         """A copy in which some channels show what was ``delay`` ago [s]."""
+        if len(channels) in (0, len(self.axes)):
+            return self.changed(clock_offset=self.clock_offset + delay)
         return self.changed(late=(*self.late, (channels, delay)))
 
-    def with_output(self, change: OutputMap) -> SoftScene:
-        """A copy whose channels are changed: f(channels, times) -> channels."""
-        return self.changed(output_maps=(*self.output_maps, change))
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> SoftScene:
+        """A copy in which some channels are f(channels (width, num_samples), grid)."""
+        return self.changed(output_maps=(*self.output_maps, partial(_read, channels, change)))
+
+    @property
+    def play_start(self) -> None:
+        """Where in a play of an instrument a run starts: nobody knows, so in its middle."""
 
     @property
     def solid_mass(self) -> Tensor:
@@ -349,10 +410,11 @@ class SoftScene:
     def changed_command(self) -> Tensor:
         """The command (num_commands, width) as it arrives."""
         assert self.command is not None
-        command = self.command
-        for change in self.command_maps:
-            command = change(command, self.command_dt)
-        return command
+        command = self.command.mT
+        grid = Grid.even(command.shape[-1], self.command_dt)
+        for columns, change in self.command_changes:
+            command = _change_rows(command, columns, change, grid)
+        return command.mT
 
     def commands(self, num_steps: int) -> Tensor:
         """The command as it arrives, in every step, (num_steps, width)."""
@@ -391,6 +453,20 @@ class SoftScene:
         if self.water is not None:
             found.insert(0, self.water(state.x, state.v, water_velocity=self.current))
         return sum(found[1:], found[0]) if found else torch.zeros_like(state.x)
+
+
+def _read(channels: tuple[int, ...], change: SignalMap, y: Tensor, times: Tensor) -> Tensor:
+    """Channels (num_samples, num_channels) of which some are changed."""
+    grid = Grid(times, torch.arange(len(times)), times.detach().numpy())
+    return _change_rows(y.mT, channels, change, grid).mT
+
+
+def _change_rows(signals: Tensor, rows: tuple[int, ...], change: SignalMap, grid: Grid) -> Tensor:
+    """Signals (width, num_times) of which some are changed; of no row: all."""
+    if len(rows) in (0, len(signals)):
+        return change(signals, grid)
+    at = torch.tensor(rows)
+    return signals.index_copy(0, at, change(signals[at], grid))
 
 
 class SolidForce:

@@ -10,17 +10,15 @@ import torch
 from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Apply
 from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run, Study
 
-COMMANDS = ("support_x_m", "support_z_m")  # recorded places of the support: along the bar, up
 
-
-def _support_motion(
+def _move_support(
     scene: SoftScene, size: Tensor, run: Run, *, names: tuple[str, str], faster_hz: float | None
 ) -> SoftScene:
     """Move the support: shift times what its markers show, and turn.
@@ -32,7 +30,7 @@ def _support_motion(
 
     The record of the support is an input, as a command is: on runs held out, too.
     """
-    path = _Path(_places(run, names, faster_hz), run, scene, size)
+    path = _Path(_smooth_places(run, names, faster_hz), run, scene, size)
     if not path.moves:
         return scene
     rest = scene.body.x_rest
@@ -42,10 +40,10 @@ def _support_motion(
     def seen(y: Tensor, times: Tensor) -> Tensor:
         return y + path.amplitudes(times.detach().numpy(), 0) @ shown
 
-    return scene.with_force(lambda: _Inertia(path)).with_places(seen)
+    return scene.with_hook(lambda: _Inertia(path)).with_places(seen)
 
 
-def _places(run: Run, names: tuple[str, str], faster_hz: float | None) -> np.ndarray:
+def _smooth_places(run: Run, names: tuple[str, str], faster_hz: float | None) -> np.ndarray:
     """(num_samples, 2) forward and up, without what is faster than ``faster_hz``: no delay.
 
     The support's acceleration is what acts; differences of a noisy record would be all noise.
@@ -59,39 +57,21 @@ def _places(run: Run, names: tuple[str, str], faster_hz: float | None) -> np.nda
     return np.asarray(filtfilt(*butter(4, faster_hz, fs=rate_hz), places, axis=0))
 
 
-def _needs_record(study: Study, names: tuple[str, str]) -> str | None:
+def needs_record(study: Study, names: tuple[str, str]) -> str | None:
+    """What a study lacks of the support's recorded motion."""
     if not all(set(names) <= set(run.command) for run in study.runs):
         return f"the support's recorded motion in every run (commands {', '.join(names)})"
     return None
 
 
-def support_motion(x: str, z: str, faster_hz: float | None = None) -> Effect:
-    """The effect of a support that moves as its markers show.
+def support_of(names: tuple[str, str], faster_hz: float | None = None) -> Apply:
+    """How a support acts that moves as its markers show.
 
     Args:
-        x, z: Commands with its places along the body and up [m].
+        names: Commands with its places along the body and up [m].
         faster_hz: What is faster is noise [Hz]; None: nothing is.
     """
-    names = (x, z)
-    return Effect(
-        name="support_motion",
-        form="What holds the body moves: shift times what its markers show, and turns as it goes.",
-        family="support",
-        kind="environment",
-        unit="-",
-        typical=1.0,
-        components=("shift", "turn"),
-        also_looks_like=(
-            "a stand that resonates with the body",
-            "floor vibration",
-            "cameras that sway",
-        ),
-        needs=partial(_needs_record, names=names),
-        apply=partial(_support_motion, names=names, faster_hz=faster_hz),
-    )
-
-
-SUPPORT_MOTION = support_motion(*COMMANDS)
+    return partial(_move_support, names=names, faster_hz=faster_hz)
 
 
 class _Path:

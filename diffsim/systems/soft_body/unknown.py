@@ -17,7 +17,7 @@ from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 _SHAPES = ("even", "growing")
 
 
-def _pushed(
+def _push(
     scene: SoftScene,
     size: Tensor,
     run: Run,
@@ -38,7 +38,7 @@ def _pushed(
     knots = torch.zeros(3, len(_SHAPES), num_knots, dtype=size.dtype)
     own = size.reshape(len(axes), len(_SHAPES), num_knots)
     knots = knots.index_copy(0, torch.tensor(axes), own)
-    return scene.with_force(lambda: _Knots(knots, shapes, spacing))
+    return scene.with_hook(lambda: _Knots(knots, shapes, spacing))
 
 
 class _Knots(Force):
@@ -104,6 +104,6 @@ def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
         unit="N/m^3",
         typical=100.0,
         also_looks_like=("anything",),
-        apply=partial(_pushed, num_knots=num_knots, spacing=spacing, axes=idx),
+        apply=partial(_push, num_knots=num_knots, spacing=spacing, axes=idx),
         components=tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots)),
     )

@@ -36,7 +36,7 @@ def test_what_a_description_makes():
     setup = setup_of(study)
     assert [p.name for p in setup.model.base] == ["youngs_modulus", "rayleigh_beta"]
     names = {e.name for e in setup.effects}
-    assert {"load_inertia", "tip_mass", "loss_factor", "body_scale", "delay"} <= names
+    assert {"load_inertia", "tip_mass", "loss_factor", "body_scale", "sensor_delay"} <= names
     # a base parameter is no cause beside itself, and nothing pulls here
     assert not {"stiffness_damping", "slack", "rate_limit", "current"} & names
 

@@ -13,7 +13,7 @@ from diffsim.data.study import Channel
 from diffsim.diagnose import diagnose
 from diffsim.identify import Problem, WhiteNoise
 from diffsim.systems.registry import setup_of
-from diffsim.systems.soft_body.sensor import SENSOR_TILT
+from diffsim.systems.soft_body.sensor import tilt_camera
 from tests.systems.soft_body.described import BAR, TENDON, described, predicted, run_of, study_of
 
 STEP = 0.02
@@ -46,7 +46,7 @@ def test_a_tilted_camera_turns_what_markers_move_by():
     turn = torch.tensor([0.3, -0.2, 0.5], dtype=torch.float64)
     moved = torch.linspace(-0.02, 0.03, 18, dtype=torch.float64).reshape(3, 2, 3)
     rest = Seen.rest_places
-    change = SENSOR_TILT.apply(Seen(), turn, RUN)
+    change = tilt_camera(Seen(), turn, RUN)
     found = change(rest + moved.flatten(1), None) - rest
     wanted = Rotation.from_rotvec(turn.numpy()).apply(moved.reshape(-1, 3).numpy())
     np.testing.assert_allclose(found.reshape(-1, 3), wanted, rtol=0, atol=1e-15)
@@ -60,8 +60,8 @@ def test_causes_are_tried_for_each_stated_sensor():
     names = {e.name for e in setup_of(bar()).effects}
     own = {"sensor_delay", "sensor_lag", "sensor_scale", "sensor_offset", "sensor_drift"}
     assert {f"{n}_of_{s}" for n in own for s in ("camera", "laser")} <= names
-    assert {"delay", "sensor_scale", "placement"} <= names  # of the whole record
-    assert not {n for n in names if "backlash" in n}
+    assert {"sensor_delay", "sensor_scale", "placement"} <= names  # of the whole record
+    assert {"sensor_backlash_of_laser", "sensor_curvature_of_laser"} <= names
     alone = tuple(replace(c, sensor=None) for c in TWO)
     assert not {e.name for e in setup_of(bar(alone)).effects} & {n for n in names if "_of_" in n}
     one = tuple(replace(c, sensor="camera") for c in TWO)
@@ -76,7 +76,7 @@ def test_a_late_sensor_shows_what_was_and_nothing_moves_the_other():
     torch.testing.assert_close(late[:, 1], plain[:, 1])
     early = predicted(bar(), {"sensor_delay_of_camera": -2.0 * STEP})[0]
     torch.testing.assert_close(early[:-2, 0], plain[2:, 0], atol=2e-9, rtol=0.0)
-    both = predicted(bar(), {"sensor_delay_of_camera": STEP, "delay": STEP})[0]
+    both = predicted(bar(), {"sensor_delay_of_camera": STEP, "sensor_delay": STEP})[0]
     torch.testing.assert_close(both[2:, 0], plain[:-2, 0], atol=2e-9, rtol=0.0)
     torch.testing.assert_close(both[1:, 1], plain[:-1, 1], atol=2e-9, rtol=0.0)
 
