@@ -21,6 +21,7 @@ FEW = 4  # channels of a kind, up to which each is tried alone
 CLOCK = ("sensor_delay", "sensor_lag")
 ZERO = ("sensor_offset", "sensor_drift")  # one size for each channel anyway
 READING = ("sensor_scale", "sensor_backlash")
+TURN = "orientation"  # kind of channels, parts of a turn, which have no scale and no zero
 WHOLE = (*CLOCK, *ZERO, *READING, "sensor_curvature")
 
 CLOCKS = (
@@ -54,6 +55,7 @@ def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[C
     """
     stated = any(c.sensor is not None for c in channels)
     found = _by_sensor(channels) if stated else _by_kind(channels)
+    turns = {c.name for c in channels if c.kind == TURN}
     everything = tuple(c.name for c in channels)
     if all(d.channels != everything for d in found):
         found.insert(0, ChannelGroup("", everything, ("sensor_delay",)))
@@ -61,7 +63,9 @@ def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[C
     for group in found:
         is_whole = group.channels == everything
         causes = tuple(
-            c for c in group.causes if late_record or not is_whole or c != "sensor_delay"
+            c
+            for c in (CLOCK if turns.issuperset(group.channels) else group.causes)
+            if c in group.causes and (late_record or not is_whole or c != "sensor_delay")
         )
         if causes:
             out.append(ChannelGroup(group.name, group.channels, causes))

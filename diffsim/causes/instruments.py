@@ -46,6 +46,20 @@ class Instruments:
         """A copy in which some channels show what was ``delay``, () or (K,), ago [s]."""
         return replace(self, clocks=(*self.clocks, (channels, delay)))
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether they show all as it is."""
+        return not (self.readings or self.clocks)
+
+    @property
+    def num_points(self) -> int:
+        """Number of points K of what causes do; 0 where sizes have no axis of points."""
+        leads = [delay.shape for _, delay in self.clocks]
+        for channels, change in self.readings:
+            try_out = torch.zeros(max(len(channels), 1), 2, dtype=torch.float64)
+            leads.append(change(try_out, Grid.even(2, 1.0)).shape[:-2])
+        return max((lead[0] for lead in leads if lead), default=0)
+
     def read(self, shown: Tensor, grid: Grid) -> Tensor:
         """What the instruments say, their clocks apart.
 
@@ -85,8 +99,12 @@ def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: 
 
 def grid_of(run: Run) -> Grid:
     """Samples of a run and nothing in between."""
-    seconds = np.asarray(run.time_s, dtype=np.float64)
-    return Grid(torch.from_numpy(seconds), torch.arange(len(seconds)), seconds)
+    return grid_at(torch.from_numpy(np.asarray(run.time_s, dtype=np.float64)))
+
+
+def grid_at(times: Tensor) -> Grid:
+    """Samples at times [s] and nothing in between."""
+    return Grid(times, torch.arange(len(times)), times.numpy())
 
 
 def instrument_causes(
@@ -133,6 +151,7 @@ __all__ = [
     "TIMED_READINGS",
     "Instruments",
     "change_rows",
+    "grid_at",
     "grid_of",
     "instrument_causes",
 ]

@@ -41,13 +41,7 @@ from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_study
 from diffsim.identify import Jacobian, Problem, WhiteNoise, descend, fit, random_starts
-from diffsim.systems.balls import (
-    BALL_FRICTION,
-    MOTION,
-    ROLLING_RESISTANCE,
-    SLIDING_FRICTION,
-    SoftBallModel,
-)
+from diffsim.systems.balls import MOTION, SoftBallModel
 from diffsim.systems.balls.fits import setup, soft_model
 from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
 from diffsim.viz.ball_video import view_of
@@ -173,8 +167,9 @@ def rms(values: Array) -> float:
 
 def rigid(study: Study) -> dict[str, dict[str, float]]:
     """The diagnosis's rigid balls on the same pixels: as published there, plain and extended."""
-    model = setup(study).model
-    causes = [SLIDING_FRICTION, BALL_FRICTION, ROLLING_RESISTANCE]
+    prepared = setup(study)
+    model, known = prepared.model, {e.name: e for e in prepared.effects}
+    causes = [known[n] for n in ("sliding_friction", "ball_friction", "rolling_resistance")]
     out = {}
     for name, effects in (("rigid, frictionless", []), ("rigid, three causes", causes)):
         found = fit(model, study.fit_runs, equal(study), effects=effects)

@@ -15,8 +15,7 @@ from diffsim.systems.multicopter import unknown_wrench
 from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.registry import library, setup_of
-from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
-from diffsim.systems.rigid_body.effects import TOSS
+from diffsim.systems.rigid_body import causes as rigid_causes
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.causes import body_cause
 from labs.systems import network
@@ -44,6 +43,11 @@ DESCRIBED = Vehicle(
 
 @pytest.fixture(scope="module")
 def libraries() -> dict[str, tuple[Effect, ...]]:
+    air = rigid_causes.measure_scales(rod_study(), (), 9.81)
+    of_balls = (
+        *(*rigid_causes.EVERYWHERE, *rigid_causes.GROUND, "weaker_gravity", *rigid_causes.BOUNCES),
+        *(*rigid_causes.PAIR, *rigid_causes.CAMERA, "merged_regions", *rigid_causes.POSITIONS),
+    )
     return {
         "soft_body": (*library("soft_body"), body_cause("slack_string")),
         "multicopter": tuple(library("copter", num_rotors=6)),
@@ -51,9 +55,9 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "flow_device": stokes_library(),
         "flow_network": network.setup(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),
-        "balls": BALL_EFFECTS,
+        "balls": tuple(rigid_causes.ball_causes(air, of_balls)),
         "ode": setup_of(cart_study()).effects,
-        "rigid_body": TOSS,
+        "rigid_body": tuple(rigid_causes.toss_causes(air, ())),
         "rod": setup_of(rod_study()).effects,
         "unknown": (
             unknown_wrench(3, 1.0),

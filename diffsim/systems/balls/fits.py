@@ -39,7 +39,8 @@ def setup(study: Study) -> DiagnosisSetup:
     described = RigidBodyDescription.model_validate(_described(study))
     model = described.balls().model(study, {r.name: _corners(r) for r in study.runs})
     settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
-    return DiagnosisSetup(model, described.balls().library(), settings=settings)
+    causes = described.balls().causes(study, described.scales(study))
+    return DiagnosisSetup(model, causes, settings=settings)
 
 
 def _described(study: Study) -> dict[str, Any]:

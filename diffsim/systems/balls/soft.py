@@ -152,7 +152,7 @@ class SoftBallScene:
     balls: SoftBalls
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> SoftBallScene:
-        """A copy in which a number is f(number)."""
+        """A copy in which one number is f(number)."""
         return replace(self, values={**self.values, name: change(self.values[name])})
 
     def simulate(self) -> Tensor:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.channel_groups import delays_of
+from diffsim.causes.instruments import Instruments, grid_at
+from diffsim.causes.ports import SignalMap
 from diffsim.systems.rigid_body import on_ground
 from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
 from diffsim.systems.rigid_body.camera import projected
@@ -34,7 +37,7 @@ PLAIN = {
     "radial": 0.0,
     "center_u": 0.0,
     "center_v": 0.0,
-    "clock": 0.0,
+    "clock_scale": 0.0,
     "readout": 0.0,
     "merge": 0.0,
     "lit_u": 0.0,
@@ -131,28 +134,50 @@ class BallScene:
         values: Quantities, start of the balls, camera, and ``PLAIN``, (...,) each.
         time: Times of the samples since the start, (T,) [s].
         stage: What all runs have in common.
+        instruments: What shows the motion.
     """
 
     values: Mapping[str, Tensor]
     time: Tensor
     stage: Stage
+    instruments: Instruments = field(default_factory=Instruments)
 
-    def with_added(self, name: str, size: Tensor) -> BallScene:
-        """A copy with one number larger by ``size`` (...,)."""
-        return replace(self, values={**self.values, name: self.values[name] + size})
+    play_start = None  # plays begin in their middle
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> BallScene:
+        """A copy in which one number is f(number)."""
+        return replace(self, values={**self.values, name: change(self.values[name])})
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> BallScene:
+        """A copy in which some channels are f(channels (..., width, T), grid)."""
+        return replace(self, instruments=self.instruments.with_reading(channels, change))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> BallScene:
+        """A copy in which some channels show where the balls were ``delay`` ago [s]."""
+        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""
-        out = self.wide()._channels()
-        return out if any(v.ndim for v in self.values.values()) else out[0]
+        wide = self.wide()
+        out = wide._channels(None)
+        for channels, delay in delays_of(self.instruments.clocks).items():
+            places = torch.tensor(channels)
+            out = out.index_copy(-1, places, wide._channels(delay)[..., places])
+        out = self.instruments.read(out, grid_at(self.time))
+        is_one = not any(v.ndim for v in self.values.values()) and not self.instruments.num_points
+        return out[0] if is_one else out
 
     def wide(self) -> BallScene:
         """A copy whose values have one axis, (K,) each."""
-        batch = np.broadcast_shapes(*(v.shape for v in self.values.values()))
+        sizes = [v.shape for v in (*self.values.values(), *(d for _, d in self.instruments.clocks))]
+        batch = np.broadcast_shapes(*sizes)
         return replace(self, values={n: v.expand(batch or (1,)) for n, v in self.values.items()})
 
-    def _channels(self) -> Tensor:
-        time = self.time * (1.0 + self._of("clock"))
+    def _channels(self, late: Tensor | None) -> Tensor:
+        """(K, T, num_channels) as they are ``late`` (K,) or () [s] before."""
+        time = self.time * (1.0 + self._of("clock_scale"))
+        if late is not None:
+            time = time - late[..., None]
         shown = self._clicks(time)
         paths = self.paths(time)
         scale = 1.0 + self._of("length_scale")[..., None]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from diffsim.causes.scales import Scales
 from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
@@ -21,7 +22,7 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.rigid_body import ball_effects as causes
+from diffsim.systems.rigid_body import causes
 from diffsim.systems.rigid_body.ball_figure import measured, simulated
 from diffsim.systems.rigid_body.ball_scene import (
     PLAIN,
@@ -144,36 +145,49 @@ class Balls:
         base = (*quantities.base, *starts.base)
         return BallModel(build, base, "balls", batched=True)
 
-    def library(self) -> tuple[Effect, ...]:
-        """Candidate causes that these balls may have."""
+    def causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
+        """Candidate causes that these balls may have.
+
+        Args:
+            study: Study, perhaps with clicks.
+            scales: Usual magnitudes.
+        """
+        filmed = [c for c in study.channels if c.name not in CLICK_CHANNELS]
+        return (
+            *causes.ball_causes(scales, self._names_of_causes()),
+            *causes.sensor_causes(filmed, scales),
+        )
+
+    def numbers(self) -> tuple[str, ...]:
+        """Names of all numbers that causes may change."""
+        camera = () if self.camera is None else ("focal", *(f"shift_{a}" for a in "xyz"))
+        return (*self._quantities(), *PLAIN, *camera)
+
+    def _names_of_causes(self) -> list[str]:
         seen = {kind for m in self.measures for kind, _, _ in m.rows()}
         flies = any(b.begins == "flying" for b in self.bodies)
         bounces = flies and any(GROUND in c.between for c in self.contacts)
         grounded = bounces or any(b.begins != "flying" for b in self.bodies)
-        out: list[Effect] = [*causes.EVERYWHERE]
+        out = [*causes.EVERYWHERE]
         if grounded:
-            out += [e for e in causes.GROUND if not self._states_friction(e)]
+            out += causes.GROUND
         if flies and not self.gravity.is_fitted:
-            out.append(causes.LIFT)
+            out.append("weaker_gravity")
         if bounces:
             out += causes.BOUNCES
         if self._pair is not None:
-            out += [e for e in causes.PAIR if not self._states_friction(e)]
+            out += causes.PAIR
         if "pixels" in seen:
             out += causes.CAMERA
-            out += [causes.MERGED_REGIONS] if self._pair is not None else []
+            out += ["merged_regions"] if self._pair is not None else []
         if seen & {"position", "velocity"}:
             out += causes.POSITIONS
-        in_air = next((a for b in self.bodies if (a := b.in_air()) is not None), None)
-        if in_air is None:
-            return tuple(out)
-        typical = {causes.LIFT: in_air[0] * self.gravity.value, causes.AIR_DRAG: in_air[1]}
-        return tuple(replace(e, typical=typical[e]) if e in typical else e for e in out)
+        return [name for name in out if not self._states_friction(name)]
 
-    def _states_friction(self, effect: Effect) -> bool:
-        """Whether a contact's own friction is what an effect would add."""
-        with_ground = effect is causes.SLIDING_FRICTION
-        if not with_ground and effect is not causes.BALL_FRICTION:
+    def _states_friction(self, cause: str) -> bool:
+        """Whether a contact's own friction is what a cause would add."""
+        with_ground = cause == "sliding_friction"
+        if not with_ground and cause != "ball_friction":
             return False
         return any(
             c.friction is not None for c in self.contacts if (GROUND in c.between) == with_ground

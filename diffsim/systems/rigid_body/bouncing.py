@@ -66,7 +66,7 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
 
     Args:
         ball: At time 0.
-        time: (K, T) [s], from 0.
+        time: (K, T) [s]; before 0 as it flew then.
         ground: Air and ground.
     """
     end = time.detach().amax(-1)
@@ -74,6 +74,11 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
     settled = torch.zeros_like(end, dtype=torch.bool)
     shape = (*time.shape, 3)
     place, velocity = ball.place[:, None].expand(shape), ball.velocity[:, None].expand(shape)
+    if bool((time < 0.0).any()):  # of a late camera: it was in flight before, too
+        before = torch.where(time < 0.0, time, 0.0)[..., None]
+        pull = ground.acceleration(velocity)
+        place = place + velocity * before + 0.5 * pull * before**2
+        velocity = velocity + pull * before
     for _ in range(MAX_BOUNCES):
         height = ball.place[:, 2] - ground.level
         fall = fall_time(height, ball.velocity[:, 2], ground.laws.gravity)

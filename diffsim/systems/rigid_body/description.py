@@ -8,6 +8,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.causes.own import Ports
+from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import inside
 from diffsim.data.study import Study
@@ -23,6 +25,7 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.quantities import Acceleration
 from diffsim.systems.rigid_body.ball_setup import Balls
+from diffsim.systems.rigid_body.causes import measure_scales
 from diffsim.systems.rigid_body.parts import (
     GROUND,
     Body,
@@ -145,11 +148,31 @@ class RigidBodyDescription(Description):
     def _setup_of_balls(self, study: Study) -> DiagnosisSetup:
         balls = self.balls()
         study = balls.with_clicks(study)
+        scales = self.scales(study)
+        model = balls.model(study)
+        model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
-            balls.model(study),
-            chosen_effects(balls.library(), self.effects),
+            model,
+            chosen_effects(balls.causes(study, scales), self.effects),
             settings=settings_with(self._settings_of_balls(), self.effort),
             study=study,
+        )
+
+    def scales(self, study: Study) -> Scales:
+        """Usual magnitudes of the recordings and of the air."""
+        return measure_scales(study, self.bodies, self.gravity.value)
+
+    def ports(self, study: Study) -> Ports:
+        """What the bodies offer to causes of a user."""
+        if all(b.is_ball for b in self.bodies):
+            numbers = self.balls().numbers()
+        else:
+            numbers = self._tossed().numbers()
+        return Ports(
+            scales=self.scales(study),
+            channels=tuple(c.name for c in study.channels),
+            has_clock=True,
+            numbers=numbers,
         )
 
     def _settings_of_balls(self) -> DiagnosisSettings:
@@ -162,9 +185,12 @@ class RigidBodyDescription(Description):
     def setup_of_cut(self, study: Study) -> DiagnosisSetup:
         """Setup of tosses that are cut already."""
         tossed = self._tossed()
+        scales = self.scales(study)
+        model = tossed.model(study)
+        model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
-            tossed.model(study),
-            chosen_effects(tossed.library(), self.effects),
+            model,
+            chosen_effects(tossed.causes(study, scales), self.effects),
             settings=settings_with(DiagnosisSettings(search=_TOSS), self.effort),
             study=study,
         )

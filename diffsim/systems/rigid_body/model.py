@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 
 import torch
 from torch import Tensor
 
+from diffsim.causes.channel_groups import delays_of
+from diffsim.causes.instruments import Instruments, grid_of
+from diffsim.causes.ports import SignalMap
+from diffsim.core.check import did_you_mean
 from diffsim.data.study import Channel, Run
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
@@ -16,7 +21,9 @@ from diffsim.systems.description import BaseParameters
 from diffsim.systems.rigid_body.figure import figure_of
 from diffsim.systems.rigid_body.layout import Layout
 from diffsim.systems.rigid_body.shooting import Shooting
-from diffsim.systems.rigid_body.toss import Mass, Tosses
+from diffsim.systems.rigid_body.toss import ADDED, Mass, Tosses
+
+_ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +61,17 @@ class Table:
     latest: dict[tuple[bytes, ...], Tensor] = field(default_factory=dict)
 
     def predict(
-        self, name: str, values: Mapping[str, Tensor], terms: Mapping[str, Tensor]
+        self,
+        run: Run,
+        values: Mapping[str, Tensor],
+        terms: Mapping[str, Tensor],
+        instruments: Instruments,
     ) -> Tensor:
         """(K, length, num_channels) of one toss with the best start states."""
-        index = self.place[name]
+        index = self.place[run.name]
         given = [*values.values(), *terms.values()]
-        if any(v.requires_grad for v in given):
-            one = self.tosses.only(index)
-            s = self.shooting
-            cut = [getattr(s, f.name)[index : index + 1] for f in fields(s)]
-            return self._profiled(one, Shooting(*cut), values, terms)[:, 0]
+        if any(v.requires_grad for v in given) or not instruments.is_empty:
+            return self._predict_alone(run, values, terms, instruments)
         key = (*map(str.encode, terms), *(v.numpy().tobytes() for v in given))
         if key not in self.latest:
             self.latest.clear()
@@ -78,11 +86,36 @@ class Table:
         terms: Mapping[str, Tensor],
     ) -> Tensor:
         """(K, num_tosses, length, num_channels) with the best start states."""
-        many = max([v.numel() for v in values.values()] + [_count(t) for t in terms.values()])
+        many = max(v.numel() for v in (*values.values(), *terms.values()))
         thrown = self.thrown
         return shooting.profile(
             lambda start: tosses.fly(start, values, terms, thrown.mass, thrown.layout), many
         )
+
+    def _predict_alone(
+        self,
+        run: Run,
+        values: Mapping[str, Tensor],
+        terms: Mapping[str, Tensor],
+        instruments: Instruments,
+    ) -> Tensor:
+        """(K, length, num_channels) of one toss as instruments show it."""
+        index, whole, thrown = self.place[run.name], self.shooting, self.thrown
+        toss = self.tosses.only(index)
+        own = Shooting(*(getattr(whole, f.name)[index : index + 1] for f in fields(whole)))
+        grid, count = grid_of(run), len(run.time_s)
+
+        def show(start: Tensor) -> Tensor:
+            fly = partial(toss.fly, start, values, terms, thrown.mass, thrown.layout)
+            shown = fly()
+            for channels, delay in delays_of(instruments.clocks).items():
+                places = torch.tensor(channels)
+                shown = shown.index_copy(-1, places, fly(delay)[..., places])
+            read = instruments.read(shown[:, 0, :count], grid)
+            return torch.cat([read, shown[:, 0, count:]], 1)[:, None]
+
+        points = [v.numel() for v in (*values.values(), *terms.values())]
+        return own.profile(show, max([*points, instruments.num_points]))[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,26 +126,40 @@ class TossScene:
         run: Recorded toss.
         values: Quantities of the description, () or (K,).
         table: All tosses of the study with their start states.
-        terms: Sizes of what effects add, (..., num_components); see ``TERMS``.
+        terms: What effects add to the numbers ``ADDED``, () or (K,).
+        instruments: What shows the motion.
     """
 
     run: Run
     values: Mapping[str, Tensor]
     table: Table
     terms: Mapping[str, Tensor] = field(default_factory=dict)
+    instruments: Instruments = field(default_factory=Instruments)
 
-    def with_term(self, name: str, size: Tensor) -> TossScene:
-        """A copy in which a term has grown by ``size``, (..., num_components)."""
-        so_far = self.terms.get(name)
-        return replace(self, terms={**self.terms, name: size if so_far is None else so_far + size})
+    play_start = None  # plays begin in their middle
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> TossScene:
+        """A copy in which a quantity, or one of the numbers ``ADDED``, is f(number)."""
+        if name in self.values:
+            return replace(self, values={**self.values, name: change(self.values[name])})
+        if name not in ADDED:
+            raise ValueError(f"no number {name!r}{did_you_mean(name, [*self.values, *ADDED])}")
+        return replace(self, terms={**self.terms, name: change(self.terms.get(name, _ZERO))})
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> TossScene:
+        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
+        return replace(self, instruments=self.instruments.with_reading(channels, change))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> TossScene:
+        """A copy in which some channels show where the body was ``delay`` ago [s]."""
+        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) with the best start state."""
-        out = self.table.predict(self.run.name, self.values, self.terms)
+        out = self.table.predict(self.run, self.values, self.terms, self.instruments)
         out = out[:, : len(self.run.time_s)]
-        wide = any(v.ndim for v in self.values.values())
-        wide = wide or any(t.ndim > 1 for t in self.terms.values())
-        return out if wide else out[0]
+        wide = any(v.ndim for v in (*self.values.values(), *self.terms.values()))
+        return out if wide or self.instruments.num_points else out[0]
 
 
 class TossModel(SimModel):
@@ -165,7 +212,9 @@ class TossModel(SimModel):
     def prepared_at(self, q: Tensor) -> SimModel:
         """Start states linearized at the values of these coordinates."""
         values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
-        return TossModel(self.runs, self.channels, self.thrown, values)
+        made = TossModel(self.runs, self.channels, self.thrown, values)
+        made.frame = self.frame
+        return made
 
 
 def _prepared(
@@ -186,7 +235,3 @@ def _prepared(
         start = start + (prepared.gain @ left.reshape(count, -1, 1))[..., 0]
     shooting = Shooting.prepare(flown, start, tosses.measured, sd)
     return Table(thrown, tosses, shooting, {r.name: i for i, r in enumerate(runs)})
-
-
-def _count(term: Tensor) -> int:
-    return len(term) if term.ndim > 1 else 1

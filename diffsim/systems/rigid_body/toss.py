@@ -28,26 +28,26 @@ from diffsim.systems.rigid_body.windows import CORNERS, TURN, TWIST
 
 NEWTON_STEPS = 6
 SHORTEST = 1e-9  # [s] of a contact: instant
-#: Terms that effects may add, with their number of components.
-TERMS = {
-    "length_scale": 1,
-    "clock_scale": 1,
-    "gravity": 3,
-    "drag": 1,
-    "quadratic_drag": 1,
-    "spin_drag": 1,
-    "ground_height": 1,
-    "ground_slope": 2,
-    "half_width": 1,
-    "center": 3,
-    "contact_time": 1,
-    "smoothing": 1,
-    "restitution_slope": 1,
-    "rebound": 1,
-    "friction_slope": 1,
-    "inertia": 1,
-    "unequal_inertia": 2,
-}
+#: Numbers that causes add to, beside the quantities of a description; all are 0 in the plain model.
+ADDED = (
+    "length_scale",
+    "clock_scale",
+    *("gravity_x", "gravity_y", "lift"),
+    "drag",
+    "quadratic_drag",
+    "spin_drag",
+    "ground_height",
+    *("ground_slope_x", "ground_slope_y"),
+    "half_width",
+    *("center_x", "center_y", "center_z"),
+    "contact_time",
+    "smoothing",
+    "restitution_slope",
+    "rebound",
+    "friction_slope",
+    "inertia",
+    *("inertia_x", "inertia_y"),
+)
 REFERENCE_SPEED = 1.0  # [m/s] where the slopes of restitution and friction do nothing
 
 
@@ -123,6 +123,7 @@ class Tosses:
         terms: Mapping[str, Tensor],
         mass: Mass,
         layout: Layout,
+        late: Tensor | None = None,
     ) -> Tensor:
         """Channels of all tosses, (K, num_tosses, length, num_channels).
 
@@ -130,27 +131,33 @@ class Tosses:
             start: Start states of K points, (K, num_tosses, 12).
             values: restitution, friction, gravity [m/s^2], ground [m] and edge (or edge_x,
                 edge_y, edge_z) [m], (K,) or ().
-            terms: Sizes of what effects add, (K, num_components) or (num_components,); ``TERMS``.
+            terms: What is added to the numbers ``ADDED``, (K,) or ().
             mass: What is known of the body's mass.
             layout: What the channels show.
+            late: How late all channels are, (K,) or () [s]; None: not at all.
         """
         k = len(start)
-        get = {name: _sized(terms, name, k) for name in TERMS}
+        get = {name: _sized(terms, name, k) for name in ADDED}
+        tilt = _beside(get, "gravity_x", "gravity_y", "lift")
+        slope = _beside(get, "ground_slope_x", "ground_slope_y")
+        center = _beside(get, "center_x", "center_y", "center_z")
         value = {n: v.expand(k)[:, None] for n, v in values.items()}  # (K, 1)
         stretch = 1.0 + get["clock_scale"]
         time = self.time_s * stretch  # (K, R, n)
         x0, turn, v0, rates = start.split(3, -1)
         q0 = quaternion_product(self.turn, quaternion_from_rotation_vector(turn))
         down = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
-        gravity = get["gravity"] + value["gravity"][..., None] * down
+        gravity = tilt + value["gravity"][..., None] * down
         middle = v0 + 0.5 * gravity * time[..., -1:]
         drag = get["drag"] + get["quadratic_drag"] * middle.norm(dim=-1, keepdim=True)
+        if late is not None:
+            time = time - late.expand(k)[:, None, None]
         spin = get["spin_drag"]
         bigger = 1.0 + get["half_width"]
         edges = [value["edge" if "edge" in value else f"edge_{a}"] for a in "xyz"]
         half = 0.5 * torch.stack(edges, -1)  # (K, 1, 3)
-        moments = _moments(mass, half, get["unequal_inertia"])
-        even = None if mass.is_even and "unequal_inertia" not in terms else moments
+        moments = _moments(mass, half, _beside(get, "inertia_x", "inertia_y"))
+        even = None if mass.is_even and not {"inertia_x", "inertia_y"} & {*terms} else moments
         per_mass = moments * (1.0 + get["inertia"])
         ground = value["ground"][..., None] + get["ground_height"]
 
@@ -158,7 +165,7 @@ class Tosses:
         kick = torch.zeros_like(x0)
         twist = torch.zeros_like(x0)
         if mass.has_corners and bool((self.hits > 0.0).any()):
-            arm_body = self.corner * half * bigger - get["center"]
+            arm_body = self.corner * half * bigger - center
 
             def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
                 """Gap of the corner, its velocity, its arm, and the turn at times (K, R, 1)."""
@@ -168,7 +175,7 @@ class Tosses:
                 arm = rotate_by_quaternion(q, arm_body)
                 rate = rotate_by_quaternion(q, now * (1.0 - spin * t))
                 place, speed = x + arm, v + torch.linalg.cross(rate, arm)
-                level = ground + (place[..., :2] * get["ground_slope"]).sum(-1, True)
+                level = ground + (place[..., :2] * slope).sum(-1, True)
                 return place[..., 2:] - level, speed, arm, q
 
             for _ in range(NEWTON_STEPS):
@@ -209,7 +216,7 @@ class Tosses:
         # at rest on a face, wherever that is: the slope of the ground is left out
         upright = (half * self.face).sum(-1, keepdim=True)
         rest_height = upright * bigger + ground
-        x = x + rotate_by_quaternion(q, get["center"][..., None, :])
+        x = x + rotate_by_quaternion(q, center[..., None, :])
         scale = 1.0 + get["length_scale"][..., None]
         flown = Flown(
             scale * x,
@@ -232,9 +239,13 @@ def _moments(mass: Mass, half: Tensor, unequal: Tensor) -> Tensor:
 
 
 def _sized(terms: Mapping[str, Tensor], name: str, k: int) -> Tensor:
-    """(K, 1, num_components) of a term, zero where no effect has set it."""
-    size = terms.get(name, torch.zeros(TERMS[name], dtype=torch.float64))
-    return size.expand(k, TERMS[name])[:, None]
+    """(K, 1, 1) of a number, zero where no effect has changed it."""
+    return terms.get(name, torch.zeros((), dtype=torch.float64)).expand(k)[:, None, None]
+
+
+def _beside(numbers: Mapping[str, Tensor], *names: str) -> Tensor:
+    """(K, 1, n) of numbers that are parts of a vector."""
+    return torch.cat([numbers[name] for name in names], -1)
 
 
 def _ballistic(

@@ -10,14 +10,15 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from diffsim.causes.scales import Scales
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.rigid_body import effects as causes
+from diffsim.systems.rigid_body.causes import sensor_causes, toss_causes
 from diffsim.systems.rigid_body.layout import REST, Layout
 from diffsim.systems.rigid_body.model import Thrown, TossModel
 from diffsim.systems.rigid_body.parts import ANGLES, Body, Contact, Measure, Window
-from diffsim.systems.rigid_body.toss import Mass
+from diffsim.systems.rigid_body.toss import ADDED, Mass
 from diffsim.systems.rigid_body.windows import (
     MIN_FRAMES,
     Poses,
@@ -116,29 +117,29 @@ class Tossed:
         parameters = BaseParameters(self._quantities(), study.runs)
         return TossModel(study.runs, study.channels, Thrown(parameters, self._mass(), layout))
 
-    def library(self) -> tuple[Effect, ...]:
-        """Candidate causes that this toss may have."""
-        out: list[Effect] = []
-        in_air = self.body.in_air()
-        for effect in causes.TOSS:
-            if effect.name in self._left_out():
-                continue
-            if in_air is not None and effect is causes.GRAVITY:
-                effect = replace(effect, typical=in_air[0] * self.gravity.value)
-            if in_air is not None and effect is causes.SPECIFIC_QUADRATIC_DRAG:
-                effect = replace(effect, typical=in_air[1])
-            out.append(effect)
-        return tuple(out)
+    def causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
+        """Candidate causes that this toss may have.
+
+        Args:
+            study: Cut study.
+            scales: Usual magnitudes.
+        """
+        filmed = [c for c in study.channels if c.name != REST]
+        return (*toss_causes(scales, self._left_out()), *sensor_causes(filmed, scales))
+
+    def numbers(self) -> tuple[str, ...]:
+        """Names of all numbers that causes may change."""
+        return (*self._quantities(), *ADDED)
 
     def _left_out(self) -> set[str]:
         """Causes that a prior of the description already holds, or that nothing could show."""
         out = set()
         if self.gravity.is_fitted:
-            out.add(causes.GRAVITY.name)
+            out.add("weaker_gravity")
         if self.body.box is None or any(q.is_fitted for q in self.body.edges):
-            out.add(causes.HALF_WIDTH.name)
+            out.add("half_width")
         if self.ground is None or not (self._through or self._rest_frames):
-            out.add(causes.GROUND_HEIGHT.name)
+            out.add("ground_height")
         return out
 
     @property
