@@ -29,9 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         nargs="?",
         type=Path,
-        metavar="OUT[#TOPIC]",
-        help=".csv, .parquet, .h5, .hdf5, .mat, .mcap, .ulg or .db3 (a ROS 2 bag, a folder of its "
-        "own); without it, parts and columns are shown",
+        metavar="OUT",
+        help=".csv, .parquet, .h5, .hdf5 or .mat; without it, parts and columns are shown",
     )
 
 

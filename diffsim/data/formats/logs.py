@@ -16,8 +16,6 @@ from diffsim.core.optional import optional
 from diffsim.data.formats.columns import Columns, of_messages
 
 TIME = "time_s"
-TABLE = "diffsim.Recording"
-"""Schema of a table that diffsim wrote as MCAP."""
 
 
 def ulog_parts(path: Path) -> list[str]:
@@ -46,19 +44,13 @@ def mcap_parts(path: Path) -> list[str]:
 def read_mcap(path: Path, part: str) -> Columns:
     """Columns of a topic: JSON messages, and ROS 2 ones where ``mcap-ros2-support`` is there."""
     times, messages = [], []
-    declared: dict[str, Any] = {}
     with path.open("rb") as file:
         reader = _mcap().make_reader(file)
         start = reader.get_summary().statistics.message_start_time
         for schema, channel, message in reader.iter_messages(topics=[part]):
             times.append((message.log_time - start) / 1e9)
             messages.append(_decoded(schema, channel, message))
-            declared = declared or _declared(schema)
-    columns = of_messages(messages)
-    # empty cells are left out of messages: columns of them alone are known by the schema only
-    empty = {name: np.full(len(times), np.nan) for name in declared if name not in columns}
-    ordered = {name: (columns | empty)[name] for name in (*declared, *columns)}
-    return {TIME: np.array(times), **ordered}
+    return {TIME: np.array(times), **of_messages(messages)}
 
 
 def rosbag_parts(path: Path) -> list[str]:
@@ -109,13 +101,6 @@ def _decoded(schema: Any, channel: Any, message: Any) -> Any:
         f"topic {channel.topic} is encoded as {channel.message_encoding!r}; json and cdr (ROS 2) "
         "are read"
     )
-
-
-def _declared(schema: Any) -> dict[str, Any]:
-    """Columns of a table that diffsim wrote, in their order; none of other files."""
-    if schema is None or schema.name != TABLE:
-        return {}
-    return dict(json.loads(schema.data)["properties"])
 
 
 def _rosbag(path: Path) -> Any:

@@ -11,22 +11,12 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.files import replacing
-from diffsim.data.formats import (
-    hdf5,
-    logs,
-    mat,
-    mcap_write,
-    parquet,
-    rosbag_write,
-    ulog_write,
-)
+from diffsim.data.formats import hdf5, logs, mat, parquet
 from diffsim.data.formats.columns import Columns
-from diffsim.data.formats.messages import fields_of, names_of
 
 Parts = Callable[[Path], list[str]]
 Read = Callable[[Path, str], Columns]
 Write = Callable[[Path, Mapping[str, NDArray[Any]]], None]
-WriteTopic = Callable[[Path, Mapping[str, NDArray[Any]], str], None]
 
 _READERS: dict[str, tuple[Parts, Read]] = {
     ".parquet": (parquet.parts, parquet.read),
@@ -38,16 +28,13 @@ _READERS: dict[str, tuple[Parts, Read]] = {
     ".bag": (logs.rosbag_parts, logs.read_rosbag),
     ".db3": (logs.rosbag_parts, logs.read_rosbag),
 }
-_TABLES: dict[str, Write] = {
+_WRITERS: dict[str, Write] = {
     ".parquet": parquet.write,
     ".h5": hdf5.write,
     ".hdf5": hdf5.write,
     ".mat": mat.write,
 }
-_LOGS: dict[str, WriteTopic] = {".mcap": mcap_write.write, ".ulg": ulog_write.write}
-_BAG = ".db3"
-_WORDS = {".mat": mat.word, ".ulg": ulog_write.word, _BAG: rosbag_write.word}
-WRITTEN = (*_TABLES, *_LOGS, _BAG)
+WRITTEN = tuple(_WRITERS)
 """Formats that ``write_columns`` writes, besides CSV."""
 
 SUFFIXES = tuple(_READERS)
@@ -121,14 +108,13 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> Path
     """Write a table, in place of an older one only when it is whole.
 
     Args:
-        path: Its ending tells the format; ``FILE#TOPIC`` names the topic of a log.
+        path: Its ending tells the format.
         columns: Columns by name, each (num_rows,).
 
     Returns:
-        The file that was written; of ``bag.db3`` it is ``bag/bag.db3``.
+        The file that was written.
 
     Raises:
-        FileExistsError: a bag's folder is there, and holds something else.
         ImportError: the format's library is not installed.
         ValueError: a format that is not written, or what it cannot hold.
     """
@@ -136,17 +122,12 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> Path
     suffix = file.suffix.lower()
     if suffix not in WRITTEN:
         raise ValueError(f"{file}: tables are written as .csv, {', '.join(WRITTEN)}")
-    if part and suffix in _TABLES:
+    if part:
         raise ValueError(f"{path}: {suffix} is written as one table; name the file without #{part}")
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     file.parent.mkdir(parents=True, exist_ok=True)
-    if suffix == _BAG:
-        return rosbag_write.write(file, arrays, part)
     with replacing(file, suffix) as beside:
-        if suffix in _TABLES:
-            _TABLES[suffix](beside, arrays)
-        else:
-            _LOGS[suffix](beside, arrays, part)
+        _WRITERS[suffix](beside, arrays)
     return file
 
 
@@ -160,14 +141,9 @@ def renamed(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, 
     Returns:
         The name in the file by that of the column, where they differ.
     """
-    suffix = split_part(path)[0].suffix.lower()
-    if suffix not in _WORDS:
+    if split_part(path)[0].suffix.lower() != ".mat":
         return {}
-    if suffix == ".mat":
-        names = {name: mat.word(name) for name in columns}
-    else:
-        held = {name: np.asarray(values) for name, values in columns.items()}
-        names = names_of(fields_of(held, _WORDS[suffix]))
+    names = {name: mat.word(name) for name in columns}
     return {name: new for name, new in names.items() if new != name}
 
 
