@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from diffsim.data import BeamStudy, find_dataset, load_beam_study
-from examples.demo.story import VIRTUAL_BEAM
+
+VIRTUAL_BEAM = Path(__file__).parents[2] / "examples" / "demo" / "virtual_beam"
 
 
 @pytest.fixture(scope="session")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from diffsim.data import load_beam_study
 from diffsim.data.beam_motion import describe, moving_tip_mass
-from examples.demo.story import VIRTUAL_BEAM
 from labs.virtual.clamped_beam import VirtualBeam, _Plane, bending_modes, write_beam_study
+
+VIRTUAL_BEAM = Path(__file__).parents[3] / "examples" / "demo" / "virtual_beam"
 
 
 @pytest.mark.reference
