@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes import commands as actuator
+from diffsim.causes.commands import CommandGroup, command_cause
+from diffsim.causes.needs import needs_fine_command
 from diffsim.causes.signals import Grid, held_in_steps, in_steps, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
@@ -180,15 +181,15 @@ def test_needs_a_command_of_many_values():
         run = Run("a", np.arange(100.0), np.zeros((100, 1)), values, "a")
         return Study("s", "ode", channels, (run,))
 
-    assert actuator.needs_fine_command(study({"u": u})) is None
-    assert actuator.needs_fine_command(study({"u": u, "v": np.sign(u)})) is None
-    assert actuator.needs_fine_command(study({})) == "runs with a recorded command"
+    assert needs_fine_command(study({"u": u})) is None
+    assert needs_fine_command(study({"u": u, "v": np.sign(u)})) is None
+    assert needs_fine_command(study({})) == "runs with a recorded command"
     noisy = np.round(u, 1) + 1e-9 * np.random.default_rng(0).normal(size=100)
-    assert "recorded one has 21" in actuator.needs_fine_command(study({"u": noisy}))
+    assert "recorded one has 21" in needs_fine_command(study({"u": noisy}))
 
 
 def test_sizes_are_told_in_the_command_s_unit():
-    said = actuator.in_words(actuator.quantization(1.6), "N")
+    said = command_cause("quantization", CommandGroup((), {"reach": 1.6}, unit="N"))
     assert (said.unit, said.shown_unit) == ("command", "N")
     tried = np.array(said.tries) * said.typical
     assert tried.max() == pytest.approx(0.8) and tried.min() == pytest.approx(1.6 / 24.8, rel=0.03)

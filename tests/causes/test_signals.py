@@ -7,9 +7,9 @@ import pytest
 import torch
 from scipy import interpolate, signal
 
-from diffsim.causes import commands as actuator
-from diffsim.causes import signals
+from diffsim.causes import interpolation, signals
 from diffsim.causes import signals as maps
+from diffsim.causes.commands import CommandGroup, command_cause
 from diffsim.causes.signals import on_columns
 
 
@@ -23,13 +23,22 @@ class Wire:
     def __init__(self, u):
         self.u = u
 
-    def with_command(self, change):
-        return Wire(change(self.u, 0.1))
+    play_start = None
+
+    def with_command(self, names, change):
+        return Wire(change(self.u.mT, signals.Grid.even(len(self.u), 0.1)).mT)
 
 
-def sent(u, effect, size):
-    """A command after an effect."""
+def sent(u, cause, size):
+    """A command after a cause."""
+    group = CommandGroup((), {"reach": float(u.abs().max())})
+    effect = command_cause(cause, group)
     return effect.apply(Wire(u), torch.tensor([size], dtype=torch.float64), None).u
+
+
+def said(cause, unit, shown=None):
+    """A cause of commands in a unit."""
+    return command_cause(cause, CommandGroup((), {"reach": 1.6}, unit=unit, shown=shown))
 
 
 @pytest.mark.order
@@ -39,7 +48,7 @@ def test_sampling_is_of_fourth_order():
     errors = []
     for dt in steps:
         grid = np.arange(0, 1 + dt / 2, dt)
-        found = signals.sample(column(1 - np.cos(7 * grid)), dt, times)[:, 0]
+        found = interpolation.sample(column(1 - np.cos(7 * grid)), dt, times)[:, 0]
         errors.append(float((found - (1 - torch.cos(7 * times))).abs().max()))
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 3.8
 
@@ -51,11 +60,11 @@ def test_sampling_differentiates_times_and_holds_the_ends():
     )
     times = torch.tensor([0.03, 0.27, 0.55], dtype=torch.float64, requires_grad=True)
     values.requires_grad_()
-    assert torch.autograd.gradcheck(lambda v, t: signals.sample(v, dt, t), (values, times))
-    outside = signals.sample(values, dt, torch.tensor([-1.0, 5.0], dtype=torch.float64))
+    assert torch.autograd.gradcheck(lambda v, t: interpolation.sample(v, dt, t), (values, times))
+    outside = interpolation.sample(values, dt, torch.tensor([-1.0, 5.0], dtype=torch.float64))
     torch.testing.assert_close(outside, values[[0, -1]])
     with pytest.raises(ValueError, match="five steps"):
-        signals.sample(values[:4], dt, times)
+        interpolation.sample(values[:4], dt, times)
 
 
 def test_lag_is_that_of_a_linear_system():
@@ -101,13 +110,11 @@ def test_delay_between_samples_is_a_monotone_cubic():
 def test_dead_band_backlash_and_saturation_by_hand():
     u = column([0, 1, 3, 2, 1, -2])
     half = torch.tensor(0.5, dtype=torch.float64)
-    torch.testing.assert_close(
-        on_columns(maps.dead_band, u, 0.1, half), column([0, 0.5, 2.5, 1.5, 0.5, -1.5])
-    )
+    torch.testing.assert_close(sent(u, "dead_band", 0.5), column([0, 0.5, 2.5, 1.5, 0.5, -1.5]))
     torch.testing.assert_close(
         on_columns(maps.with_play, u, 0.1, half), column([0, 0.5, 2.5, 2.5, 1.5, -1.5])
     )
-    got = sent(u, actuator.SATURATION, 1 / 3)
+    got = sent(u, "saturation", 1 / 3)
     torch.testing.assert_close(got, column([0, 1, 2, 2, 1, -2]))
 
 
@@ -157,17 +164,17 @@ def test_a_held_command_that_can_only_be_late_has_the_slope_of_late():
 
 def test_slack_and_rate_limit_by_hand():
     u = column([0, 1, 3, 3, -1])
-    torch.testing.assert_close(sent(u, actuator.SLACK, 0.5), column([0, 0.5, 2.5, 2.5, -1]))
-    torch.testing.assert_close(sent(u, actuator.RATE_LIMIT, 0.1), column([0, 1, 2, 3, 2]))
-    torch.testing.assert_close(sent(u, actuator.RATE_LIMIT, 0.0), u, rtol=0, atol=0)
+    torch.testing.assert_close(sent(u, "slack", 0.5), column([0, 0.5, 2.5, 2.5, -1]))
+    torch.testing.assert_close(sent(u, "rate_limit", 0.1), column([0, 1, 2, 3, 2]))
+    torch.testing.assert_close(sent(u, "rate_limit", 0.0), u, rtol=0, atol=0)
 
 
 def test_limits_are_said_in_the_unit_of_the_command():
-    limit = actuator.in_words(actuator.RATE_LIMIT, "rad", "deg")
+    limit = said("rate_limit", "rad", "deg")
     assert limit.words(0.5) == "a speed limit near 115 deg/s" and limit.words(0.0) == "none"
-    assert actuator.in_words(actuator.RATE_LIMIT, "N").words(0.5) == "a rate limit near 2 N/s"
-    assert actuator.in_words(actuator.SLACK, "m", "mm").words(0.0074) == "7.4 mm of slack"
-    assert actuator.in_words(actuator.LAG, "N").words is None
+    assert said("rate_limit", "N").words(0.5) == "a rate limit near 2 N/s"
+    assert said("slack", "m", "mm").words(0.0074) == "7.4 mm of slack"
+    assert said("lag", "N").words is None
 
 
 def test_what_comes_before_a_delay_of_zero_keeps_its_slope():
