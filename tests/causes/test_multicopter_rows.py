@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes import OwnRow, own_causes
+from diffsim.causes.ports import on_place
+from diffsim.causes.row import Row
 from diffsim.systems.multicopter.flying import Flyer
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import setup_of
+from tests.causes.test_own_rows import with_rows
 from tests.systems import small_copter
 from tests.systems.test_copter_instruments import STEP, told
+from tests.systems.test_multicopter import HOVER, straight_up
 from tests.systems.test_multicopter_description import MODEL, SPEEDS, misfit, study
 
 f64 = torch.float64
@@ -107,41 +110,52 @@ def test_play_of_a_reading_in_windows_is_half_its_width_behind():
         ({"at": "number", "add": "center_of_mass_y"}, "center_of_mass", [0.0, 1.0]),
         ({"at": "number", "add": "world_force_x"}, "wind", [1.0, 0.0]),
         ({"at": "reading", "map": "u + size", "of": "q"}, "gyro_offset", [0.0, 1.0, 0.0]),
+        ({"at": "force", "of": "y", "law": "size"}, "wind", [0.0, 1.0]),
         ({"at": "clock", "of": CAMERA}, "camera_delay", 1.0),
     ],
     ids=lambda v: v if isinstance(v, str) else "",
 )
 def test_a_row_of_a_user_does_what_the_librarys_does(row, like, share):
     sensors = {**MODEL["sensors"], "velocity": ["vx", "vy", "vz"]}
-    made = commanded_in_newtons(sensors=sensors)
+    own = {"name": "mine", "typical": 0.1, **row}
+    made = with_rows(commanded_in_newtons(sensors=sensors), own)
     setup, run = setup_of(made), made.runs[0]
-    known = {e.name: e for e in setup.effects}[like]
-    stated = OwnRow.model_validate({"name": "mine", "typical": 0.1, **row})
-    (mine,) = own_causes([stated], description_of(made).ports(made), made)
-    size = 0.3 * known.typical
-    wanted = flown(setup, run, known, np.atleast_1d(share) * size)
-    found = flown(setup, run, mine, [size])
+    known = {e.name: e for e in setup.effects}
+    size = 0.3 * known[like].typical
+    wanted = flown(setup, run, known[like], np.atleast_1d(share) * size)
+    found = flown(setup, run, known["mine"], [size])
     plain = flown(setup, run)
     moved = (wanted - plain).abs().amax((0, 1))
     if row["at"] == "clock":  # one by cubics of what was flown, the other by Taylor's series
         off = (found - wanted)[:, 2:].abs().amax((0, 1))
         assert float(off.max()) < 0.2 * float(moved.max())
     else:
-        torch.testing.assert_close(found, wanted, atol=1e-12, rtol=1e-9)
+        torch.testing.assert_close(found, wanted, atol=1e-9, rtol=1e-9)
     assert float(moved.max()) > 1e-6
-    torch.testing.assert_close(flown(setup, run, mine, [0.0]), plain, atol=1e-12, rtol=0.0)
+    torch.testing.assert_close(flown(setup, run, known["mine"], [0.0]), plain, atol=1e-12, rtol=0)
 
 
-def test_a_row_that_names_no_rotor_or_number_is_refused():
-    made = commanded_in_newtons()
-    ports = description_of(made).ports(made)
+def test_a_force_by_its_law_brakes_along_its_axis():
+    """m v' = -c v: the way is v_0 m / c (1 - exp(-c t / m))."""
+    row = Row.model_validate(
+        {"name": "a", "at": "force", "kind": "force", "law": "-size*v", "typical": 1.0}
+    )
+    brake = row.effect(on_place(row, "x"))
+    channels, t = straight_up(
+        brake, torch.tensor([0.3], dtype=f64), thrust=HOVER, velocity=(5.0, 5.0, 0.0)
+    )
+    # the force of a step's mean speed is held over it: an error of second order
+    np.testing.assert_allclose(channels[:, 0], 5.0 * (1.0 - np.exp(-0.3 * t)) / 0.3, atol=1e-4)
+    np.testing.assert_allclose(channels[:, 1], 5.0 * t, atol=1e-9)
+
+
+def test_a_row_that_names_no_rotor_number_or_axis_is_refused():
     rows = [
         {"name": "a", "at": "command", "map": "u*size", "of": "rotor_5", "typical": 0.1},
         {"name": "b", "at": "number", "add": "masss", "typical": 0.1},
-        {"name": "c", "at": "force", "force": "-size*v", "of": "x", "typical": 0.1},
+        {"name": "c", "at": "force", "law": "-size*v", "of": "north", "typical": 0.1},
     ]
-    with pytest.raises(ValueError) as error:
-        own_causes([OwnRow.model_validate(row) for row in rows], ports, made)
+    with pytest.raises(ValueError, match="no command 'rotor_5'") as error:
+        setup_of(with_rows(commanded_in_newtons(), *rows))
     said = str(error.value)
-    assert "no command 'rotor_5'" in said and "did you mean 'mass'" in said
-    assert "this system has no force for causes of your own" in said
+    assert "did you mean 'mass'" in said and "no force 'north'; known: x, y, z" in said

@@ -258,7 +258,7 @@ def test_flights_of_test_runs_alone_are_set_up_for_a_saved_model():
         next((p.value, p.sd) for p in m.base if p.name == "gust_frequency") for m in (full, framed)
     )
     assert kept == same and framed.frame == full.frame
-    with pytest.raises(ValueError, match="fit the model again"):
+    with pytest.raises(ValueError, match="fit it again"):
         setup_of(replace(new, frame={"full_thrust": 0.3}))
 
 

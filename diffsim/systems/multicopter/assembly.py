@@ -20,7 +20,7 @@ from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
 from diffsim.systems.multicopter.described import ESTIMATOR_GAINS, DescribedFlights
-from diffsim.systems.multicopter.flight import rotor_names
+from diffsim.systems.multicopter.flight import AXES, rotor_names
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
@@ -32,6 +32,7 @@ from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
 VEHICLE, GUST = "vehicle", "gust"  # places of their magnitudes in the record
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
+_PUSH = 0.2  # per mass: a force that is no surprise, as of wind [m/s^2]
 _WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
@@ -50,7 +51,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     known = {k: torch.tensor(q.value).double() for k, q in parameters.quantities.items()}
     mass, count = float(known["mass"]), len(of.commands.columns)
     hover = mass * GRAVITY / count
-    kept = _kept_scales(study)
+    kept = Scales.kept_in(study)
     full_thrust = of.max_thrust if kept is None else kept.plain[VEHICLE]["full_thrust"]
     if full_thrust is None:
         runs = study.fit_runs or study.runs
@@ -94,7 +95,7 @@ def usual_magnitudes(flights: DescribedFlights, study: Study) -> Scales:
         flights: Recipe of the scenes, as assembled.
         study: Study with the recordings.
     """
-    if (kept := _kept_scales(study)) is not None:
+    if (kept := Scales.kept_in(study)) is not None:
         return kept
     nominal, fleet = flights.nominal(), flights.nominal_fleet()
     names, asked = rotor_names(fleet.num_rotors), []
@@ -108,9 +109,25 @@ def usual_magnitudes(flights: DescribedFlights, study: Study) -> Scales:
     }
     return replace(
         Scales.of_runs(replace(study, runs=tuple(asked))),
-        plain={VEHICLE: vehicle},
+        plain={VEHICLE: vehicle, **_axes(flights, study)},
         facts={LONGEST: flights.cutter.longest_s},
     )
+
+
+def _axes(flights: DescribedFlights, study: Study) -> dict[str, dict[str, float]]:
+    """Magnitudes along each axis of the recording's world, at which forces may act."""
+    cutter = flights.cutter
+    states = torch.cat([cutter.record(run).states for run in study.fit_runs or study.runs])
+    way, velocity = (cutter.frames.in_world(part) for part in (states[:, :3], states[:, 6:9]))
+    push = _PUSH * float(flights.nominal_fleet().mass)
+    return {
+        axis: {
+            "push": push,
+            "distance": float(way[:, i].std()) or 1.0,
+            "speed": float(velocity[:, i].square().mean().sqrt()) or 1.0,
+        }
+        for i, axis in enumerate(AXES)
+    }
 
 
 def with_gust(flights: DescribedFlights, study: Study, scales: Scales) -> Scales:
@@ -125,16 +142,6 @@ def with_gust(flights: DescribedFlights, study: Study, scales: Scales) -> Scales
         return scales
     frequency, sd = strongest_frequency(flights, study.fit_runs or study.runs)
     return replace(scales, plain={**scales.plain, GUST: {"frequency": frequency, "sd": sd}})
-
-
-def _kept_scales(study: Study) -> Scales | None:
-    kept = Scales.kept_in(study)
-    if kept is None and study.frame:
-        raise ValueError(
-            "the saved model is of an earlier version, which kept no usual magnitudes; fit the "
-            "model again"
-        )
-    return kept
 
 
 def with_shapes(

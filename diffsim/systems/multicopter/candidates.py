@@ -46,6 +46,8 @@ _ACTS: Mapping[str, Apply] = {
     "climb_moment": moments.pitch_less_in_climb,
     "rate_damping": moments.damp_rates,
     "blind_estimator": effects.estimate_without_drag,
+    "placement": partial(effects.add_to_vector, vector="placement"),
+    "sensor_tilt": partial(effects.add_to_vector, vector="sensor_tilt"),
 }
 _OF_ROTOR = {
     "thrust_loss": rotors.lose_thrust,
@@ -119,7 +121,7 @@ def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
     if not of.has_lag:
         out.append(speed_lag() if of.lags_speed else command_cause("lag", of.thrusts))
     if not of.has_clock:
-        out.append(late_command())
+        out.append(command_cause("delay", of.thrusts, system=SYSTEM))
     return tuple(out)
 
 
@@ -156,7 +158,7 @@ def copter_library(num_rotors: int = 4) -> tuple[Effect, ...]:
             for name in _LIBRARY
         ),
         command_cause("lag", thrusts),
-        late_command(),
+        command_cause("delay", thrusts, system=SYSTEM),
         *rotor_causes(num_rotors),
     )
 
@@ -205,13 +207,6 @@ def speed_lag() -> Effect:
     """The lag of actuators, of the rotors' speed instead of their thrust."""
     form = "First-order lag of the rotors' speed, with the time constant size."
     return rows(ACTUATOR)["lag"].effect(_lag_speeds, form=form)
-
-
-def late_command() -> Effect:
-    """Commands that come late; never early, for what was asked before a record is not known."""
-    row = rows(ACTUATOR)["delay"]
-    row = row.model_copy(update={"map": "delayed_only", "one_sided": True})
-    return row.effect(on_commands(row, (), between="held"))
 
 
 def usual_scales(mass: float, arm: float, num_rotors: int) -> dict[str, float]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from diffsim.causes.channel_groups import WHOLE, channels_of, clock_problems
 from diffsim.causes.own import Ports
 from diffsim.causes.scales import SCALES, Scales
+from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -33,7 +34,7 @@ from diffsim.systems.multicopter.candidates import (
     offered_causes,
 )
 from diffsim.systems.multicopter.described import DescribedFlights
-from diffsim.systems.multicopter.flight import rotor_names
+from diffsim.systems.multicopter.flight import AXES, rotor_names
 from diffsim.systems.multicopter.instruments import instrument_causes, states_sensors
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
@@ -69,7 +70,7 @@ class MulticopterDescription(MulticopterKeys):
         scales = usual_magnitudes(flights, study)
         vehicle = vehicle_of(self, flights, scales, states_sensors=states_sensors(study))
         library = self._library(study, flights, scales, vehicle)
-        effects = chosen_effects(library, self.effects)
+        effects = chosen_effects(library, self.effects, study, self._ports(study, flights, scales))
         names = [e.name for e in effects]
         if "gust" in names and self.gust_frequency is None:
             scales = with_gust(flights, study, scales)
@@ -81,23 +82,22 @@ class MulticopterDescription(MulticopterKeys):
         return DiagnosisSetup(
             model,
             effects,
-            (wrench_of(study.runs, vehicle.mass),),
+            (wrench_of(study.runs, vehicle.mass * GRAVITY),),
             flights_to_record(flights, study.runs),
             settings_with(DiagnosisSettings(), self.effort),
             study=study,
         )
 
-    def ports(self, study: Study) -> Ports:
+    def _ports(self, study: Study, flights: DescribedFlights, scales: Scales) -> Ports:
         """What causes of a user may change; commands are the rotors' thrusts, whatever asks for
         them."""
-        study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
-        flights = assembled(self, study)
         return Ports(
-            usual_magnitudes(flights, study),
+            scales,
             dict.fromkeys(rotor_names(flights.nominal_fleet().num_rotors), "held"),
             tuple(c.name for c in study.channels),
             has_clock=True,
             numbers=NUMBERS,
+            places={axis: scales.plain[axis] for axis in AXES},
         )
 
     def _library(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.estimator import BlindEstimator
+from diffsim.systems.multicopter.flight import AXES
 from diffsim.systems.multicopter.motion import Motion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
@@ -153,3 +156,9 @@ def estimate_without_drag(scene: CopterScene, size: Tensor, run: Run) -> CopterS
     force = scene.force_by_record()
     blind = BlindEstimator.of(record.states, record.acceleration, force, scene.dt, known)
     return scene.changed(estimator=blind)
+
+
+def add_to_vector(scene: CopterScene, size: Tensor, run: Run, *, vector: str) -> CopterScene:
+    for i, axis in enumerate(AXES):
+        scene = scene.with_number(f"{vector}_{axis}", partial(torch.add, size[..., i]))
+    return scene

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from diffsim.causes.ports import SignalChange, SignalMap
+from diffsim.causes.ports import ForceLaw, SignalChange, SignalMap
 from diffsim.causes.signals import Grid, lagged
 from diffsim.copter import FlightEffects
 from diffsim.copter.fleet import Fleet
@@ -32,6 +32,9 @@ SENSORS = {
     "specific_force_in_world": ("fx_m_s2", "fy_m_s2", "fz_m_s2"),
     "acceleration": ("ax_world_m_s2", "ay_world_m_s2", "az_world_m_s2"),
 }
+
+AXES = ("x", "y", "z")  # of the recording's world: places at which forces may act
+FADES = 0.01  # speed below which dry friction fades [m/s]
 
 Schedule = Callable[[Motion, Tensor], Tensor]
 Air = Callable[[Motion], Tensor]
@@ -151,6 +154,19 @@ class CopterFlight:
     def with_air(self, force: Air) -> Self:
         """A copy with one more force that depends on the motion."""
         return self.changed(air=(*self.air, force))
+
+    def with_force(self, place: str, law: ForceLaw) -> Self:
+        """A copy with one more force on the center of mass, along one of ``AXES``."""
+        axis, frames = AXES.index(place), self.frames
+        along = torch.eye(3, dtype=torch.float64)[axis]
+
+        def push(motion: Motion) -> Tensor:
+            way, speed = (frames.in_world(v)[..., axis] for v in (motion.position, motion.velocity))
+            size, fades = law.size.reshape(-1, 1, 1), way.new_tensor(FADES)
+            force = law.formula({"size": size, "x": way, "v": speed, "w": fades})
+            return frames.in_world(force[..., None] * along)
+
+        return self.with_air(push)
 
     def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
         """A copy in which some channels show what was ``delay`` ago, () or (points,) [s]."""

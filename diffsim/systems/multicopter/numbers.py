@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.effects import BodyDrag, RotorDrag
-from diffsim.systems.multicopter.flight import CopterFlight
+from diffsim.systems.multicopter.flight import AXES, CopterFlight
 
 Flight = TypeVar("Flight", bound=CopterFlight)
 Change = Callable[[Tensor], Tensor]
@@ -28,12 +28,11 @@ _VECTORS = {
     "body_rates_offset": "body_rates_offset",
     "accelerometer_offset": "accelerometer_offset",
 }
-_AXES = "xyz"
 NUMBERS = (
     *_OF_VEHICLE,
     *_OF_SENSORS,
     *_ADDED,
-    *(f"{vector}_{axis}" for vector in _VECTORS for axis in _AXES),
+    *(f"{vector}_{axis}" for vector in _VECTORS for axis in AXES),
 )
 
 
@@ -91,7 +90,7 @@ def _change_component(flight: Flight, vector: str, axis: str, change: Change) ->
     turn = turns.get(field, lambda values: values)
     before = turn(getattr(flight, field))
     parts = list(before.unbind(-1))
-    place = _AXES.index(axis)
+    place = AXES.index(axis)
     parts[place] = _change_points(parts[place], change)
     after = _beside(*parts)
     changed = flight.changed(**{field: turn(after)})

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.catalogue import rows
 from diffsim.causes.interpolation import straight
+from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
@@ -41,33 +42,35 @@ def _push(
     return pushed.with_command((), lambda u, grid: u + more.mT)
 
 
-def unknown_wrench(num_knots: int, until_s: float, mass: float = 1.0) -> Effect:
-    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s].
-
-    Args:
-        num_knots: Number of knots.
-        until_s: Time of the last one [s].
-        mass: Of the vehicle [kg]; sets what is usual.
-    """
+def unknown_wrench(num_knots: int, until_s: float) -> Effect:
+    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s]."""
     axes = ("north", "east", "down", "roll", "pitch", "yaw")
     spacing = until_s / (num_knots - 1)
-    return rows("flight")["unknown_wrench"].effect(
-        partial(_push, num_knots=num_knots, spacing=spacing),
-        {"mass": mass},
+    return Effect(
+        name="unknown_wrench",
+        form="World force [N] and body torque [0.02 N m], straight lines between knots of time.",
+        family="unknown",
+        kind="force",
+        unit="N",
+        typical=0.1,
+        also_looks_like=("anything",),
+        apply=partial(_push, num_knots=num_knots, spacing=spacing),
         components=tuple(f"{a}_{k}" for a in axes for k in range(num_knots)),
     )
 
 
-def wrench_of(runs: Sequence[Run], mass: float) -> UnknownForce:
+def wrench_of(runs: Sequence[Run], weight: float) -> UnknownForce:
     """The unknown wrench of a study: knots every 0.2 s, further apart in long runs.
 
     Args:
         runs: Recorded runs; the longest sets the knots.
-        mass: Of the vehicle [kg]; sets what is usual.
+        weight: Of the vehicle [N]; sets what is usual.
     """
     longest = max(float(run.time_s[-1] - run.time_s[0]) for run in runs)
     count = min(max(2, round(longest / _KNOT_S) + 1), _MOST_KNOTS)
     knots = np.linspace(0.0, longest, count)
     smooth = smooth_covariance(knots, 2.0 * float(knots[1]))
     covariance = np.kron(np.eye(6), smooth).astype(np.float64)
-    return UnknownForce(unknown_wrench(count, longest, mass), covariance, "unknown wrench")
+    effect = unknown_wrench(count, longest)
+    effect = replace(effect, typical=effect.typical * weight / GRAVITY)
+    return UnknownForce(effect, covariance, "unknown wrench")
