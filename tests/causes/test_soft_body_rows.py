@@ -104,7 +104,7 @@ def test_a_late_record_is_no_second_cause_beside_a_late_command():
 
 def test_a_saved_model_of_before_is_refused():
     old = replace(PULLED, frame={"timed": True, "reach": [0.0, 4e-3]})
-    with pytest.raises(ValueError, match="the saved model has no scales"):
+    with pytest.raises(ValueError, match="the saved model has no 'scales'"):
         described(old).setup(old)
 
 
