@@ -26,7 +26,7 @@ from benchmarks import copter_control, copter_flight
 from benchmarks.harness import Benchmark, Part, cores, repeat_for, spread
 from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
 from diffsim.copter.codesign import CoDesignError, Limits, SearchOptions, codesign
-from diffsim.copter.flight_state import FlightState
+from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.core import interruptible
 
 Say = Callable[[str], None]

@@ -17,9 +17,9 @@ import torch
 
 from benchmarks.harness import Seconds, cores, repeat_for, spread
 from diffsim.copter import Multicopter
-from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag, RotorDrag
-from diffsim.copter.flight import Feedback, fly
-from diffsim.copter.flight_state import FlightState
+from diffsim.copter.dynamics.flight import Feedback, fly
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.vehicle.effects import BodyDrag, FlightEffects, MotorLag, RotorDrag
 from diffsim.core import interruptible
 from diffsim.core.compiled import INSTRUCTION_SET
 

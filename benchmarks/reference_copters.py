@@ -61,7 +61,7 @@ def hover_lqr() -> Mapping[str, Any]:
 def flight() -> Mapping[str, Any]:
     """Closed-loop flights of two vehicles with drag, lag, wind and ground, and gradients."""
     from diffsim import copter
-    from diffsim.copter import effects
+    from diffsim.copter.vehicle import effects
 
     vehicle, leaves = _tilted()
     held = copter.hover(vehicle.detach())
@@ -151,8 +151,8 @@ def pentacopter_payload() -> Mapping[str, Any]:
 
 def rotor_fits() -> Mapping[str, Any]:
     """Rotor models fitted to the measured thrust stand."""
-    from diffsim.copter.fit_rotor import fit_rotor
-    from diffsim.copter.rotor_table import read_rotor_bench
+    from diffsim.copter.vehicle.fit_rotor import fit_rotor
+    from diffsim.copter.vehicle.rotor_table import read_rotor_bench
     from diffsim.data import find_dataset
 
     folder = find_dataset("rotor_bench")

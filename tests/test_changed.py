@@ -21,21 +21,21 @@ def tests_of():
 @pytest.mark.parametrize(
     ("changed", "meant", "not_meant"),
     [
-        ("diffsim/stokes/flow.py", "stokes/test_flow", "copter/test_hover"),
+        ("diffsim/stokes/flow.py", "stokes/test_flow", "copter/dynamics/test_hover"),
         ("diffsim/cli/info.py", "cli/test_main", "stokes/test_flow"),
         ("diffsim/viz/frames.py", "viz/test_frames", "soft/test_solvers"),
         # by a story's path, by the folder of the docs, by the package that reads its own files
         ("examples/stokes/amplifier.py", "examples/test_stokes", "examples/test_copter"),
         ("docs/soft.md", "docs/test_site", "soft/test_solvers"),
         (
-            "diffsim/copter/designs/pentacopter.yaml",
-            "copter/test_design_files",
+            "diffsim/copter/design/designs/pentacopter.yaml",
+            "copter/design/test_design_files",
             "soft/test_solvers",
         ),
         # by inclusion: the room of the kernel and what stands above it
         ("csrc/kernels/stokes/flow_schur.cpp", "stokes/test_flow", "soft/test_solvers"),
         ("csrc/kernels/linalg/lanes.h", "soft/test_solvers", "data/test_study_file"),
-        ("tests/helpers.py", "copter/test_hover", "cli/test_main"),
+        ("tests/helpers.py", "copter/dynamics/test_hover", "cli/test_main"),
     ],
 )
 def test_tests_of_a_change(tests_of, changed, meant, not_meant):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from diffsim.copter.design_file import load_design
+from diffsim.copter.design.design_file import load_design
 from diffsim.core.inside import inside, require_file_name
 from diffsim.data import load_study
 from diffsim.data.table import open_table

@@ -76,7 +76,7 @@ def elastic_force() -> tuple[Layer, Tensor]:
 
 
 def flight() -> tuple[Layer, Tensor]:
-    from diffsim.copter.flight import fly
+    from diffsim.copter.dynamics.flight import fly
 
     vehicle, effects = crooked_copter(5), all_effects(5, 2)
     start = tumbling(1, 5)

@@ -1,4 +1,4 @@
-// Hover thrusts, Lyapunov and Riccati equations; diffsim/copter/_ops_*.py check the arguments.
+// Hover thrusts, Lyapunov and Riccati equations; diffsim/copter/dynamics checks the arguments.
 #include <Eigen/Core>
 
 #include "bindings/bindings.h"

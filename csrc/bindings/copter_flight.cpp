@@ -1,4 +1,4 @@
-// Flight of multicopters; diffsim/copter/_ops_flight.py checks the arguments.
+// Flight of multicopters; diffsim/copter/dynamics/_ops_flight.py checks the arguments.
 #include <nanobind/stl/string.h>
 
 #include "bindings/bindings.h"

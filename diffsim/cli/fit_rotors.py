@@ -23,8 +23,8 @@ def command(args: argparse.Namespace) -> None:
     Raises:
         FileNotFoundError: no folder of data.
     """
-    from diffsim.copter.fit_rotor import fit_rotor, write_rotor
-    from diffsim.copter.rotor_table import read_rotor_bench
+    from diffsim.copter.vehicle.fit_rotor import fit_rotor, write_rotor
+    from diffsim.copter.vehicle.rotor_table import read_rotor_bench
     from diffsim.core.optional import ask_for
     from diffsim.core.paths import data_folder
 
@@ -33,7 +33,7 @@ def command(args: argparse.Namespace) -> None:
     data = args.data or data_folder()
     if data is None:
         raise FileNotFoundError("no data folder found; give --data or set DIFFSIM_DATA")
-    output = args.output or Path(str(importlib.resources.files("diffsim.copter.rotors")))
+    output = args.output or Path(str(importlib.resources.files("diffsim.copter.vehicle.rotors")))
     for table in read_rotor_bench(data / "rotor_bench").values():
         fit = fit_rotor(table)
         path = write_rotor(fit, output)

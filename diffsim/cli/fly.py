@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from diffsim.copter.design import Design
+    from diffsim.copter.design.design import Design
     from diffsim.copter.simulator.flight_simulator import FlightSimulator, Observer
     from diffsim.copter.simulator.pacing import Pacer
     from diffsim.copter.simulator.setpoint import Pilot
-    from diffsim.copter.vehicle_record import FlyingVehicle
+    from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 
 HELP = "fly a multicopter in simulation"
 
@@ -80,8 +80,8 @@ def command(args: argparse.Namespace) -> None:
 
 def _flown(name: str) -> Design | FlyingVehicle:
     """A design of parts, or a vehicle of numbers: they differ by the key ``parts``."""
-    from diffsim.copter.design_file import load_design
-    from diffsim.copter.vehicle_file import is_vehicle_file, load_vehicle
+    from diffsim.copter.design.design_file import load_design
+    from diffsim.copter.exchange.vehicle_file import is_vehicle_file, load_vehicle
 
     if not is_vehicle_file(name):
         return load_design(name)

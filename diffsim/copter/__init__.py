@@ -4,10 +4,13 @@ World and body frames are north-east-down (NED): x forward, y right, z down; up 
 frame sits at the center of mass.
 """
 
-from diffsim.copter.battery import Battery
-from diffsim.copter.clearance import disc_clearances, min_clearance
-from diffsim.copter.constraints import InfeasibleDesignError
-from diffsim.copter.control_metrics import (
+from diffsim.copter.design.constraints import InfeasibleDesignError
+from diffsim.copter.design.design import Design, build_design
+from diffsim.copter.design.design_file import load_design, save_design
+from diffsim.copter.design.listing import PartEntry
+from diffsim.copter.design.spec import Connection, DesignSpec, PartSpec
+from diffsim.copter.design.spec_file import shipped_designs
+from diffsim.copter.dynamics.control_metrics import (
     control_authority,
     controllability,
     hover_map_singular_value,
@@ -15,25 +18,29 @@ from diffsim.copter.control_metrics import (
     response_time,
     rotor_out_margins,
 )
-from diffsim.copter.design import Design, build_design
-from diffsim.copter.design_file import load_design, save_design
-from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag
-from diffsim.copter.fleet import Fleet
-from diffsim.copter.flight import Feedback, Flight, FlightError, PreparedFlight, fly, prepare_flight
-from diffsim.copter.flight_state import FlightState
-from diffsim.copter.hover import Hover, hover, hover_thrusts
-from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
-from diffsim.copter.import_xml import import_xml
-from diffsim.copter.linearize import LinearModel, linearize, state_rate
-from diffsim.copter.listing import PartEntry
-from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
-from diffsim.copter.rotor import RotorModel, motor_lag, rotor_model, rotor_names
-from diffsim.copter.spec import Connection, DesignSpec, PartSpec
-from diffsim.copter.spec_file import shipped_designs
-from diffsim.copter.stabilizability import RiccatiError
-from diffsim.copter.vehicle import GRAVITY, Multicopter
-from diffsim.copter.vehicle_file import load_vehicle
-from diffsim.copter.vehicle_record import FlyingVehicle
+from diffsim.copter.dynamics.flight import (
+    Feedback,
+    Flight,
+    FlightError,
+    PreparedFlight,
+    fly,
+    prepare_flight,
+)
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.dynamics.hover import Hover, hover, hover_thrusts
+from diffsim.copter.dynamics.hover_result import HoverError, HoverResult, HoverWarning
+from diffsim.copter.dynamics.linearize import LinearModel, linearize, state_rate
+from diffsim.copter.dynamics.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
+from diffsim.copter.dynamics.stabilizability import RiccatiError
+from diffsim.copter.exchange.import_xml import import_xml
+from diffsim.copter.exchange.vehicle_file import load_vehicle
+from diffsim.copter.vehicle.battery import Battery
+from diffsim.copter.vehicle.clearance import disc_clearances, min_clearance
+from diffsim.copter.vehicle.effects import BodyDrag, FlightEffects, MotorLag
+from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
+from diffsim.copter.vehicle.rotor import RotorModel, motor_lag, rotor_model, rotor_names
+from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 
 __all__ = [
     "GRAVITY",

@@ -11,7 +11,7 @@ from diffsim.core.yaml_text import read_text
 
 
 def shipped(folder: str) -> tuple[str, ...]:
-    """Names of the files in a folder of ``diffsim.copter``, such as "designs"."""
+    """Names of the files in a folder of ``diffsim.copter``, such as "design/designs"."""
     entries = resources.files("diffsim.copter").joinpath(folder).iterdir()
     return tuple(sorted(Path(e.name).stem for e in entries if e.name.endswith(".yaml")))
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.copter.rotor import RotorModel
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.check import require, require_number
 from diffsim.core.rotation import matrix_from_rpy
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.airframe import Airframe
-from diffsim.copter.effects import FlightEffects, MotorLag
-from diffsim.copter.flight import Feedback, Flight, fly
-from diffsim.copter.flight_state import FlightState
-from diffsim.copter.hover import hover
-from diffsim.copter.linearize import linearize
-from diffsim.copter.lqr import lqr
+from diffsim.copter.dynamics.flight import Feedback, Flight, fly
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.dynamics.hover import hover
+from diffsim.copter.dynamics.linearize import linearize
+from diffsim.copter.dynamics.lqr import lqr
+from diffsim.copter.vehicle.effects import FlightEffects, MotorLag
 
 Array = NDArray[np.float64]
 # What the controller's numbers weigh, and the states of 12 that share each.

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from diffsim.copter import Battery, Fleet, FlightEffects, Multicopter, rotor_model
-from diffsim.copter.effects import BatterySag
+from diffsim.copter.vehicle.effects import BatterySag
 from diffsim.envs.task import Randomization, Randomizing
 
 PACKED = ("mass", "inertia", "drag", "motor_lag")  # factors that are parameters of the kernel

@@ -23,7 +23,7 @@ from diffsim.copter import (
     load_design,
     prepare_flight,
 )
-from diffsim.copter.effects import BodyDrag, MotorLag
+from diffsim.copter.vehicle.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
 from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from diffsim.copter.design import Design
+from diffsim.copter.design.design import Design
 from diffsim.copter.simulator import FlightLog
-from diffsim.copter.vehicle_record import FlyingVehicle
+from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, CYCLE

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from diffsim.copter.design import Design
+from diffsim.copter.design.design import Design
 from diffsim.copter.simulator import FlightLog, FlightSample
-from diffsim.copter.vehicle_record import FlyingVehicle
+from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS
 from diffsim.viz.flight_shapes import FlightShapes, shapes_of

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.copter.design import Design
-from diffsim.copter.rotor import RotorModel
+from diffsim.copter.design.design import Design
 from diffsim.copter.simulator import flight_rotors
-from diffsim.copter.vehicle import Multicopter
-from diffsim.copter.vehicle_record import FlyingVehicle
+from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.copter.vehicle.rotor import RotorModel
+from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 
 if TYPE_CHECKING:
     import trimesh

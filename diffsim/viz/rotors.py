@@ -11,7 +11,7 @@ from diffsim.viz.figures import COLORS, INK, SOFT, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from diffsim.copter.fit_rotor import CurveFit, RotorFit
+    from diffsim.copter.vehicle.fit_rotor import CurveFit, RotorFit
 
 _PANELS = {
     "thrust": ("speed [rad/s]", "thrust [N]"),

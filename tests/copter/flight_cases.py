@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from diffsim.copter import Multicopter
-from diffsim.copter.effects import (
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.vehicle.effects import (
     BatterySag,
     BodyDrag,
     FlightEffects,
@@ -16,7 +17,6 @@ from diffsim.copter.effects import (
     RotorDrag,
     ThrustCurve,
 )
-from diffsim.copter.flight_state import FlightState
 
 
 def tensor(value):

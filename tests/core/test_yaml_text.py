@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from diffsim.copter.design_file import load_design
+from diffsim.copter.design.design_file import load_design
 from diffsim.core.yaml_text import load_yaml, read_yaml_file
 from diffsim.data import load_study
 from diffsim.identify.model_file import read_extended

@@ -90,7 +90,7 @@ def test_gradients_flow_past_randomized_parameters() -> None:
 
 
 def test_packed_once_per_episode(monkeypatch) -> None:
-    from diffsim.copter import flight
+    from diffsim.copter.dynamics import flight
 
     count, pack = [], flight.parameter_rows
     monkeypatch.setattr(flight, "parameter_rows", lambda *a: count.append(1) or pack(*a))

@@ -8,7 +8,8 @@ import torch
 
 pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
 
-from diffsim.copter import flight, load_design
+from diffsim.copter import load_design
+from diffsim.copter.dynamics import flight
 from diffsim.envs import make_task
 from tests import warm
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.copter import flight
-from diffsim.copter.fleet import Fleet
+from diffsim.copter.dynamics import flight
+from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter import readings
 from diffsim.systems.multicopter.candidates import flight_cause, usual_scales
 from diffsim.systems.multicopter.flying import Flyer

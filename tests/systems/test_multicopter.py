@@ -10,8 +10,8 @@ import torch
 
 from diffsim import copter
 from diffsim.copter import GRAVITY
-from diffsim.copter.fleet import Fleet
-from diffsim.copter.sensors import finite_acceleration
+from diffsim.copter.dynamics.sensors import finite_acceleration
+from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter, coarse

@@ -401,7 +401,7 @@ def test_throttles_and_pulses_are_thrusts_by_their_laws():
     assert thrusts(commands=speed, thrust=law) == pytest.approx([0.16, 0.36])
     assert thrusts(commands={**columns, "as": "thrust"}, thrust=None) == pytest.approx([400, 600])
     shipped = {"thrust": None, "torque_ratio": None, "rotor_model": "kde2814_10in"}
-    from diffsim.copter.rotor import rotor_model
+    from diffsim.copter.vehicle.rotor import rotor_model
 
     want = rotor_model("kde2814_10in").thrust(torch.tensor([400.0, 600.0], dtype=f64))
     assert thrusts(commands=speed, **shipped) == pytest.approx(want.tolist())

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.airframe import Airframe
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.core.check import require_number
 
 _MIRROR = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)

@@ -15,7 +15,7 @@ from diffsim.copter.codesign.limits import Scales
 from diffsim.copter.codesign.metrics import ALTERNATING, require_cvxpy
 from diffsim.copter.codesign.space import Shape
 from diffsim.copter.codesign.task import Task
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 
 
 def lower_bound(task: Task) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.copter.codesign.wrench import Case, Rotors
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.check import require_number
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from diffsim.copter.codesign.limits import Limits, Scales
 from diffsim.copter.codesign.metrics import EPIGRAPH, CurrentModel
 from diffsim.copter.codesign.space import Shape, ShapeModel
 from diffsim.copter.codesign.wrench import Case, Rotors
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 
 Array = NDArray[np.float64]
 

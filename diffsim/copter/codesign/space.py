@@ -14,8 +14,8 @@ from torch import Tensor
 
 from diffsim.copter.codesign.polynomial import RTOL, Polynomial, fit
 from diffsim.copter.codesign.polytope import closest_feasible, random_feasible
-from diffsim.copter.design import Design
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.design.design import Design
+from diffsim.copter.vehicle.multicopter import Multicopter
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.task import Point, Task
-from diffsim.copter.control_metrics import controllability
-from diffsim.copter.linearize import linearize
+from diffsim.copter.dynamics.control_metrics import controllability
+from diffsim.copter.dynamics.linearize import linearize
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from diffsim.copter.codesign.metrics import require_cvxpy
 from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.codesign.wrench import skew
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 
 Array = NDArray[np.float64]
 

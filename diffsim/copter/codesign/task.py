@@ -19,7 +19,7 @@ from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.solve import LocalSolution, solve_local
 from diffsim.copter.codesign.space import DesignSpace, ShapeModel
 from diffsim.copter.codesign.wrench import Rotors
-from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffsim.copter.design import Design
+from diffsim.copter.design.design import Design
 from diffsim.copter.fabrication.motors import MotorPlan
 from diffsim.copter.fabrication.printable import clip_angles, clip_middle, has_screw_holes
 from diffsim.copter.fabrication.rods import RodCut
-from diffsim.copter.geometry import UP, Array
+from diffsim.copter.vehicle.geometry import UP, Array
 
 _SAME_AXIS = 1e-6  # [m]
 

@@ -6,10 +6,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from diffsim.copter.design import Design
+from diffsim.copter.design.design import Design
+from diffsim.copter.design.listing import PartEntry
+from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.fabrication.printable import clip_middle
-from diffsim.copter.listing import PartEntry
-from diffsim.copter.placement import PlacedPart
 
 _SCREWS = (8, 10, 12, 16, 20, 25, 30, 35, 40, 50, 60)  # lengths in which M3 is sold [mm]
 _GRIP = 10.0  # of a screw in what it is screwed into [mm]

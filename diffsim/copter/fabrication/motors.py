@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffsim.copter.design import Design
-from diffsim.copter.geometry import Array
+from diffsim.copter.design.design import Design
+from diffsim.copter.vehicle.geometry import Array
 
 _UPRIGHT = 0.01  # a motor that deviates by less has no azimuth to speak of [deg]
 

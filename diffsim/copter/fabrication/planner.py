@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch import Tensor
 
-from diffsim.copter.clearance import disc_clearances
-from diffsim.copter.design import Design
+from diffsim.copter.design.design import Design
+from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.fabrication.assembly import ConnectorPlace, connector_places, steps
 from diffsim.copter.fabrication.materials import MaterialLine, bill, consumables
 from diffsim.copter.fabrication.motors import MotorPlan, motor_plans
@@ -21,8 +21,8 @@ from diffsim.copter.fabrication.overlap import Overlap, overlaps
 from diffsim.copter.fabrication.print_check import PrintCheck, Printer, check_print
 from diffsim.copter.fabrication.printable import print_mesh
 from diffsim.copter.fabrication.rods import RodCut, StockBar, pack, rod_cuts
-from diffsim.copter.geometry import Array
-from diffsim.copter.placement import PlacedPart
+from diffsim.copter.vehicle.clearance import disc_clearances
+from diffsim.copter.vehicle.geometry import Array
 from diffsim.core.errors import DiffsimError
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffsim.copter.design import Design
+from diffsim.copter.design.design import Design
+from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.fabrication.prism import circle, perforated_prism, refined
-from diffsim.copter.geometry import Array
-from diffsim.copter.placement import PlacedPart
+from diffsim.copter.vehicle.geometry import Array
 
 if TYPE_CHECKING:
     import trimesh

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from diffsim.copter.geometry import Array
+from diffsim.copter.vehicle.geometry import Array
 from diffsim.core.errors import MeshError
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from diffsim.copter.listing import PartEntry
-from diffsim.copter.placement import PlacedPart
+from diffsim.copter.design.listing import PartEntry
+from diffsim.copter.design.placement import PlacedPart
 from diffsim.core.check import require_number
 
 _SAME = 1e-4  # lengths that agree to a tenth of a millimeter are cut alike [m]

@@ -9,14 +9,14 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from diffsim.copter.flight_state import FlightState
-from diffsim.copter.hover import hover
-from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
-from diffsim.copter.linearize import linearize
-from diffsim.copter.lqr import lqr
-from diffsim.copter.pid import PidController, PidGains
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.dynamics.hover import hover
+from diffsim.copter.dynamics.hover_result import HoverError, HoverResult, HoverWarning
+from diffsim.copter.dynamics.linearize import linearize
+from diffsim.copter.dynamics.lqr import lqr
+from diffsim.copter.dynamics.pid import PidController, PidGains
 from diffsim.copter.simulator.setpoint import Setpoint
-from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion, quaternion_from_rpy
 

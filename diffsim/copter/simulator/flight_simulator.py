@@ -9,12 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter.battery import Battery
-from diffsim.copter.design import Design
-from diffsim.copter.effects import FlightEffects
-from diffsim.copter.flight import FlightError, fly
-from diffsim.copter.flight_state import FlightState
-from diffsim.copter.rotor import RotorModel, motor_lag
+from diffsim.copter.design.design import Design
+from diffsim.copter.dynamics.flight import FlightError, fly
+from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.simulator.controllers import (
     Controller,
     LqrController,
@@ -28,8 +25,11 @@ from diffsim.copter.simulator.pacing import Pacer
 from diffsim.copter.simulator.payload import require_payload, with_payload
 from diffsim.copter.simulator.sensing import FlightSensors, SensorStream, StateEstimator
 from diffsim.copter.simulator.setpoint import Pilot, Setpoint
-from diffsim.copter.vehicle import Multicopter
-from diffsim.copter.vehicle_record import FlyingVehicle
+from diffsim.copter.vehicle.battery import Battery
+from diffsim.copter.vehicle.effects import FlightEffects
+from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.copter.vehicle.rotor import RotorModel, motor_lag
+from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 from diffsim.core.check import require_choice, require_number
 
 CONTROLLERS = ("lqr", "pid")

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import torch
 
-from diffsim.copter.flight import FlightError
-from diffsim.copter.flight_state import FlightState
+from diffsim.copter.dynamics.flight import FlightError
+from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.core.check import require_number
 
 

@@ -9,9 +9,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.copter.parts.rotors import ROTOR_NAMES, rotor_data
-from diffsim.copter.rotor import SIGNAL_HIGH, SIGNAL_LOW, RotorModel, rotor_model, rotor_names
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.copter.vehicle.parts.rotors import ROTOR_NAMES, rotor_data
+from diffsim.copter.vehicle.rotor import (
+    SIGNAL_HIGH,
+    SIGNAL_LOW,
+    RotorModel,
+    rotor_model,
+    rotor_names,
+)
 from diffsim.core.check import require_number
 
 SAFE_PWM = 1800.0  # the thesis's clamp, Fig. 3-9 [us]

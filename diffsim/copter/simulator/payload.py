@@ -6,11 +6,11 @@ import torch
 from scipy.optimize import brentq
 from torch import Tensor
 
-from diffsim.copter.battery import Battery
-from diffsim.copter.control_metrics import max_hover_weight
-from diffsim.copter.hover import hover_thrusts
+from diffsim.copter.dynamics.control_metrics import max_hover_weight
+from diffsim.copter.dynamics.hover import hover_thrusts
 from diffsim.copter.simulator.outputs import MotorOutputs
-from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.copter.vehicle.battery import Battery
+from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require_number
 
 

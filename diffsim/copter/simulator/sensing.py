@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
-from diffsim.copter.flight_state import FlightState
-from diffsim.copter.sensors import SensorNoise
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.dynamics.sensors import SensorNoise
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.check import require_number
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ import torch
 from diffsim.causes.channel_groups import channels_of, clock_of
 from diffsim.causes.scales import Scales
 from diffsim.copter import Multicopter
-from diffsim.copter.design_file import load_design
-from diffsim.copter.rotor import RotorModel, rotor_model
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.design.design_file import load_design
+from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.copter.vehicle.rotor import RotorModel, rotor_model
 from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.flight import SENSORS

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffsim.causes.signals import held_delayed, held_lagged
 from diffsim.copter import Multicopter
-from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diffsim.causes.channel_groups import WHOLE, channels_of, clock_problems
 from diffsim.causes.own import Ports
 from diffsim.causes.scales import SCALES, Scales
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem

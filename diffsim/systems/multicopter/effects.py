@@ -7,8 +7,8 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from diffsim.copter.fleet import Fleet
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.flight import AXES

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import cross, matrix_from_rpy, skew
 
 _FEW_STEPS = 64  # beyond these steps are chained

@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.causes.ports import ForceLaw, SignalChange, SignalMap
 from diffsim.causes.signals import Grid, lagged
 from diffsim.copter import FlightEffects
-from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter.estimator import BlindEstimator, force_of
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.lag import lagged_in_windows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.scene import CopterScene, amount

@@ -14,7 +14,7 @@ from torch import Tensor
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.causes.signals import held_lagged
 from diffsim.copter import Multicopter
-from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.check import require_choice
 from diffsim.core.layer import may_be_differentiated
 from diffsim.identify import Parameter

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from torch import Tensor
 
-from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle.fleet import Fleet
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from diffsim.copter.effects import BodyDrag, RotorDrag
+from diffsim.copter.vehicle.effects import BodyDrag, RotorDrag
 from diffsim.systems.multicopter.flight import AXES, CopterFlight
 
 Flight = TypeVar("Flight", bound=CopterFlight)

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.signals import Grid
-from diffsim.copter.fleet import Fleet
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_from_rotation_vector,

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights

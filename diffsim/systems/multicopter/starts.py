@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy, rpy_from_matrix
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.shooting import guess_states, slope

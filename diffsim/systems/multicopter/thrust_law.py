@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import Multicopter
-from diffsim.copter.fleet import Fleet
-from diffsim.copter.rotor import RotorModel
+from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.frames import Frames

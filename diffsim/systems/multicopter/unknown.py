@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.interpolation import straight
-from diffsim.copter.vehicle import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance

@@ -8,9 +8,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import labs.virtual.multicopter as lab_module
-from diffsim.copter.flight import fly
-from diffsim.copter.flight_state import FlightState
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.dynamics.flight import fly
+from diffsim.copter.dynamics.flight_state import FlightState
+from diffsim.copter.vehicle.multicopter import Multicopter
 from labs.virtual import CopterLab
 from labs.virtual.multicopter import GRAVITY, MANEUVERS, _Flight
 from labs.virtual.quaternions import matrix

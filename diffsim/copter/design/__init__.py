@@ -1,0 +1,1 @@
+"""How a design is written, composed of parts, and kept feasible."""

@@ -1,0 +1,1 @@
+"""How a multicopter moves: hover, linear model, regulators, flight, sensors."""

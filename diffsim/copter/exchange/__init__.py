@@ -1,0 +1,1 @@
+"""Vehicles and designs of other tools' files, and vehicles by their numbers."""

@@ -1,0 +1,184 @@
+"""Mass properties and rotors of MJCF and URDF files, compiled by MuJoCo.
+
+MuJoCo is an optional package: ``pip install mujoco``. In MJCF a rotor is a motor at a site whose
+gear is (0, 0, force, 0, 0, torque), as in the vehicles of MuJoCo Menagerie.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.copter.exchange.xml_nodes import read_nodes
+from diffsim.copter.vehicle.battery import LIPO_NOMINAL
+from diffsim.copter.vehicle.rotor import RotorModel
+from diffsim.copter.vehicle.vehicle_record import (
+    DEFAULT_CELLS,
+    FRD,
+    Body,
+    FlyingVehicle,
+    assembled,
+    own_rotor,
+    usual_radius,
+)
+from diffsim.core.optional import optional
+
+Array = NDArray[np.float64]
+
+
+def body_of(path: Path) -> Body:
+    """Mass, inertia, center of mass and named places of the first body that moves.
+
+    Args:
+        path: MJCF (``.xml``) or URDF.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: MuJoCo refuses it, or nothing in it moves.
+        ImportError: MuJoCo is not installed.
+    """
+    return _body(*_compiled(path), path)
+
+
+def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
+    """A multicopter whose rotors are motors at sites.
+
+    Args:
+        path: MJCF file.
+
+    Returns:
+        The vehicle. Radii are assumed from the distances of the rotors: MJCF does not say them.
+
+    Raises:
+        ValueError: no such motors, or what ``body_of`` refuses.
+        ImportError: MuJoCo is not installed.
+    """
+    mujoco, model, data = _compiled(path)
+    body = _body(mujoco, model, data, path)
+    places, axes, spins, motors = [], [], [], []
+    for k in range(model.nu):
+        gear = model.actuator_gear[k]
+        is_site = model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_SITE
+        if not is_site or gear[2] == 0.0 or np.any(gear[[0, 1, 3, 4]]):
+            continue
+        site = model.site(model.actuator_trnid[k, 0])
+        push = float(model.actuator_gainprm[k, 0] * gear[2])
+        limit = float(model.actuator_ctrlrange[k, 1])
+        name = model.actuator(k).name or f"actuator {k}"
+        if not model.actuator_ctrllimited[k] or not push * limit > 0.0:
+            raise ValueError(
+                f"{path}: motor {name!r} needs a ctrlrange up to its greatest thrust, such as "
+                '"0 13"'
+            )
+        if gear[5] == 0.0:
+            raise ValueError(f"{path}: motor {name!r} has no torque in its gear: spin unknown")
+        places.append(body.places[site.name or f"site {site.id}"])
+        axes.append(np.sign(gear[2]) * body.axes[site.name or f"site {site.id}"])
+        spins.append(float(np.sign(gear[5] / gear[2])))
+        motors.append((abs(push) * limit, abs(float(gear[5] / gear[2]))))
+    if not motors:
+        raise ValueError(
+            f"{path}: no rotor found: none of its {model.nu} actuators is a motor at a site with "
+            "gear (0, 0, force, 0, 0, torque); write a vehicle file with body_file: "
+            f"{path.name} and rotors with body: NAME, spin"
+        )
+    if len(motors) == 1:
+        raise ValueError(f"{path}: one rotor only; its radius is not known from distances")
+    radius = usual_radius(np.array(places))
+    rotors = tuple(_rotor(radius, *motor) for motor in motors)
+    vehicle = assembled(
+        body.mass,
+        FRD @ body.inertia @ FRD,
+        (np.array(places) - body.center_of_mass) @ FRD,
+        np.array(axes) @ FRD,
+        spins,
+        rotors,
+    )
+    name = ElementTree.parse(path).getroot().get("model") or path.stem
+    return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
+
+
+def _rotor(radius: float, max_thrust: float, torque_ratio: float) -> RotorModel:
+    rotor = own_rotor(
+        f"{1e3 * radius:.0f} mm, {max_thrust:g} N, {torque_ratio:g} m",
+        radius=radius,
+        max_thrust=max_thrust,
+        torque_ratio=torque_ratio,
+        nominal_voltage=DEFAULT_CELLS * LIPO_NOMINAL,
+    )
+    return replace(rotor, assumed=(*rotor.assumed, "nominal_voltage", "radius"))
+
+
+def _compiled(path: Path) -> tuple[Any, Any, Any]:
+    """The module, the compiled model, and its state at rest."""
+    if not path.is_file():
+        raise FileNotFoundError(f"no file {path}")
+    read_nodes(path)  # refuses what is over the bounds of files of strangers
+    mujoco: Any = optional("mujoco", purpose=f"reading {path.name}")
+    try:
+        if path.suffix == ".urdf":
+            model = mujoco.MjModel.from_xml_string(_urdf(path))
+        else:
+            model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, ElementTree.ParseError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return mujoco, model, data
+
+
+def _urdf(path: Path) -> str:
+    """The same robot without shapes, whose files need not be here, every link a body.
+
+    Raises:
+        ValueError: the file is no robot.
+    """
+    robot = ElementTree.parse(path).getroot()
+    if robot.tag != "robot":
+        raise ValueError(f"URDF begins with <robot>, got <{robot.tag}>")
+    for link in robot.findall("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
+    compiler.set("fusestatic", "false")  # links that are welded on keep their names
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _body(mujoco: Any, model: Any, data: Any, path: Path) -> Body:
+    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    tops = np.flatnonzero(model.body_parentid[1:] == 0) + 1
+    movers = tops if path.suffix == ".urdf" else free  # MuJoCo welds a URDF's root to the world
+    if len(movers) != 1:
+        raise ValueError(
+            f"{path}: needs one body with a free joint, the vehicle; it has {len(movers)}"
+        )
+    root = int(movers[0])
+    members = [b for b in range(model.nbody) if model.body_rootid[b] == model.body_rootid[root]]
+    turn, origin = data.xmat[root].reshape(3, 3).T, data.xpos[root]
+    masses = model.body_mass[members]
+    centers = (data.xipos[members] - origin) @ turn.T
+    if not masses.sum() > 0.0:
+        raise ValueError(f"{path}: the vehicle has no mass")
+    center = masses @ centers / masses.sum()
+    inertia = np.zeros((3, 3))
+    for b, mass, place in zip(members, masses, centers - center, strict=True):
+        frame = turn @ data.ximat[b].reshape(3, 3)
+        inertia += frame @ np.diag(model.body_inertia[b]) @ frame.T
+        inertia += mass * (place @ place * np.eye(3) - np.outer(place, place))
+    places, axes = {}, {}
+    for b in members:
+        name = model.body(b).name
+        places[name] = turn @ (data.xpos[b] - origin)
+        axes[name] = turn @ data.xmat[b].reshape(3, 3)[:, 2]
+    for s in range(model.nsite):
+        if model.site_bodyid[s] in members:
+            name = model.site(s).name or f"site {s}"
+            places[name] = turn @ (data.site_xpos[s] - origin)
+            axes[name] = turn @ data.site_xmat[s].reshape(3, 3)[:, 2]
+    return Body(float(masses.sum()), inertia, center, places, axes)

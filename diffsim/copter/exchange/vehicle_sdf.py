@@ -1,0 +1,245 @@
+"""Multicopters of SDF files (Gazebo), read without Gazebo.
+
+All links are one rigid body; rotors are the motor models, plugins that state ``motorConstant``
+[N s^2/rad^2], ``momentConstant`` [m], ``maxRotVelocity`` [rad/s] and ``turningDirection``, as
+``gz-sim-multicopter-motor-model-system`` and ``libgazebo_motor_model.so`` do. A rotor pushes along
+its link's z axis. Shapes, sensors, drag and rolling moments are not read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.copter.exchange.sdf_frames import Frames, pose_of
+from diffsim.copter.exchange.xml_nodes import Node, read_nodes
+from diffsim.copter.vehicle.battery import LIPO_NOMINAL
+from diffsim.copter.vehicle.rotor import RotorModel
+from diffsim.copter.vehicle.vehicle_record import (
+    DEFAULT_CELLS,
+    FRD,
+    Body,
+    FlyingVehicle,
+    assembled,
+    own_rotor,
+    usual_radius,
+)
+from diffsim.core.check import did_you_mean
+
+Array = NDArray[np.float64]
+
+_ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_SPINS = {"cw": 1.0, "ccw": -1.0}
+
+
+@dataclass(frozen=True)
+class _Motor:
+    """A motor model: its link, spin, thrust at full speed [N], and what a rotor is made of."""
+
+    link: str
+    spin: float
+    max_thrust: float
+    torque_ratio: float
+    max_speed: float
+    time_constant: float
+    lags_differ: bool
+    radius: float | None
+
+
+def sdf_body(path: Path) -> Body:
+    """Mass, inertia and center of mass of all links, and where they are, in the model's frame.
+
+    Args:
+        path: SDF file of one model, or of a world with one model that moves.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: not such a file, by line; links without mass; other files are included.
+    """
+    return _body(Frames.of(_model(path)))
+
+
+def vehicle_of_sdf(path: Path) -> FlyingVehicle:
+    """A multicopter whose rotors are Gazebo's motor models.
+
+    Args:
+        path: SDF file.
+
+    Returns:
+        The vehicle. A rotor's radius is that of its link's collision shape; without one it is
+        assumed from the distances of the rotors. The lag is the longer one, up or down.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: no motor models, or what ``sdf_body`` refuses.
+    """
+    model = _model(path)
+    frames = Frames.of(model)
+    body = _body(frames)
+    motors = [_motor(plugin, frames) for plugin in _plugins(model)]
+    if not motors:
+        raise ValueError(
+            f"{path}: no rotor found: no plugin states motorConstant; write a vehicle file with "
+            f"body_file: {path.name} and rotors with body: NAME, spin"
+        )
+    places = np.array([body.places[m.link] for m in motors])
+    if len(motors) == 1 and motors[0].radius is None:
+        raise ValueError(f"{path}: one rotor only, of a link without a cylinder or box: no radius")
+    radius = 0.0 if len(motors) == 1 else usual_radius(places)
+    rotors = tuple(_rotor(motor, radius) for motor in motors)
+    vehicle = assembled(
+        body.mass,
+        FRD @ body.inertia @ FRD,
+        (places - body.center_of_mass) @ FRD,
+        np.array([body.axes[m.link] for m in motors]) @ FRD,
+        [m.spin for m in motors],
+        rotors,
+    )
+    name = model.attributes.get("name") or path.stem
+    return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
+
+
+def _model(path: Path) -> Node:
+    """The one model of a file that moves."""
+    if not path.is_file():
+        raise FileNotFoundError(f"no file {path}")
+    root = read_nodes(path)
+    if root.tag != "sdf":
+        raise root.error(f"SDF begins with <sdf>, got <{root.tag}>")
+    models = [m for place in (root, *root.all("world")) for m in place.all("model")]
+    moving = [m for m in models if not _is_static(m)]
+    if len(moving) != 1:
+        names = ", ".join(m.attributes.get("name", "?") for m in moving) or "none"
+        raise root.error(f"needs one <model> that moves, the vehicle; it has {names}")
+    return moving[0]
+
+
+def _is_static(model: Node) -> bool:
+    said = model.one("static")
+    return said is not None and said.content.strip() in ("true", "1")
+
+
+def _body(frames: Frames) -> Body:
+    parts = []
+    places, axes = {}, {}
+    for name, link in frames.links.items():
+        turn, place = frames.pose(name)
+        places[name], axes[name] = place, turn[:, 2]
+        parts.append(_inertial(link, turn, place))
+    if not parts:
+        raise ValueError("the model has no links")
+    masses = np.array([mass for mass, _, _ in parts])
+    centers = np.array([center for _, center, _ in parts])
+    center = masses @ centers / masses.sum()
+    inertia = np.zeros((3, 3))
+    for (mass, _, own), arm in zip(parts, centers - center, strict=True):
+        inertia += own + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))  # Steiner
+    return Body(float(masses.sum()), inertia, center, places, axes)
+
+
+def _inertial(link: Node, turn: Array, place: Array) -> tuple[float, Array, Array]:
+    """Mass, center of mass and inertia about it, axes of the model."""
+    said = link.one("inertial")
+    if said is None or said.one("mass") is None:
+        raise link.error(
+            f"link {link.attributes['name']!r} states no mass; Gazebo would take 1 kg: give "
+            "<inertial><mass>"
+        )
+    if said.attributes.get("auto", "false") in ("true", "1"):
+        raise said.error("auto inertia is computed by Gazebo; write its numbers: gz sdf -p FILE")
+    if said.one("fluid_added_mass") is not None:
+        raise said.error("<fluid_added_mass> is not supported for vehicles of the air")
+    mass = said.value("mass")
+    if not mass > 0.0:
+        raise said.error(f"<mass> must be above 0, got {mass:g}")
+    tensor = said.one("inertia")
+    if tensor is None:
+        raise said.error("<inertial> needs <inertia>")
+    xx, yy, zz, xy, xz, yz = (tensor.value(e, 0.0 if e[1] != e[2] else None) for e in _ENTRIES)
+    own_turn, own_place = pose_of(said)
+    frame = turn @ own_turn
+    inertia = frame @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ frame.T
+    return mass, turn @ own_place + place, inertia
+
+
+def _plugins(model: Node) -> list[Node]:
+    """Motor models of a model and of those in it."""
+    own = [p for p in model.all("plugin") if p.one("motorConstant") is not None]
+    return own + [p for inner in model.all("model") for p in _plugins(inner)]
+
+
+def _motor(plugin: Node, frames: Frames) -> _Motor:
+    link = plugin.one("linkName")
+    if link is None:
+        raise plugin.error("the motor model needs <linkName>")
+    stated = link.content.strip()
+    named = [n for n in frames.links if n == stated or n.endswith(f"::{stated}")]
+    if stated in named:
+        named = [stated]
+    if len(named) != 1:
+        hint = did_you_mean(stated, frames.links)
+        raise link.error(f"{len(named)} links are called {stated!r}{hint}")
+    spin = plugin.one("turningDirection")
+    said = "" if spin is None else spin.content.strip()
+    (spin or plugin).require_choice("turningDirection", said, _SPINS)
+    kind = plugin.one("motorType")
+    if kind is not None:
+        kind.require_choice("motorType", kind.content.strip(), ["velocity"])
+    speed = plugin.value("maxRotVelocity")
+    numbers = {
+        "maxRotVelocity": speed,
+        "motorConstant": plugin.value("motorConstant"),
+        "momentConstant": plugin.value("momentConstant"),
+    }
+    for name, number in numbers.items():
+        if not number > 0.0:
+            raise plugin.error(f"<{name}> must be above 0, got {number:g}")
+    lags = [plugin.value(f"timeConstant{way}", 0.0) for way in ("Up", "Down")]
+    return _Motor(
+        link=named[0],
+        spin=_SPINS[said],
+        max_thrust=numbers["motorConstant"] * speed**2,
+        torque_ratio=numbers["momentConstant"],
+        max_speed=speed,
+        time_constant=max(lags),
+        lags_differ=lags[0] != lags[1],
+        radius=_radius(frames.links[named[0]]),
+    )
+
+
+def _radius(link: Node) -> float | None:
+    """Radius of a rotor's collision shape: a cylinder, or a box around the blades [m]."""
+    found = []
+    for collision in link.all("collision"):
+        geometry = collision.one("geometry")
+        shape = None if geometry is None else geometry.one("cylinder")
+        if shape is not None:
+            found.append(shape.value("radius"))
+        box = None if geometry is None else geometry.one("box")
+        size = None if box is None else box.one("size")
+        if size is not None:
+            found.append(0.5 * max(size.content_numbers(3)))
+    return max(found, default=None)
+
+
+def _rotor(motor: _Motor, usual: float) -> RotorModel:
+    radius = usual if motor.radius is None else motor.radius
+    kind = (
+        f"{1e3 * radius:.0f} mm, {motor.max_thrust:g} N at {motor.max_speed:g} rad/s, "
+        f"{motor.torque_ratio:g} m, {motor.time_constant:g} s"
+    )
+    rotor = own_rotor(
+        kind,
+        radius=radius,
+        max_thrust=motor.max_thrust,
+        torque_ratio=motor.torque_ratio,
+        nominal_voltage=DEFAULT_CELLS * LIPO_NOMINAL,
+        max_speed=motor.max_speed,
+        time_constant=motor.time_constant if motor.time_constant > 0.0 else None,
+    )
+    more = ["nominal_voltage", *(["radius"] if motor.radius is None else [])]
+    more += ["time_constant"] if motor.lags_differ else []
+    return replace(rotor, assumed=tuple(sorted({*rotor.assumed, *more})))

@@ -1,0 +1,99 @@
+"""The part database: kinds by name (thesis 3.2.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from inspect import Parameter, signature
+from typing import Any
+
+from diffsim.copter.vehicle.parts.fittings import (
+    compound_angle_clip,
+    motor,
+    propeller,
+    round_connector,
+    screw_mount,
+    standoff,
+)
+from diffsim.copter.vehicle.parts.frames import mesh_frame, outline_frame, x_frame
+from diffsim.copter.vehicle.parts.imported import imported_mesh, imported_motor, imported_rod
+from diffsim.copter.vehicle.parts.part import Part, PartMaker
+from diffsim.copter.vehicle.parts.structure import box_part, circular_plate, plate, rod
+from diffsim.core.check import require_choice, require_number
+
+
+def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:
+    """A three-cell pack of 2200 mAh by default; size (3,) [m], mass [kg]."""
+    return box_part("battery", size, mass, 25.0)
+
+
+def electronics(size: Sequence[float] = (0.0815, 0.05, 0.0155), mass: float = 0.0359) -> Part:
+    """Flight controller and receiver; size (3,) [m], mass [kg]."""
+    return box_part("electronics", size, mass, 200.0)
+
+
+def payload(size: Sequence[float] = (0.08, 0.08, 0.05), mass: float = 0.5) -> Part:
+    """Something carried; size (3,) [m], mass [kg]."""
+    return box_part("payload", size, mass, 0.0)
+
+
+PART_KINDS: dict[str, PartMaker] = {
+    maker.__name__: maker
+    for maker in (
+        rod,
+        plate,
+        circular_plate,
+        x_frame,
+        outline_frame,
+        mesh_frame,
+        battery,
+        electronics,
+        payload,
+        motor,
+        propeller,
+        round_connector,
+        screw_mount,
+        standoff,
+        compound_angle_clip,
+        imported_mesh,
+        imported_rod,
+        imported_motor,
+    )
+}
+
+
+def option_names(kind: str) -> tuple[str, ...]:
+    """Arguments of a kind's maker."""
+    return tuple(signature(PART_KINDS[kind]).parameters)
+
+
+def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
+    """A part from the database.
+
+    Args:
+        kind: A key of ``PART_KINDS``.
+        options: Arguments of its maker: starting values of parameters and constant sizes.
+
+    Raises:
+        ValueError: unknown kind or option, with the closest names; sizes that make no part.
+    """
+    maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
+    options = dict(options or {})
+    for key, value in options.items():
+        require_choice(f"option of a {kind}", key, option_names(kind))
+        _require_type(f"{key} of a {kind}", value, str(signature(maker).parameters[key].annotation))
+    missing = [
+        name
+        for name, parameter in signature(maker).parameters.items()
+        if parameter.default is Parameter.empty and name not in options
+    ]
+    if missing:
+        raise ValueError(f"a {kind} needs {', '.join(missing)}; add it to the part")
+    return maker(**options)
+
+
+def _require_type(name: str, value: Any, annotation: str) -> None:
+    """Single numbers are sizes, masses, densities and factors: all of them above 0."""
+    if annotation == "float":
+        require_number(name, value, above=0.0)
+    elif annotation in ("bool", "str") and type(value).__name__ != annotation:
+        raise TypeError(f"{name} must be a {annotation}, got {value!r}")

@@ -1,0 +1,180 @@
+"""A multicopter of numbers: the record, and a rotor of few facts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
+
+from diffsim.copter.vehicle.battery import Battery
+from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.copter.vehicle.rotor import RotorModel
+
+Array = NDArray[np.float64]
+
+AIR_DENSITY = 1.225  # [kg/m^3], standard atmosphere at sea level
+# Thrust coefficient T / (rho n^2 D^4) of usual propellers of multirotors near hover, and the share
+# of the electric power that ends in the ideal wake: propeller 0.65 times motor and controller 0.8.
+USUAL_THRUST_COEFFICIENT = 0.11
+USUAL_EFFICIENCY = 0.52
+USUAL_TIME_CONSTANT = 0.03  # [s]
+DEFAULT_CELLS = 3
+FRD = np.diag([1.0, -1.0, -1.0])  # from forward, left, up: MJCF's, URDF's and SDF's
+# Propellers do not overlap; builders leave about a tenth of the distance of two hubs free.
+_RADIUS_PER_DISTANCE = 0.45
+
+
+@dataclass(frozen=True, eq=False)
+class FlyingVehicle:
+    """A multicopter with all that a flight in closed loop needs.
+
+    Attributes:
+        name: What logs and pictures call it.
+        vehicle: For the layers: ``fly``, ``hover``, ``lqr`` and others.
+        rotors: One model per rotor.
+        battery: None: not said.
+        center_of_mass: In the file's frame, turned to forward, right, down, (3,) [m].
+    """
+
+    name: str
+    vehicle: Multicopter
+    rotors: tuple[RotorModel, ...]
+    battery: Battery | None
+    center_of_mass: Array
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What the file does not say and usual values stand in for, such as "time_constant"."""
+        names = [name for rotor in self.rotors for name in rotor.assumed]
+        return tuple(dict.fromkeys([*names, *(["battery"] if self.battery is None else [])]))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Mass properties, and places by name.
+
+    Attributes:
+        mass: [kg].
+        inertia: About the center of mass, (3, 3) [kg m^2].
+        center_of_mass: (3,) [m].
+        places: Position of each link, body or site, (3,) [m].
+        axes: Their z axes, (3,).
+    """
+
+    mass: float
+    inertia: Array
+    center_of_mass: Array
+    places: dict[str, Array]
+    axes: dict[str, Array]
+
+
+def usual_radius(places: Array) -> float:
+    """Radius of propellers at such hubs, as builders choose it [m].
+
+    Args:
+        places: Of two rotors or more, (n_rotors, 3) [m].
+    """
+    return _RADIUS_PER_DISTANCE * float(pdist(places).min())
+
+
+def assembled(
+    mass: float,
+    inertia: Array,
+    places: Array,
+    axes: Array,
+    spins: list[float],
+    rotors: tuple[RotorModel, ...],
+) -> Multicopter:
+    """The record that the layers take.
+
+    Args:
+        mass: [kg].
+        inertia: About the center of mass, forward, right, down, (3, 3) [kg m^2].
+        places: Rotors relative to the center of mass, (n_rotors, 3) [m].
+        axes: Directions of thrust, (n_rotors, 3).
+        spins: +1 clockwise seen against the thrust, else -1.
+        rotors: Their models.
+
+    Raises:
+        ValueError: values that no body has.
+    """
+
+    def numbers(attribute: str) -> torch.Tensor:
+        return torch.tensor([float(getattr(r, attribute)) for r in rotors], dtype=torch.float64)
+
+    for rotor in rotors:
+        if rotor.torque_ratio is None:
+            raise ValueError(
+                f"the torque of {rotor.name} was not measured; give radius, max_thrust and "
+                "torque_ratio in place of model"
+            )
+    return Multicopter(
+        mass=torch.tensor(float(mass), dtype=torch.float64),
+        inertia=torch.as_tensor(inertia, dtype=torch.float64),
+        positions=torch.as_tensor(places, dtype=torch.float64),
+        directions=torch.as_tensor(axes, dtype=torch.float64),
+        spins=torch.tensor(spins, dtype=torch.float64),
+        torque_ratios=numbers("torque_ratio"),
+        max_thrusts=numbers("max_thrust"),
+        radii=numbers("radius"),
+        rotor_models=tuple(r.name for r in rotors),
+    )
+
+
+def own_rotor(
+    name: str,
+    *,
+    radius: float,
+    max_thrust: float,
+    torque_ratio: float,
+    nominal_voltage: float,
+    thrust_exponent: float = 2.0,
+    max_speed: float | None = None,
+    time_constant: float | None = None,
+) -> RotorModel:
+    """A rotor of few facts; what is missing is usual for its size, and listed in ``assumed``.
+
+    The speed at full signal follows from T = C_T rho n^2 D^4, the current from the ideal power of a
+    hovering rotor, P = T^1.5 / sqrt(2 rho A), over a usual efficiency (Leishman, Principles of
+    Helicopter Aerodynamics, 2006, ch. 2).
+
+    Args:
+        name: Name of the rotor.
+        radius: Of the propeller [m].
+        max_thrust: At full signal and nominal voltage [N].
+        torque_ratio: Reaction torque over thrust [m].
+        nominal_voltage: Voltage that max_thrust is for [V].
+        thrust_exponent: Power of the speed in the thrust.
+        max_speed: At full signal [rad/s]; None: usual.
+        time_constant: Lag of the thrust [s]; None: usual.
+    """
+    assumed = ["current_coefficient", "speed_exponent"]
+    if max_speed is None:
+        turns = np.sqrt(max_thrust / (USUAL_THRUST_COEFFICIENT * AIR_DENSITY * (2.0 * radius) ** 4))
+        max_speed = float(2.0 * np.pi * turns)
+        assumed.append("thrust_coefficient")
+    if time_constant is None:
+        time_constant = USUAL_TIME_CONSTANT
+        assumed.append("time_constant")
+    wake = np.sqrt(2.0 * AIR_DENSITY * np.pi * radius**2)
+    return RotorModel(
+        name=name,
+        radius=radius,
+        thrust_coefficient=max_thrust / max_speed**thrust_exponent,
+        thrust_exponent=thrust_exponent,
+        thrust_offset=0.0,
+        torque_ratio=torque_ratio,
+        max_thrust=max_thrust,
+        current_coefficient=float(1.0 / (USUAL_EFFICIENCY * wake * nominal_voltage)),
+        current_exponent=1.5,
+        current_offset=0.0,
+        nominal_voltage=nominal_voltage,
+        duty_offset=0.0,
+        speed_coefficient=max_speed / nominal_voltage,
+        speed_exponent=1.0,
+        time_constant=time_constant,
+        assumed=tuple(sorted(assumed)),
+    )
