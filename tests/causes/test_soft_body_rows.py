@@ -71,7 +71,7 @@ def test_a_cause_of_a_user_acts_as_that_of_the_library(row, name):
 
 def test_a_force_of_a_user_pulls_at_its_marker():
     """Its power is that of the marker: -size v^2 along the axis, whatever the nodes do."""
-    damper = own(SWUNG, at="force", of="tip.z", law="-size*v", typical="0.1*force/speed")
+    damper = own(SWUNG, at="force", of="tip.z", law="-size*v", typical="push/speed")
     model, run = setup_of(SWUNG).model, SWUNG.runs[0]
     values = {p.name: p.value_at(torch.zeros(()).double()) for p in model.base}
     scene = damper.apply(model.build(values, run, Numerics()), torch.tensor([3.0]).double(), run)

@@ -25,6 +25,7 @@ from diffsim.systems.description import (
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.causes import (
     BODY,
+    PULL_SHARE,
     TIMED,
     command_reach,
     library,
@@ -119,7 +120,7 @@ class SoftBodyDescription(SoftBodyKeys):
         described = self._described(study)
         scales = self._scales(study, described)
         is_still = self.numerics.motion == "quasi_static"
-        usual = {"force": G * scales.plain[BODY]["mass"], **usual_motion(self, scales)}
+        usual = {"push": PULL_SHARE * G * scales.plain[BODY]["mass"], **usual_motion(self, scales)}
         absent = {CLOCK_RATE} if not scales.facts[TIMED] else set()
         absent |= {"rayleigh_alpha", "rayleigh_beta"} if is_still else set()
         absent |= set() if self.tendons or self.muscles else {"fiber_stiffness"}
