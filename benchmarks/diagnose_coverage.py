@@ -27,7 +27,7 @@ from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.averaging import HALF_90, MODEL_FORM, widening
 from diffsim.diagnose.refit import fit_null, refit
 from diffsim.identify import Fit
-from diffsim.identify.coordinates import effect_coordinates
+from diffsim.identify.effect import effect_coordinates
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from diffsim.data.resting import FEWEST, RESTS, rest_and_jump
+from diffsim.data.steps import FEWEST, RESTS, rest_and_jump
 from diffsim.data.study import Run
 
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns import Rows, Table, require_increasing
-from diffsim.data.run_facts import facts_of
 from diffsim.data.run_plan import (
     Case,
     cases_of,
@@ -25,7 +24,7 @@ from diffsim.data.run_plan import (
     parts_by,
     with_defaults,
 )
-from diffsim.data.run_samples import Samples, in_si, kept_rows, picked, unfilled, zero_of
+from diffsim.data.run_samples import Samples, facts_of, in_si, kept_rows, picked, unfilled, zero_of
 from diffsim.data.study import Run
 from diffsim.data.study_schema import (
     ChannelEntry,

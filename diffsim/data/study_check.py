@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.units import factor, to_si
-from diffsim.data.rounding import step_of
 from diffsim.data.signal import scatter
+from diffsim.data.steps import step_of
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 NO_FIT_RUN = (

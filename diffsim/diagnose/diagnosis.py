@@ -28,7 +28,7 @@ from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import Corrected, coarse_gate, corrected, renewed_at
-from diffsim.diagnose.search.evidence import Screen, screen
+from diffsim.diagnose.search.evidence import screen
 from diffsim.diagnose.search.fit import (
     Case,
     Null,
@@ -42,7 +42,7 @@ from diffsim.diagnose.search.fit import (
 )
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import begin, search_sets, with_numerics
-from diffsim.diagnose.search.simulations import NONE, Center, Simulations
+from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.diagnose.search.weighed_sets import Search
 from diffsim.identify.effect import Effect
@@ -106,12 +106,12 @@ def diagnose(
     null, checks, simulations = _checked(null, gates, cache, started, once)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        screened = _screened(checks.center)
+        screened = screen(checks.center.evidence)
         frozen = report_of(null, checks, Judgment(decision), screened, seed, bank)
         return tested(frozen, study, seed)
     search, told = _told_again(search_rounds(null, simulations))
     checks, null = checks.joined(told), search.null
-    screened = _screened(search.plain)
+    screened = screen(search.plain.evidence)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
     referee = referee_of(search.fit_of(NONE), select)
@@ -256,11 +256,6 @@ def _checked(
     )
     case.progress("checks", 0.25, "gradients are checked")
     return null, Checks(gates, changes, center), simulations
-
-
-def _screened(center: Center) -> Screen:
-    e = center.evidence
-    return screen(e.problem, e.residual, e.jacobian, e.x0)
 
 
 def _judged(

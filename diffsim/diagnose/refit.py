@@ -23,8 +23,7 @@ from diffsim.diagnose.say.report import fit_to_dict, save_model
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
-from diffsim.identify.coordinates import effect_coordinates
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics

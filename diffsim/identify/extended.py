@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.identify.coordinates import effect_coordinates
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.numerics import Numerics

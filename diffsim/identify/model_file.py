@@ -32,8 +32,7 @@ from diffsim.core.check import require_choice, require_number
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
-from diffsim.identify.coordinates import effect_coordinates
-from diffsim.identify.effect import Effect, is_of_run
+from diffsim.identify.effect import Effect, effect_coordinates, is_of_run
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import Parameter, SimModel

@@ -21,9 +21,8 @@ from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
-from diffsim.identify.coordinates import effect_coordinates, touches
 from diffsim.identify.correction import Correction
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, effect_coordinates, touches
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.identify.coordinates import effect_coordinates
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, effect_coordinates
 from labs.blind.case import TWIN
 
 ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen

@@ -105,8 +105,9 @@ def gradient_gate(
     moved = np.array([[part.moved(e) for e in effects] for part in parts])
     shows = moved >= SHOWN * moved.max(0)
     order = _ordered(shows, [len(part.residual) for part in parts])
-    if not _has_gradient(parts[order[0]].problem, x):
-        return []
+    first, leaf = parts[order[0]].problem, torch.tensor(x, requires_grad=True)
+    if not first.predict(first.runs[0], leaf).requires_grad:
+        return []  # the scene has no gradient
     adjoint, checked = np.zeros(len(x)), []
     for place in order:
         adjoint += parts[place].problem.pullback(x, parts[place].cotangent)
@@ -119,7 +120,11 @@ def gradient_gate(
     note = "adjoint against finite differences"
     if len(checked) < len(parts):
         note += f", {len(checked)} of {len(parts)} runs"
-    gates = [_result(e, errors[e], note) for e in shown if e not in late]
+    gates = [
+        GateResult(f"gradient:{e.name}", errors[e] < GRADIENT_RTOL, errors[e], GRADIENT_RTOL, note)
+        for e in shown
+        if e not in late
+    ]
     if left_out := [e.name for e in effects if e not in shown or e in late]:
         note = f"of {', '.join(left_out)}: it would take more than a tenth of the diagnosis"
         gates.append(GateResult(LEFT_OUT, False, len(left_out), 0.0, note, applies=False))
@@ -181,7 +186,11 @@ def _compared(
 
     errors = {e: error(e, scores[problem.columns_of(e)]) for e in effects}
     alike = [e for e in effects if errors[e] < GRADIENT_RTOL]
-    sound = set(alike) if _are_differences(problem) else _sound(slopes, alike, end)
+    method = problem.jacobian.method
+    if method == "auto" and not has_tangents(problem.model):
+        method = "differences"
+    # slopes that are differences themselves need not be held against any
+    sound = set(alike) if method == "differences" else _sound(slopes, alike, end)
     late: set[Effect] = set()
     doubted = sorted((e for e in effects if e not in sound), key=lambda e: -errors[e])
     for effect in doubted:
@@ -196,16 +205,6 @@ def _compared(
             if errors[effect] < GRADIENT_RTOL:
                 break
     return errors, late
-
-
-def _result(effect: Effect, error: float, note: str) -> GateResult:
-    passed = error < GRADIENT_RTOL
-    return GateResult(f"gradient:{effect.name}", passed, error, GRADIENT_RTOL, note)
-
-
-def _are_differences(problem: Problem) -> bool:
-    method = problem.jacobian.method
-    return method == "differences" or (method == "auto" and not has_tangents(problem.model))
 
 
 def _sound(slopes: _Slopes, effects: Sequence[Effect], end: float) -> set[Effect]:
@@ -263,8 +262,3 @@ def _extrapolated(slopes: _Slopes, only: list[int], share: float) -> Array:
         finer = replace(slopes.problem, jacobian=Jacobian(method="differences", step=h))
         scores.append(finer.linearize(slopes.x, only=only)[1][:, only].T @ slopes.cotangent)
     return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
-
-
-def _has_gradient(problem: Problem, x: Array) -> bool:
-    leaf = torch.tensor(x, requires_grad=True)
-    return bool(problem.predict(problem.runs[0], leaf).requires_grad)

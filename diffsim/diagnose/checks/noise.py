@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse, special
 from scipy.ndimage import median_filter
 
-from diffsim.data.rounding import rounding_sd
 from diffsim.data.signal import noise_std
+from diffsim.data.steps import rounding_sd
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diffsim.core.check import did_you_mean
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import Run
-from diffsim.identify.coordinates import touches
+from diffsim.identify.effect import touches
 from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]

@@ -168,7 +168,7 @@ def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
 
 def _with_sizes(effects: Sequence[CauseRow], ending: str) -> list[str]:
     """Names with the sizes that their words do not say, the longest first; none of many causes."""
-    sized = {row.name for row in effects if row.size and _is_bare(row)}
+    sized = {row.name for row in effects if row.size and row.words == words_of(row.name)}
     if not sized or len(effects) > MAX_NAMES:
         return []
     out = []
@@ -203,11 +203,6 @@ def _are_several(rows: Sequence[CauseRow]) -> bool:
 def _brief(words: str) -> str:
     """Words of a cause without what they say after a comma."""
     return words.partition(",")[0]
-
-
-def _is_bare(row: CauseRow) -> bool:
-    """Whether the words of a cause do not say its size themselves."""
-    return row.words == words_of(row.name)
 
 
 def _on_unseen(

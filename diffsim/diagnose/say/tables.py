@@ -13,8 +13,7 @@ from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.search.evidence import Hypothesis, Screen, Weighed
 from diffsim.diagnose.search.weighed_sets import Search
-from diffsim.identify.coordinates import effect_coordinates
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH
 from diffsim.identify.unknown import Unknown
 

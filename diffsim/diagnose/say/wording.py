@@ -174,7 +174,8 @@ def sentences(
     if np.isnan(answer.floor.scatter_ratio).all():
         out.append("Repeatability was not judged: that needs repeats and a stated sensor noise.")
     out += [
-        f"A check failed: {_plain(g.name)} {g.value:.3g}, wanted {g.limit:g} ({g.note})."
+        f"A check failed: {g.name.replace(':', ' of ').replace('_', ' ')} {g.value:.3g}, "
+        f"wanted {g.limit:g} ({g.note})."
         for g in answer.gates
         if g.applies
         and not g.passed
@@ -310,8 +311,3 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
         what = "" if has_many_sizes(row) else "; 90 % interval"
         parts.append(f"{row.words} ({size_range(row)}{what})")
     return " and ".join(parts)
-
-
-def _plain(check: str) -> str:
-    """The name of a check in words: "gradient:lag" is "gradient of lag"."""
-    return check.replace(":", " of ").replace("_", " ")

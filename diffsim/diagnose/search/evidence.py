@@ -301,22 +301,15 @@ class Screen:
     information: Array
 
 
-def screen(problem: Problem, residual: Array, jacobian: Array, x: Array) -> Screen:
-    """Scores from a linearization at the null fit.
-
-    Args:
-        problem: Fitted problem with all candidate effects, in this order.
-        residual: Whitened residual at the null fit, (N,).
-        jacobian: Whitened slopes of base parameters and components, (N, num_base + m).
-        x: Standardized coordinates of the null fit, sizes zero, (num_base + m,).
-    """
-    n = problem.num_base
-    j, g = jacobian[:, :n], jacobian[:, n:]
+def screen(linear: LaplaceEvidence) -> Screen:
+    """Scores of all candidates from a linearization at the null fit, where sizes are zero."""
+    problem, residual, n = linear.problem, linear.residual, linear.problem.num_base
+    j, g = linear.jacobian[:, :n], linear.jacobian[:, n:]
     inner = linalg.inv(j.T @ j + np.eye(n)) if n else np.zeros((0, 0))
     absorbed = inner @ (j.T @ g)
     information = g.T @ g - (j.T @ g).T @ absorbed
     # the second part vanishes at the exact optimum; so written, an inexact one does no harm
-    score = g.T @ residual - absorbed.T @ (j.T @ residual - x[:n])
+    score = g.T @ residual - absorbed.T @ (j.T @ residual - linear.x0[:n])
     diagonal = np.clip(np.diag(information), 0.0, None)
     # a column that the base parameters absorb up to rounding carries no information
     blind = diagonal <= 1e-12 * np.sum(g**2, axis=0) + 1e-300

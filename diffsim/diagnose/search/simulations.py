@@ -19,6 +19,7 @@ from scipy import linalg
 
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.search.fit import Null
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
 from diffsim.diagnose.search.store import Store, gauss_newton_kept
@@ -176,6 +177,8 @@ class Simulations:
         if begin is not None:
             label, first = f"begin of {self._label(members)}", partial(begin, narrow, at)
             at = self.remembered(label, first)
+        if self.store is None:
+            return gauss_newton(narrow, at, best_cost=best_cost)
         return gauss_newton_kept(self.store, narrow, at, best_cost)
 
     def near(self, members: Members, x: Array, step: float) -> Linearization | None:

@@ -110,7 +110,7 @@ def _parts(study: Study, model: SimModel, settings: Iterable[object]) -> Iterabl
 
 
 def gauss_newton_kept(
-    store: Store | None, problem: Problem, start: Linearization, best_cost: float
+    store: Store, problem: Problem, start: Linearization, best_cost: float
 ) -> tuple[Fit, Linearization]:
     """``gauss_newton``, read back where an earlier process ended the same fit.
 
@@ -118,13 +118,11 @@ def gauss_newton_kept(
     and the resumed search would end elsewhere within the tolerance.
 
     Args:
-        store: Fits of this study, model and set of candidates; None: none are kept.
+        store: Fits of this study, model and set of candidates.
         problem: Fitting problem that is minimized.
         start: Start point, with the slopes of all coordinates.
         best_cost: As of ``gauss_newton`` [nats].
     """
-    if store is None:
-        return gauss_newton(problem, start, best_cost=best_cost)
     name = f"ended fit {_digest(problem, start, best_cost)}"
     kept = store.load_arrays(name)
     if kept is None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from diffsim.data.rounding import step_of
+from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.checks.noise import (
     ArWhitener,

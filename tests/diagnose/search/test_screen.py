@@ -1,18 +1,22 @@
 import numpy as np
 import pytest
 
-from diffsim.diagnose.search.evidence import VISIBLE, screen
+from diffsim.diagnose.search.evidence import VISIBLE, LaplaceEvidence, screen
 from diffsim.identify import fit
 from tests.diagnose import linear
 
 EFFECTS = (linear.line("push"), linear.line("wind", components=("x", "y")), linear.line("pull"))
 
 
+def screened(problem, x):
+    return screen(LaplaceEvidence(problem, x, *problem.linearize(x), [], 1))
+
+
 def at_null():
     null = fit(linear.model(), [linear.run("r1", 1), linear.run("r2", 2)], linear.CHANNELS)
     problem = linear.problem(EFFECTS)
     x = np.concatenate([null.x, np.zeros(4)])
-    return null, screen(problem, *problem.linearize(x), x)
+    return null, screened(problem, x)
 
 
 def refit_cost(columns):
@@ -54,9 +58,9 @@ def test_smallest_visible_size_has_a_score_of_six():
 def test_confounding_is_one_for_twins_and_blind_for_a_base_parameter():
     twins = (linear.line("push"), linear.line("push", typical=4.0))
     problem = linear.problem(twins)
-    seen = screen(problem, *problem.linearize(np.zeros(4)), np.zeros(4))
+    seen = screened(problem, np.zeros(4))
     np.testing.assert_allclose(np.abs(seen.confounding), 1.0, atol=1e-9)
     # an effect shaped like a base parameter is absorbed up to that one's prior
     absorbed = linear.problem((linear.line("mass"), linear.line("pull")))
-    seen = screen(absorbed, *absorbed.linearize(np.zeros(4)), np.zeros(4))
+    seen = screened(absorbed, np.zeros(4))
     assert seen.smallest_visible[0] > 4 * seen.smallest_visible[1]
