@@ -32,7 +32,7 @@ _ONE = torch.ones((), dtype=torch.float64)
 
 def _shortened(contraction: Tensor) -> Tensor:
     """Activation of both tendons: length over full length."""
-    return (1.0 - contraction / TENDON).expand(2)
+    return (1.0 - contraction / TENDON).expand(*contraction.shape[:-1], 2)
 
 
 def table_5_1() -> tuple[Parameter, ...]:
