@@ -92,13 +92,6 @@ def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Cha
     return [replace(c, sd=float(sd[c.name])) for c in channels]
 
 
-def worst_channels(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> list[int]:
-    """Channels by the misfit of the model before, in noise standard deviations, worst first."""
-    sd = np.array([c.sd for c in channels])
-    left = np.concatenate([(run.measured - run.null) / sd for run in runs])
-    return [int(i) for i in np.argsort(-rms_of(left))]
-
-
 def blocks_of(confounding: Array, limit: float = CONFOUNDED) -> list[list[int]]:
     """Sets of two or more components that the data hardly part: linked by cosines above the limit.
 

@@ -15,7 +15,7 @@ from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.sim_to_real.model import PLACES_M, Starfish
-from diffsim.viz import diagnosis_figures, loop_figures
+from diffsim.viz import diagnosis_charts, loop_figures
 from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, data_uri
 from diffsim.viz.moving import Deforming, Moving
@@ -82,12 +82,6 @@ def write_loop(
         "commands": loop_figures.commands(result.iterations),
         "strip": _strip(result, model),
     }
-    last = result.iterations[-1].identified
-    if last is not None:
-        matrix = np.array(last.correlation)
-        figures["correlations"] = diagnosis_figures.confounding_matrix(
-            last.names, matrix, bar="posterior correlation"
-        )
     uris = {name: _saved(figure, folder / name) for name, figure in figures.items()}
     content: dict[str, Any] = {
         "hardware": result.hardware,
@@ -119,6 +113,7 @@ def _page(
         page.Section(title="The robot in motion", content=[view]),
         page.Section(title="Parameters", text=[_TRADE], content=_parameters(result.iterations)),
         page.Section(title="Figures", content=pictures[1:]),
+        *_correlations(result),
     ]
     if real is not None:
         sections.append(_real_section(real))
@@ -139,6 +134,18 @@ def _page(
     )
 
 
+def _correlations(result: LoopResult) -> list[page.Section]:
+    """Of the last identification; none where nothing was identified."""
+    last = result.iterations[-1].identified
+    if last is None:
+        return []
+    chart = diagnosis_charts.confounding_matrix(
+        last.names, np.array(last.correlation), bar="posterior correlation"
+    )
+    content = [page.Chart(figure=chart, caption="Beyond ±0.95 boxed.")]
+    return [page.Section(title="Correlations of the last identification", content=content)]
+
+
 _CAPTIONS = {
     "speeds": "Forward speed between the second period and the last, mean of four markers.",
     "markers": "After thesis Fig. 5-6: markers before and after identification, from rest (open) "
@@ -147,7 +154,6 @@ _CAPTIONS = {
     "the experiment.",
     "commands": "After Fig. 5-8: optimized commands; grey: bl-ctrl.",
     "strip": "After Fig. 5-9: the simulated robot (orange), the measured markers (dots).",
-    "correlations": "Posterior correlations of the last identification.",
 }
 _TRADE = (
     "Value ± posterior standard deviation with the prior (misfit taken as colored). A strong "

@@ -6,6 +6,7 @@ diagnosis with all of them.
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -64,7 +65,7 @@ def describe(
         "table": _table(found),
         "gates": [to_plain(asdict(gate)) for gate in found.gates],
         "noise": to_plain(found.noise),
-        "pictures": _pictures(found),
+        "charts": _charts(found),
         "cpu_s": time.process_time() - began,
     }
 
@@ -89,21 +90,19 @@ def _table(found: Report) -> list[list[str]]:
     return rows
 
 
-def _pictures(found: Report) -> list[dict[str, str]]:
+def _charts(found: Report) -> list[dict[str, Any]]:
     """Before and after on the run that no fit has seen, residuals, and what mimics what."""
-    from diffsim.viz import diagnosis_figures as draw
+    from diffsim.viz import diagnosis_charts as draw
     from diffsim.viz.diagnosis_series import predicted_runs, with_noise
-    from diffsim.viz.figures import data_uri
 
     channels = with_noise(found.study.channels, found.noise["sd"])
     runs = predicted_runs(found.study, found.null, found.best if found.named else None)
     held_out = [run for run in runs if run.use == "test"]
     drawn = [
         (
-            draw.before_after(held_out, channels),
+            draw.runs_over_time(held_out, channels),
             "The run that no fit has seen. Dots: measured; dashed: the fitted model before; line: "
-            "the extended model. Its own start was fitted to it, for both alike; what its clamp "
-            "did is an input.",
+            "the extended model. Its own start was fitted to it, for both alike. Drag to zoom.",
         ),
         (
             draw.residual_views(runs, channels),
@@ -115,4 +114,4 @@ def _pictures(found: Report) -> list[dict[str, str]]:
             "near ±1 these recordings cannot part them.",
         ),
     ]
-    return [{"uri": data_uri(figure, png=True), "caption": text} for figure, text in drawn]
+    return [{"figure": json.loads(figure.to_json()), "caption": text} for figure, text in drawn]

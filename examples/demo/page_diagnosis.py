@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from diffsim.viz.report import Picture, Section, Table
+from diffsim.viz.charts import graph_objects
+from diffsim.viz.report import Chart, Section, Table
 
 TITLE = "What the simulation still gets wrong, and why"
 COLUMNS = ("cause", "status", "size (90 %)", "nats", "held-out gain (90 %)", "may also be")
@@ -14,6 +15,7 @@ def section(found: dict[str, Any]) -> Section:
     """The verdict, its figures and the candidates' table, or why there is none."""
     if "skipped" in found:
         return Section(title=TITLE, text=[found["skipped"]])
+    figure = graph_objects().Figure
     return Section(
         title=TITLE,
         text=[
@@ -26,7 +28,7 @@ def section(found: dict[str, Any]) -> Section:
             "all causes: docs/measured/silicone_beam.md.",
         ],
         content=[
-            *(Picture(uri=p["uri"], caption=p["caption"]) for p in found["pictures"]),
+            *(Chart(figure=figure(c["figure"]), caption=c["caption"]) for c in found["charts"]),
             Table(
                 columns=COLUMNS,
                 rows=found["table"],

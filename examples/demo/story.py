@@ -212,7 +212,7 @@ def _without_curves(results: dict[str, Any]) -> dict[str, Any]:
         }
         for rung, cases in results["simulated"].items()
     }
-    diagnosed = {k: v for k, v in results["diagnosis"].items() if k != "pictures"}
+    diagnosed = {k: v for k, v in results["diagnosis"].items() if k != "charts"}
     return {**results, "simulated": runs, "diagnosis": diagnosed}
 
 

@@ -16,7 +16,6 @@ from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, Interval
 from diffsim.identify import MovingShape, Parameter, SimModel, WhiteNoise
 from diffsim.viz import charts as plotting
 from diffsim.viz import diagnosis_charts as charts
-from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import diagnosis_series as series
 from diffsim.viz import diagnosis_tables as tables
@@ -420,12 +419,6 @@ def test_force_map_takes_its_place():
     assert "unknown force" in picture.caption
 
 
-def test_worst_channel_first():
-    assert series.worst_channels(RUNS, CHANNELS) == [0, 1]
-    quiet = (Channel(name="z", unit="m", kind="", sd=1.0), CHANNELS[1])
-    assert series.worst_channels(RUNS, quiet) == [1, 0]
-
-
 def test_blocks_are_linked_by_the_size_of_the_cosine():
     cosines = np.eye(5)
     for i, j, value in ((0, 3, -0.99), (3, 4, 0.96), (1, 2, 0.94)):
@@ -437,10 +430,10 @@ def test_boxes_surround_the_blocks():
     names = list("abcde")
     cosines = np.eye(5)
     cosines[1, 4] = cosines[4, 1] = 0.99
-    (ax, _) = draw.confounding_matrix(names, cosines).axes
-    assert [t.get_text() for t in ax.get_xticklabels()] == ["b", "e", "a", "c", "d"]
-    (box,) = ax.get_lines()
-    assert box.get_xdata().min() == -0.5 and box.get_xdata().max() == 1.5
+    figure = charts.confounding_matrix(names, cosines)
+    assert list(figure.layout.xaxis.ticktext) == ["b", "e", "a", "c", "d"]
+    (box,) = figure.layout.shapes
+    assert (box.x0, box.x1, box.y0, box.y1) == (-0.5, 1.5, -0.5, 1.5)
 
 
 def test_spectrum_of_white_noise_is_one_and_finds_a_tone():

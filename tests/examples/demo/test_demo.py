@@ -184,7 +184,7 @@ def test_measured_beam(tmp_path):
     left = {m: r["gravity_b"]["vertical_rms_m"] for m, r in results["remaining"].items()}
     assert left["identified"] < 2.0 * floor < 3.0 * floor < left["published"]
     diagnosis = results["diagnosis"]
-    assert diagnosis["sentences"] and len(diagnosis["pictures"]) == 3
+    assert diagnosis["sentences"] and len(diagnosis["charts"]) == 3
     assert {row[0] for row in diagnosis["table"]} >= {"loss_factor", "creep", "support_motion"}
     # the mesh must not be what is diagnosed
     assert all(g["passed"] for g in diagnosis["gates"] if g["name"] in ("mesh", "time_step"))
