@@ -15,7 +15,7 @@ Microwave Theory Tech. 52, 2004). Shifts add up where records do not: a phase th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,12 +23,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.memo import Memo, memo_field
 from diffsim.identify.numerics import Numerics
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
 
 Array = NDArray[np.float64]
+_MOST_RUNS = 1024  # whose corrections are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +54,14 @@ class Correction:
         problem: ``Problem`` with the coarse settings, without a correction.
         x: Point at which finer simulations are made, in its standardized coordinates, (n,).
         finer: Settings that were refined, one in each.
+        told: What is added to the records of some runs, where that was simulated before.
     """
 
     problem: Any
     x: Array
     finer: tuple[Finer, ...]
-    _kept: dict[tuple[str, int], tuple[object, Tensor]] = field(default_factory=dict, repr=False)
+    told: tuple[tuple[Run, Tensor], ...] = ()
+    _kept: Memo[Tensor] = memo_field(_MOST_RUNS)
 
     @property
     def shift(self) -> Tensor:
@@ -84,11 +88,10 @@ class Correction:
     def of(self, run: Run) -> Tensor:
         """What is added to the coarse record of a run, (num_samples, num_channels); simulated when
         it is first asked for."""
-        key = (run.name, id(run.measured))  # which is kept, so its id stays its own
-        if key not in self._kept:
-            with torch.no_grad():
-                self._kept[key] = (run.measured, self._simulated(run))
-        return self._kept[key][1]
+        for known, added in self.told:
+            if known.name == run.name and known.measured is run.measured:
+                return added
+        return self._kept(run, lambda: self._simulated(run))
 
     def over(self, runs: Sequence[Run]) -> Array:
         """The same for several runs in a row, (N,)."""
@@ -97,10 +100,11 @@ class Correction:
     def known(self, runs: Sequence[Run], added: Array) -> Correction:
         """The correction with what is added to some runs, (N,), where that was simulated before."""
         parts = np.split(added, np.cumsum([run.measured.size for run in runs])[:-1])
-        for run, part in zip(runs, parts, strict=True):
-            value = torch.from_numpy(part.reshape(run.measured.shape).copy())
-            self._kept[run.name, id(run.measured)] = (run.measured, value)
-        return self
+        values = (
+            torch.from_numpy(part.reshape(run.measured.shape).copy())
+            for run, part in zip(runs, parts, strict=True)
+        )
+        return replace(self, told=tuple(zip(runs, values, strict=True)))
 
     def at(self, problem: Any, x: Array) -> Correction:
         """The correction told at another point.
@@ -111,6 +115,7 @@ class Correction:
         """
         return Correction(replace(problem, correction=None), x, self.finer)
 
+    @torch.no_grad()
     def _simulated(self, run: Run) -> Tensor:
         point = torch.from_numpy(np.array(self.x))
         total = torch.zeros(run.measured.shape, dtype=torch.float64)

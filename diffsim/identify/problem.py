@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect, effect_coordinates, touches
@@ -34,6 +35,7 @@ from diffsim.identify.whitening import Whitener
 
 Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
+_MOST_KEPT = 256
 
 
 class PredictionError(DiffsimError):
@@ -57,6 +59,7 @@ class Problem:
         bend_after: Number of times that a fit has simulated its slopes again, from which steps use
             what these show beyond Gauss-Newton; None: never.
         correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
+        memo: What was computed of this problem and is asked for again.
     """
 
     model: SimModel
@@ -70,6 +73,7 @@ class Problem:
     fit_nats: float = FIT_NATS
     bend_after: int | None = None
     correction: Correction | None = None
+    memo: Memo[Any] = memo_field(_MOST_KEPT)
 
     @property
     def stands_for(self) -> Numerics | None:

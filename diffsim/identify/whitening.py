@@ -8,7 +8,10 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
+from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
+
+MOST_RUNS = 1024  # whose matrices are kept
 
 
 class Whitener(Protocol):
@@ -34,13 +37,11 @@ class WhiteNoise:
                 "diffsim.diagnose.checks.noise.noise_floor"
             )
         self.sd = np.array([c.sd for c in channels], dtype=np.float64)
-        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}  # by identity: runs do not change
+        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """Rows of the measured samples of ``diag(1 / sd)``; made once per run."""
-        if id(run) not in self._made:
-            self._made[id(run)] = run, self._matrix(run)
-        return self._made[id(run)][1]
+        return self._made(run, lambda: self._matrix(run))
 
     def _matrix(self, run: Run) -> sparse.csr_array:
         valid = np.isfinite(run.measured).ravel()

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse, special
 from scipy.ndimage import median_filter
 
+from diffsim.core.memo import Memo
 from diffsim.data.signal import noise_std
 from diffsim.data.steps import rounding_sd
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
+from diffsim.identify.whitening import MOST_RUNS
 
 Array = NDArray[np.float64]
 MAX_ORDER = 4
@@ -36,13 +38,11 @@ class ArWhitener:
 
     def __init__(self, sd: Array, coefficients: Sequence[Array]):
         self.sd, self.coefficients = np.asarray(sd, dtype=np.float64), tuple(coefficients)
-        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}
+        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """(num_valid, num_samples * num_channels), sparse; made once per run."""
-        if id(run) not in self._made:
-            self._made[id(run)] = (run, self._make(run))  # the run is kept, so its id stays its own
-        return self._made[id(run)][1]
+        return self._made(run, lambda: self._make(run))
 
     def _make(self, run: Run) -> sparse.csr_array:
         num_samples, num_channels = run.measured.shape

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.memo import Memo, memo_field
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import Run
 from diffsim.identify.effect import touches
@@ -16,6 +17,7 @@ from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
 COMMON = -1
+_MOST_KEPT = 4096  # sets of runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ class Layout:
     is_state: NDArray[np.bool_]
     families: tuple[str, ...]
     stated: tuple[float, ...]
-    _acting: dict[Hashable, tuple[list[int], list[int]]] = field(default_factory=dict, repr=False)
+    _acting: Memo[tuple[list[int], list[int]]] = memo_field(_MOST_KEPT)
 
     @property
     def shared(self) -> list[int]:
@@ -47,13 +49,13 @@ class Layout:
     def of(self, runs: Sequence[Run]) -> tuple[list[int], list[int]]:
         """Indices of the parameters that act in runs: shared ones, then those of the runs alone."""
         key = tuple((run.name, tuple(run.setup.items())) for run in runs)
-        if key not in self._acting:
-            acting = [i for i, n in enumerate(self.names) if any(touches(n, run) for run in runs)]
-            shared = set(self.shared)
-            own = [i for i in acting if i not in shared]
-            self._acting[key] = [i for i in acting if i in shared], own
-        common, scatter = self._acting[key]
+        common, scatter = self._acting(key, lambda: self._touched(runs))
         return list(common), list(scatter)
+
+    def _touched(self, runs: Sequence[Run]) -> tuple[list[int], list[int]]:
+        acting = [i for i, n in enumerate(self.names) if any(touches(n, run) for run in runs)]
+        shared = set(self.shared)
+        return [i for i in acting if i in shared], [i for i in acting if i not in shared]
 
     def shared_precision(self, log_spread: Array) -> Array:
         """Prior precision of the shared parameters, (num_shared,).

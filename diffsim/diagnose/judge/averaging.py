@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
+from diffsim.core.memo import Memo, memo_field
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.left_out import (
     Folds,
@@ -33,6 +34,7 @@ from diffsim.identify.effect import Effect, is_of_run
 Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
 HALF_90 = 1.645  # half-width of a 90 % interval in standard deviations
+_MOST_KEPT = 4096  # sets
 POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
 
 
@@ -58,8 +60,8 @@ class Averaged:
     spread: Mapping[str, float] = field(default_factory=dict)
     usual: float = 1.0
     changes: Mapping[str, Array] = field(default_factory=dict)
-    _posteriors: dict[Hypothesis, tuple[Array, Array]] = field(default_factory=dict, repr=False)
-    _centers: dict[frozenset[int], LaplaceEvidence] = field(default_factory=dict, repr=False)
+    _posteriors: Memo[tuple[Array, Array]] = memo_field(_MOST_KEPT)
+    _centers: Memo[LaplaceEvidence] = memo_field(_MOST_KEPT)
 
     @property
     def reach(self) -> tuple[Hypothesis, ...]:
@@ -91,16 +93,18 @@ class Averaged:
             return known[both].nats - known[without].nats
         if members not in made.screened:
             return 0.0
-        if members not in self._centers:
-            families, at = search.num_families, made.screened[members]
-            self._centers[members] = (
-                made.center(members, at, families).evidence
-                if u is None
-                else made.beside(members, search.unknowns[u], u, families)
-            )
-        evidence, only = self._centers[members], None if u is None else 0
+        evidence = self._centers((members, u), lambda: self._center(members, u))
+        only = None if u is None else 0
         both, without = replace(both, unknown=only), replace(without, unknown=only)
         return evidence.weigh(both).nats - evidence.weigh(without).nats
+
+    def _center(self, members: frozenset[int], u: int | None) -> LaplaceEvidence:
+        """Linear evidence at a set, beside an unknown cause by index if there is one."""
+        search, made = self.search, self.search.simulations
+        families, at = search.num_families, made.screened[members]
+        if u is None:
+            return made.center(members, at, families).evidence
+        return made.beside(members, search.unknowns[u], u, families)
 
     def size(self, i: int) -> dict[str, Interval]:
         """Size of an effect by component; empty where no set with it was weighed."""
@@ -173,17 +177,18 @@ class Averaged:
 
     def _posterior(self, h: Hypothesis) -> tuple[Array, Array]:
         """Mean and sd of all scaled coordinates of a set's problem."""
-        if h not in self._posteriors:
-            weighed = self._weighed(h)
-            fit = weighed.fit
-            if fit is None:
-                problem, x, sd = self.search.wide, weighed.x, weighed.sd
-            else:
-                problem, x = fit.problem, fit.x
-                shift = numerical_shift(fit, self.changes)
-                sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
-            self._posteriors[h] = problem.scaled(x), sd * problem.stretch(x)
-        return self._posteriors[h]
+        return self._posteriors(h, lambda: self._computed_posterior(h))
+
+    def _computed_posterior(self, h: Hypothesis) -> tuple[Array, Array]:
+        weighed = self._weighed(h)
+        fit = weighed.fit
+        if fit is None:
+            problem, x, sd = self.search.wide, weighed.x, weighed.sd
+        else:
+            problem, x = fit.problem, fit.x
+            shift = numerical_shift(fit, self.changes)
+            sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
+        return problem.scaled(x), sd * problem.stretch(x)
 
     def _weighed(self, h: Hypothesis) -> Weighed:
         found = self.search.weighed.get(h)

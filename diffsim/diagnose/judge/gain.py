@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.left_out import (
     Folds,
@@ -24,6 +25,7 @@ from diffsim.diagnose.judge.own_values import Frozen, held_out_point
 from diffsim.identify import Fit, Problem
 
 Array = NDArray[np.float64]
+_MOST_KEPT = 256  # fits
 MIN_BLOCKS = 4  # per run; fewer in all say nothing: equal models win three in a row by chance
 LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 BLOCK_S = 0.3  # longer than the memory of what the models leave
@@ -203,13 +205,11 @@ class SelectRuns:
 
     runs: Sequence[Run]
     words: str = "runs with use: select"
-    _kept: dict[Fit, Sequence[Array]] = field(default_factory=dict, repr=False)
+    _kept: Memo[Sequence[Array]] = memo_field(_MOST_KEPT)
 
     def residuals(self, fit: Fit) -> Sequence[Array]:
         """(num_valid,) whitened residuals by run."""
-        if fit not in self._kept:
-            self._kept[fit] = held_out_residuals(fit, self.runs)
-        return self._kept[fit]
+        return self._kept(fit, lambda: held_out_residuals(fit, self.runs))
 
 
 @dataclass(eq=False)
@@ -224,7 +224,7 @@ class LeftOut:
     problem: Problem
     folds: Folds
     repeats: Repeats = field(default_factory=Repeats)
-    _kept: dict[Fit, Sequence[Array]] = field(default_factory=dict, repr=False)
+    _kept: Memo[Sequence[Array]] = memo_field(_MOST_KEPT)
 
     @property
     def words(self) -> str:
@@ -238,10 +238,9 @@ class LeftOut:
 
     def residuals(self, fit: Fit) -> Sequence[Array]:
         """(num_valid,) whitened residuals by run."""
-        if fit not in self._kept:
-            rows = left_out_residual(fit, self.folds, self.repeats)
-            self._kept[fit] = fit.problem.by_run(rows)
-        return self._kept[fit]
+        return self._kept(
+            fit, lambda: fit.problem.by_run(left_out_residual(fit, self.folds, self.repeats))
+        )
 
 
 def referee_of(plain: Fit, select: Sequence[Run]) -> Referee | None:

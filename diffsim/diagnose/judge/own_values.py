@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
-from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ _FAR = 1.5  # misfit per sample of a run's own values, from which their slopes a
 _STRAIGHT = 0.02  # share of it that this must promise
 _MAX_STEPS = 20
 _ENOUGH = 0.1 * FIT_RTOL  # promise of a step that is not simulated: slopes may be a little wrong
-_Asked = tuple[int, bytes, tuple[str, ...]]
 
 
 class Frozen(Protocol):
@@ -34,14 +32,10 @@ class Frozen(Protocol):
     def x(self) -> Array: ...
 
 
-# a run's own values are asked for by the gain, the errors, the page and the recording
-_FOUND: WeakKeyDictionary[Problem, dict[_Asked, tuple[ref[Run], Array]]] = WeakKeyDictionary()
-
-
 def held_out_point(fit: Frozen, run: Run, unmet: Collection[str] | None = None) -> Array:
     """A fit's coordinates with what is a run's own ("offset@run") fitted to it, (n,).
 
-    Remembered as long as the problem and the run live: nothing is simulated twice.
+    Gain, errors, page and recording ask for it: the problem keeps it, nothing is simulated twice.
 
     Args:
         fit: Model, noise and coordinates, which stay.
@@ -49,13 +43,11 @@ def held_out_point(fit: Frozen, run: Run, unmet: Collection[str] | None = None) 
         unmet: Parameters that no fitted run has, as of ``own_names``; None: those of the problem.
     """
     known = tuple(unmet_by(fit.problem) if unmet is None else unmet)
-    found = _FOUND.setdefault(fit.problem, {})
-    asked = (id(run), np.asarray(fit.x).tobytes(), known)
-    if asked in found and found[asked][0]() is run:
-        return found[asked][1].copy()
-    point = own_point(replace(fit.problem, runs=(run,)), fit.x, run, unmet=known)
-    found[asked] = ref(run), point
-    return point.copy()
+    found: Array = fit.problem.memo(
+        ("held_out_point", run, np.asarray(fit.x).tobytes(), known),
+        lambda: own_point(replace(fit.problem, runs=(run,)), fit.x, run, unmet=known),
+    )
+    return found.copy()
 
 
 def unmet_by(problem: Problem) -> tuple[str, ...]:

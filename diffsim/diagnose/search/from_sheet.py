@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import Weighed
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -30,6 +31,7 @@ from diffsim.identify.linearization import (
     record_at,
     whitened,
 )
+from diffsim.identify.whitening import MOST_RUNS
 
 Array = NDArray[np.float64]
 LEAST_REFITS = 4  # sets that are fitted from there
@@ -89,13 +91,11 @@ class _Warm:
 
     def __init__(self, whitener: Whitener, factor: float):
         self._whitener, self._factor = whitener, factor
-        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}
+        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """(num_valid, num_samples * num_channels)."""
-        if id(run) not in self._made:  # the run is kept, so its id stays its own
-            self._made[id(run)] = (run, self._whitener.matrix(run) * (1.0 / self._factor))
-        return self._made[id(run)][1]
+        return self._made(run, lambda: self._whitener.matrix(run) * (1.0 / self._factor))
 
 
 def cooled(problem: Problem, start: Linearization) -> Linearization:

@@ -7,7 +7,6 @@ the flow, the fluid and the sensors are then changed without another solve.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import product
@@ -16,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from diffsim.core.memo import Memo
 from diffsim.systems.flow_network.network import NetworkDevice
 from diffsim.systems.flow_network.network_flow import NetworkFlow
 
@@ -88,19 +88,15 @@ class UnitFlowTable:
         # the same on all grids, so that refining changes the flow only
         wall = WALL_STEP * max(s / n for s, n in zip(device.size, device.cells, strict=True))
         self.steps = (wall, wall, NARROWING_STEP)  # of offset, slip and narrowing
-        self._recent: OrderedDict[tuple[float, ...], UnitFlows] = OrderedDict()
-        self._kept: OrderedDict[tuple[int, ...], UnitFlows] = OrderedDict()
+        self._recent: Memo[UnitFlows] = Memo(NUM_RECENT)
+        self._kept: Memo[UnitFlows] = Memo(NUM_KEPT)
 
     def at(self, shape: Shape) -> UnitFlows:
         """Unit flows of a shape; gradients pass to it through the interpolation."""
         if any(part.requires_grad for part in shape):
             return self._between(shape)
         key = tuple(torch.cat([part.reshape(-1) for part in shape]).tolist())
-        if key not in self._recent:
-            self._recent[key] = self._between(shape)
-            if len(self._recent) > NUM_RECENT:
-                self._recent.popitem(last=False)
-        return self._recent[key]
+        return self._recent(key, lambda: self._between(shape))
 
     def _between(self, shape: Shape) -> UnitFlows:
         coordinates = [
@@ -168,18 +164,15 @@ class UnitFlowTable:
         )
 
     def _solved(self, key: tuple[int, ...]) -> UnitFlows:
-        if key not in self._kept:
-            with torch.no_grad():
-                self._kept[key] = self.simulated(
-                    key[0] * self.steps[0],
-                    key[1] * self.steps[1],
-                    tuple(k * self.steps[2] for k in key[2:]),
-                )
-            if len(self._kept) > NUM_KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
+        wall, slip, narrowing = self.steps
+        return self._kept(
+            key,
+            lambda: self.simulated(
+                key[0] * wall, key[1] * slip, tuple(k * narrowing for k in key[2:])
+            ),
+        )
 
+    @torch.no_grad()
     def simulated(self, offset: float, slip: float, narrowing: tuple[float, ...]) -> UnitFlows:
         """Unit flows of a shape without interpolation; lengths in [m], narrowing relative."""
         is_nominal = not any((offset, slip, *narrowing))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
+from diffsim.core.memo import Memo
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.stability import runs_away
 
 MOST_PARTS = 64  # of a sample interval
-_KNOWN: WeakKeyDictionary[Study, tuple[str, int]] = WeakKeyDictionary()
+_LAST: Memo[int] = Memo(1)
 
 
 def parts_needed(study: Study, model: SimModel, formulas: str) -> int:
@@ -29,10 +28,7 @@ def parts_needed(study: Study, model: SimModel, formulas: str) -> int:
         1, or a power of two of which half is enough, too: parameters will move, and a quick look
         steps twice as far. 1 where no number up to ``MOST_PARTS`` helps.
     """
-    known = _KNOWN.get(study)
-    if known is None or known[0] != formulas:
-        known = _KNOWN[study] = (formulas, _found(study, model))
-    return known[1]
+    return _LAST((study, formulas), lambda: _found(study, model))
 
 
 def _found(study: Study, model: SimModel) -> int:

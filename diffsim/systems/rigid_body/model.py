@@ -13,6 +13,7 @@ from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.instruments import Instruments, grid_of
 from diffsim.causes.ports import SignalMap
 from diffsim.core.check import did_you_mean
+from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Channel, Run
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
@@ -58,7 +59,7 @@ class Table:
     tosses: Tosses
     shooting: Shooting
     place: Mapping[str, int]
-    latest: dict[tuple[bytes, ...], Tensor] = field(default_factory=dict)
+    latest: Memo[Tensor] = memo_field(1)
 
     def predict(
         self,
@@ -73,10 +74,8 @@ class Table:
         if any(v.requires_grad for v in given) or not instruments.is_empty:
             return self._predict_alone(run, values, terms, instruments)
         key = (*map(str.encode, terms), *(v.numpy().tobytes() for v in given))
-        if key not in self.latest:
-            self.latest.clear()
-            self.latest[key] = self._profiled(self.tosses, self.shooting, values, terms)
-        return self.latest[key][:, index]
+        every = self.latest(key, lambda: self._profiled(self.tosses, self.shooting, values, terms))
+        return every[:, index]
 
     def _profiled(
         self,

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.instruments import grid_of
+from diffsim.core.memo import Memo
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.rod.figure import dots_of, skin_of
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from diffsim.identify.shape import MovingShape
     from diffsim.systems.description import BaseParameters
     from diffsim.systems.rod.keys import RodKeys
+
+MOST_GUESSES = 1024  # a run's poses at the best guess beforehand
 
 
 class DescribedRod:
@@ -38,7 +41,7 @@ class DescribedRod:
     def __init__(self, given: RodKeys, channels: Sequence[str], parameters: BaseParameters):
         self.given, self.parameters = given, parameters
         self._layout = lru_cache(maxsize=8)(lambda finer: layout_of(given, channels, finer))
-        self._guesses: dict[tuple[str, int, bytes, float], Poses] = {}
+        self._guesses: Memo[Poses] = Memo(MOST_GUESSES)
 
     def model(self) -> SimModel:
         """The model that is fitted; many points are simulated at once."""
@@ -54,11 +57,13 @@ class DescribedRod:
         scene = self._scene(self.parameters.in_run(values, run), run, numerics)
         pulls = scene.command.numpy()  # the first half of a run has its name, and fewer of them
         key = (run.name, len(pulls), pulls.tobytes(), numerics.mesh)
-        if key not in self._guesses:
-            at_prior = {p.name: torch.tensor(p.value).double() for p in self.parameters.base}
-            plain = self._scene(self.parameters.in_run(at_prior, run), run, numerics)
-            self._guesses[key] = plain.poses()
-        return replace(scene, guess=self._guesses[key])
+        return replace(
+            scene, guess=self._guesses(key, lambda: self._at_prior(run, numerics).poses())
+        )
+
+    def _at_prior(self, run: Run, numerics: Numerics) -> RodScene:
+        values = {p.name: torch.tensor(p.value).double() for p in self.parameters.base}
+        return self._scene(self.parameters.in_run(values, run), run, numerics)
 
     def _scene(self, numbers: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
         layout: Layout = self._layout(1.0 / numerics.mesh)

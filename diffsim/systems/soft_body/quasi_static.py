@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from diffsim.causes.interpolation import curved, straight
+from diffsim.core.memo import Memo
 from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.scene import SoftScene
 
 Key = tuple[float, ...]
-MOST_KEPT = 256
 POSE_MARGIN = 0.1  # of the commanded range, for causes that enlarge the command
 MOST_ADDED = 10  # times as many poses as were stated, on each side; straight lines beyond
 ROUNDING = 1e-9  # of a spacing
@@ -34,7 +34,7 @@ class PosedScene(SoftScene):
     """
 
     pose_commands: Tensor | None = None
-    kept: dict[Key, Tensor] = field(default_factory=dict)
+    kept: Memo[Tensor]
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
@@ -58,8 +58,11 @@ class PosedScene(SoftScene):
         drives = self.actuate(commands) if self.actuate is not None else commands
         pressures = None if self.pressurize is None else self.pressurize(commands)
         key = self._key([drives, *([] if pressures is None else [pressures])])
-        if key is not None and key in self.kept:
-            return self.kept[key]
+        if key is None:
+            return self._computed(commands, drives, pressures)
+        return self.kept(key, lambda: self._computed(commands, drives, pressures))
+
+    def _computed(self, commands: Tensor, drives: Tensor, pressures: Tensor | None) -> Tensor:
         physics = self.body.physics(**self.parameters)
         order = commands.detach().norm(dim=-1).argsort().tolist()
         found: dict[int, Tensor] = {}
@@ -69,12 +72,7 @@ class PosedScene(SoftScene):
             pressure = None if pressures is None else pressures[k]
             state = self.equilibrium(activation, physics, pressure=pressure, guess=guess)
             guess, found[k] = state.x.detach(), self.observe(state.x)
-        places = torch.stack([found[k] for k in range(len(order))])
-        if key is not None:
-            if len(self.kept) >= MOST_KEPT:
-                self.kept.clear()
-            self.kept[key] = places
-        return places
+        return torch.stack([found[k] for k in range(len(order))])
 
     def _key(self, drives: list[Tensor]) -> Key | None:
         """All that poses depend on; None where it is not known, or gradients are wanted."""
@@ -121,7 +119,7 @@ def _with_margin(reach: Sequence[float]) -> tuple[float, float]:
     return (reach[0] - margin if reach[0] < 0.0 else 0.0), reach[1] + margin
 
 
-def posed(scene: SoftScene, commands: Tensor | None, kept: dict[Key, Tensor]) -> PosedScene:
+def posed(scene: SoftScene, commands: Tensor | None, kept: Memo[Tensor]) -> PosedScene:
     """The scene as a sequence of equilibria.
 
     Args:

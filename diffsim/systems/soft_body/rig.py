@@ -14,6 +14,7 @@ from torch import Tensor
 from diffsim import mesh as meshes
 from diffsim import soft
 from diffsim.core.errors import FactorizationError
+from diffsim.core.memo import Memo
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
 from diffsim.systems.soft_body.places import AnyMesh, spread_evenly
 from diffsim.systems.soft_body.readings import look_of, main_axis
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
     from diffsim.systems.soft_body.keys import DescribedMuscle
 
+MOST_KEPT = 256  # sequences of poses
+MOST_HELD = 512  # shapes before the start
 SMALL = 1e-3  # of the body's length: displacements that are still linear
 FIRST_PUSH = 1e-5  # force per volume, of Young's modulus per length
 FADE_ANGLE = 0.1  # of attack, below which the force of the water fades [rad]
@@ -86,8 +89,8 @@ class Rig:
         self._seen = {main_axis(r) for _, r in readings if r.axis is not None} or {0, 1, 2}
         self._hold()
         self._water = lru_cache(maxsize=64)(self._new_water)
-        self.poses: dict[tuple[float, ...], Tensor] = {}
-        self._held_shapes: dict[tuple[float, ...], Tensor] = {}
+        self.poses: Memo[Tensor] = Memo(MOST_KEPT)
+        self._held_shapes: Memo[Tensor] = Memo(MOST_HELD)
 
     def _nodes(self, key: str, region: Any) -> Tensor:
         with within(key):
@@ -196,11 +199,7 @@ class Rig:
         if any(v.requires_grad for v in inputs):
             return self._shape_held(parameters, offset, activation)
         key = tuple(float(v) for one in inputs for v in one.flatten())
-        if key not in self._held_shapes:
-            if len(self._held_shapes) > 512:
-                self._held_shapes.clear()
-            self._held_shapes[key] = self._shape_held(parameters, offset, activation)
-        return self._held_shapes[key]
+        return self._held_shapes(key, lambda: self._shape_held(parameters, offset, activation))
 
     def _shape_held(
         self, parameters: Mapping[str, Tensor], offset: Tensor, activation: Tensor | None

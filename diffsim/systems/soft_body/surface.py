@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.memo import Memo
 from diffsim.identify.shape import MovingShape
 from diffsim.mesh import surface_triangles
 from diffsim.systems.soft_body.quasi_static import PosedScene
@@ -28,7 +29,7 @@ def surface_of(scene: SoftScene) -> MovingShape:
 
     bare = replace(scene, observe=observe, place_maps=(), output_maps=(), rest_places=None)
     if isinstance(bare, PosedScene):
-        bare = replace(bare, kept={})  # what is kept shows markers
+        bare = replace(bare, kept=Memo(1))  # what is kept shows markers
     places = bare.simulate().detach().numpy()
     return MovingShape(
         triangles=local.reshape(-1, 3).numpy(),
