@@ -155,7 +155,6 @@ def flown(
             guess=torch.cat([states[starts], past.expand(len(starts), -1)], 1),
             measured=channels[rows],
             sd=torch.ones(channels.shape[1], dtype=torch.float64),
-            latest=[],
             rows=starts,
         )
         flyer = Flyer(scene.changed(windows=there), 1)

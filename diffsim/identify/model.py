@@ -360,8 +360,11 @@ class SimModel:
         """
         return self
 
-    def shortened(self) -> SimModel | None:
+    def shortened(self, runs: Sequence[Run]) -> SimModel | None:
         """The model with shorter windows of its own, where it cuts runs and starts anew in each.
+
+        Args:
+            runs: Runs whose windows are too long.
 
         Returns:
             None where windows are as short as they may be, or there are none.

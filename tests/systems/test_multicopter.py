@@ -119,7 +119,7 @@ def test_initial_states_are_fitted_away(model, flown):
     assert float(misfit) / (SAMPLES * 12 - 3 * 12) == pytest.approx(1.0, abs=0.1)
     # another first guess of the same windows ends in the same place
     scene = model.build({}, run, Numerics())
-    moved = replace(scene.windows, guess=scene.windows.guess + 0.02, latest=[])
+    moved = replace(scene.windows, guess=scene.windows.guess + 0.02, start=None)
     other = scene.changed(windows=moved).simulate()
     # but for the pull of the prior
     assert float(((other - scene.simulate()) / SD).abs().max()) < 0.05
@@ -463,7 +463,7 @@ def test_profile_of_a_linear_model_is_ridge_regression():
     def predict(start):
         return ((start - guess) @ tangent.T)[..., None]
 
-    windows = Windows(guess, measured, tensor([0.5]), [])
+    windows = Windows(guess, measured, tensor([0.5]))
     shooting = windows.settled(predict)
     spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 6 + [2.0] * 4)
     normal = 4 * tangent.T.numpy() @ tangent.numpy() + np.diag(spread**-2)
@@ -488,7 +488,6 @@ def pulled(thrust, past=1.3):
         guess,
         (0.2 + fading)[None, :, None],
         tensor([0.05]),
-        [],
         rigid_spread=(1.0,) * 4,
         past_spread=2.0,
     )
@@ -497,25 +496,25 @@ def pulled(thrust, past=1.3):
 def test_a_past_thrust_that_wants_below_zero_is_held_at_zero():
     """The rest of the state is settled beside it, and another search finds the same."""
     windows = pulled(thrust=-3.0)
-    first = windows.settled(lagging).profile(lagging)
-    assert float(windows.latest[0][0, 12]) == 0.0
+    found = windows.settled(lagging)
+    first = found.profile(lagging)
+    assert float(found.states[0, 12]) == 0.0
     # the offset is that of least squares with no thrust, prior N(0, 1) included
     offset = float(windows.measured.sum() / 0.05**2 / (6 / 0.05**2 + 1.0))
-    assert float(windows.latest[0][0, 0]) == pytest.approx(offset, abs=1e-4)
+    assert float(found.states[0, 0]) == pytest.approx(offset, abs=1e-4)
     np.testing.assert_allclose(windows.settled(lagging).profile(lagging), first, atol=1e-12)
     for start in (0.3, 4.0):
-        other = pulled(thrust=-3.0)
-        other.latest[:] = [tensor([[5.0] * 12 + [start]])]
-        np.testing.assert_allclose(other.settled(lagging).profile(lagging), first, atol=1e-9)
+        other = windows.settled(lagging, near=tensor([[5.0] * 12 + [start]]))
+        np.testing.assert_allclose(other.profile(lagging), first, atol=1e-9)
 
 
 def test_a_past_thrust_at_zero_rises_again_when_the_record_asks_for_it():
     below, above = pulled(thrust=-3.0), pulled(thrust=0.8)
     free = above.settled(lagging).profile(lagging)
-    below.settled(lagging)
-    held_first = replace(above, latest=list(below.latest))
-    assert float(held_first.latest[0][0, 12]) == 0.0
-    np.testing.assert_allclose(held_first.settled(lagging).profile(lagging), free, atol=1e-6)
+    held = below.settled(lagging).states
+    assert float(held[0, 12]) == 0.0
+    rising = above.settled(lagging, near=held)
+    np.testing.assert_allclose(rising.profile(lagging), free, atol=1e-6)
 
 
 def test_steps_that_shrink_slowly_are_made_longer_by_what_they_have_shown():
@@ -526,7 +525,7 @@ def test_steps_that_shrink_slowly_are_made_longer_by_what_they_have_shown():
         first = starts[..., :1]
         return torch.cat([first, 4.0 * first**2], -1)[..., None]
 
-    windows = Windows(tensor([[0.3] * 12]), tensor([[[0.02], [0.12]]]), tensor([0.01]), [])
+    windows = Windows(tensor([[0.3] * 12]), tensor([[[0.02], [0.12]]]), tensor([0.01]))
     alone, change = [], torch.zeros(1, 12, dtype=torch.float64)
     for _ in range(MAX_STEPS):
         step = windows._step(bent, change)[1]

@@ -284,7 +284,7 @@ def test_wild_starts_are_found_by_creeping():
     model = setup_of(s).model
     scene = model.scene(s.runs[0], model.at_prior())
     want = scene.simulate()
-    wild = replace(scene.windows, guess=scene.windows.guess + 0.6, latest=[])
+    wild = replace(scene.windows, guess=scene.windows.guess + 0.6, start=None)
     found = scene.changed(windows=replace(wild, rigid_spread=(9.0, 9.0, 9.0, 9.0))).simulate()
     assert float(((found - want) / scene.windows.sd).abs().max()) < 0.3
 

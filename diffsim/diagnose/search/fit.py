@@ -74,7 +74,7 @@ def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
         try:
             return _grown(problem, windows)
         except DiffsimError:
-            shorter = model.shortened()
+            shorter = model.shortened(problem.runs)
             if shorter is None:
                 raise
             shorter.simulations = model.simulations  # goes on counting

@@ -110,7 +110,7 @@ def _readings(
         commands=thrusts[None],
         dt=dt,
         sensors=cutter.sensors,
-        windows=Windows(start, nothing, cutter.sd, []),
+        windows=Windows(start, nothing, cutter.sd),
         columns=cutter.columns,
         frames=cutter.frames,
     )

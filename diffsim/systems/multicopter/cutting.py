@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from diffsim.systems.multicopter.starts import acceleration_of, states_of
 LONGEST = "longest_window_s"  # its place among the facts of a model
 LONGEST_S = 1.0  # of a window whose length is left to the model
 FEWEST = 5  # samples of a window
+MOST_RUNS = 1024  # whose windows are kept
 _EASY_STEPS = 6  # in which initial states settle where windows are not too long
 _SEEN = 1e-3  # of the strongest way to move the vehicle: weaker ones are none
 _UNEVEN = 1e-3  # of the mean step
@@ -97,7 +98,7 @@ class Cutter:
         scene: Callable[[Windows], CopterScene],
         vehicle: Fleet | None = None,
     ) -> Windows:
-        """Windows of a run.
+        """Windows of a run; searches start from the states of the model with its prior.
 
         Args:
             run: Recorded run.
@@ -112,14 +113,15 @@ class Cutter:
         while self.window_s is None and length > FEWEST:
             try:
                 scene(windows).settled(_EASY_STEPS)
+                break
             except DiffsimError:  # the model leaves the record within a window
                 length = max(FEWEST, length // 2)
                 windows = self._windows(run, past, length, idle)
-            else:
-                windows.latest.clear()
-                windows.learned.clear()
-                break
-        return windows
+        try:  # thrusts before the record may be at a bound of this model, and not of another
+            found = scene(windows.with_thrusts_held()).settled()
+        except DiffsimError:
+            return windows
+        return replace(windows, start=found.states)
 
     def _windows(self, run: Run, past: Tensor, length: int, idle: Tensor | None) -> Windows:
         """Start one sample early, for the accelerometer shows the mean over the step before."""
@@ -139,7 +141,6 @@ class Cutter:
             guess=torch.cat([states[before], past.expand(windows, -1)], 1),
             measured=record.reshape(windows, length, -1),
             sd=self.sd,
-            latest=[],
             acceleration=motion.acceleration,
             states=states,
             rows=before,

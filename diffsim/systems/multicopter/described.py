@@ -12,10 +12,11 @@ from torch import Tensor
 from diffsim.causes.signals import held_delayed, held_lagged
 from diffsim.copter import Multicopter
 from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in
-from diffsim.systems.multicopter.cutting import Cutter, spacing
+from diffsim.systems.multicopter.cutting import MOST_RUNS, Cutter, spacing
 from diffsim.systems.multicopter.keys import RotorKeys
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.scene import CopterScene
@@ -43,7 +44,7 @@ class DescribedFlights:
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
         lags_speed: Whether it is the speed, not the thrust, that lags.
         clocks: Indices of the channels that are late together, by the quantity that says how much.
-        known: Windows of each run that was cut already.
+        known: Windows of the runs that were cut.
     """
 
     parameters: BaseParameters
@@ -58,16 +59,21 @@ class DescribedFlights:
     thrust_coefficient: float
     lags_speed: bool
     clocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    known: dict[Run, Windows] = field(default_factory=dict)
+    known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        if run not in self.known:
-            nominal = self.nominal()
-            past = self.asked(run, self.in_run(nominal, run)).mean(1)
-            self.known[run] = self.cutter.cut(
-                run, past, partial(self._scene, nominal, run, Numerics()), self.nominal_fleet()
-            )
-        return self._scene(values, run, numerics, self.known[run])
+        return self._scene(values, run, numerics, self.windows(run))
+
+    def windows(self, run: Run) -> Windows:
+        """The record of a run in windows."""
+        return self.known(run, lambda: self._cut(run))
+
+    def _cut(self, run: Run) -> Windows:
+        nominal = self.nominal()
+        past = self.asked(run, self.in_run(nominal, run)).mean(1)
+        return self.cutter.cut(
+            run, past, partial(self._scene, nominal, run, Numerics()), self.nominal_fleet()
+        )
 
     def nominal(self) -> dict[str, Tensor]:
         """Best guesses of the base parameters beforehand."""

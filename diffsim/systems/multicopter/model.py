@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +17,12 @@ from diffsim.copter import Multicopter
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.check import require_choice
 from diffsim.core.layer import may_be_differentiated
+from diffsim.core.memo import Memo, memo_field
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, Cutter, spacing
+from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, MOST_RUNS, Cutter, spacing
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
@@ -82,26 +83,29 @@ class CopterModel(SimModel):
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Scene:
-        """The run at one point; it is known again where nobody differentiates."""
-        made = super().scene(run, q, sizes, numerics)
-        assert isinstance(made, CopterScene)
+        """The run at one point; where nobody differentiates it is that point to 13 digits, by which
+        it is known again: sizes come from two formulas that differ in the last one."""
         if may_be_differentiated():
-            return made
-        there = [(e.name, _digits(s)) for e, s in (sizes or {}).items() if s.any()]
-        return made.changed(point=(self, numerics or Numerics(), _digits(q), *there))
+            return super().scene(run, q, sizes, numerics)
+        q = _rounded(q)
+        there = {e: _rounded(s) for e, s in (sizes or {}).items() if s.any()}
+        made = super().scene(run, q, there, numerics)
+        assert isinstance(made, CopterScene)
+        digits = ((e, s.numpy().tobytes()) for e, s in there.items())
+        return made.changed(point=(self, numerics or Numerics(), q.numpy().tobytes(), *digits))
 
-    def shortened(self) -> SimModel | None:
-        """The model with windows half as long as its longest one.
+    def shortened(self, runs: Sequence[Run]) -> SimModel | None:
+        """The model with windows half as long as the longest one of some runs.
 
         Returns:
             None where their length was stated, or where they have as few samples as they may.
         """
-        cutter, known = self.flights.cutter, self.flights.known
-        lengths = {run: windows.measured.shape[1] for run, windows in known.items()}
+        cutter = self.flights.cutter
+        lengths = {run: self.flights.windows(run).measured.shape[1] for run in runs}
         if cutter.window_s is not None or max(lengths.values(), default=0) <= FEWEST:
             return None
         longest_s = 0.5 * max(length * spacing(run) for run, length in lengths.items())
-        shorter = replace(self.flights, cutter=replace(cutter, longest_s=longest_s), known={})
+        shorter = replace(self.flights, cutter=replace(cutter, longest_s=longest_s))
         made = CopterModel(shorter, self.base)
         if SCALES in self.frame:
             scales = Scales.read(self.frame[SCALES])
@@ -160,9 +164,10 @@ class CopterModel(SimModel):
         return scene
 
 
-def _digits(values: Tensor) -> bytes:
-    """Values to 13 digits: sizes come from two formulas that differ in the last one."""
-    return ((values.contiguous().numpy().view(np.int64) + (1 << 7)) >> 8).tobytes()
+def _rounded(values: Tensor) -> Tensor:
+    """Values to 13 digits."""
+    bits = values.contiguous().view(torch.int64)
+    return ((bits + (1 << 7)) >> 8 << 8).view(torch.float64)
 
 
 def flight_model(
@@ -233,7 +238,7 @@ class Flights:
         base: Base parameters with their priors.
         substeps: Integration steps per sample.
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
-        known: Windows of each run that was cut already.
+        known: Windows of the runs that were cut.
     """
 
     vehicle: Fleet
@@ -242,15 +247,21 @@ class Flights:
     base: tuple[Parameter, ...]
     substeps: int
     thrust_coefficient: float
-    known: dict[Run, Windows] = field(default_factory=dict)
+    known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        if run not in self.known:
-            past = _columns(run, self.commands).mean(1)
-            nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
-            scene = partial(self._scene, nominal, run, Numerics())
-            self.known[run] = self.cutter.cut(run, past, scene, self.vehicle)
-        return self._scene(values, run, numerics, self.known[run])
+        return self._scene(values, run, numerics, self.windows(run))
+
+    def windows(self, run: Run) -> Windows:
+        """The record of a run in windows."""
+        return self.known(run, lambda: self._cut(run))
+
+    def _cut(self, run: Run) -> Windows:
+        past = _columns(run, self.commands).mean(1)
+        nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
+        return self.cutter.cut(
+            run, past, partial(self._scene, nominal, run, Numerics()), self.vehicle
+        )
 
     def _scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows

@@ -13,8 +13,6 @@ from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.numbers import change_number
 from diffsim.systems.multicopter.shooting import MAX_STEPS, Shooting
 
-_KEPT = 2  # points: a step's end, and its start where it is not taken
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CopterScene(CopterFlight):
@@ -36,15 +34,9 @@ class CopterScene(CopterFlight):
     def settled(self, max_steps: int = MAX_STEPS) -> Shooting:
         """Best initial states of one point and their tangents there, found within some steps; those
         of the last points are kept."""
-        known = self.windows.known
-        if self.point is not None and self.point in known:
-            return known[self.point]
-        found = self._searched(max_steps)
-        if self.point is not None:
-            known[self.point] = found
-            while len(known) > _KEPT:
-                del known[next(iter(known))]
-        return found
+        if self.point is None:
+            return self._searched(max_steps)
+        return self.windows.known(self.point, lambda: self._searched(max_steps))
 
     def _searched(self, max_steps: int) -> Shooting:
         flyers: dict[int, Flyer] = {}

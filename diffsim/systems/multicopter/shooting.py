@@ -5,7 +5,7 @@ The state of 12 here: position, roll-pitch-yaw, velocity (world), body rates, wo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffsim.copter import FlightState
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.memo import Memo, memo_field
 from diffsim.core.rotation import body_rates_from_rpy_rates, quaternion_from_rpy
 from diffsim.systems.multicopter.secants import Secants
 
@@ -29,6 +30,8 @@ _MAX_CREEPING = 40
 _LEAST_SHARE = 1e-3  # of a step
 _SETTLED = 3e-5  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
+_MAX_FREED = 4  # times that thrusts held at zero are let go
+_KNOWN = 2  # points: a step's end, and its start where it is not taken
 
 
 Predict = Callable[[Tensor], Tensor]
@@ -85,10 +88,6 @@ class Windows:
         guess: Initial states estimated from the record, (num_windows, 12 + n_rotors).
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
-        latest: The best states of the last search (or none): where the next search starts.
-        learned: Which thrusts it held, and what it learned of the bend (or none): that serves the
-            next search.
-        known: What searches found at the last points of the parameters.
         acceleration: Recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2].
         states: Recorded states of 12 at every sample, (num_samples, 12).
         rows: Samples that the windows start from, (num_windows,).
@@ -101,12 +100,14 @@ class Windows:
         idle: Projector onto thrusts that leave force and torque on the vehicle as they are,
             (n_rotors, n_rotors); none if left out. No record shows them, and squares of them bend
             the way of every search, so that they are small beforehand.
+        start: States where searches start, (num_windows, 12 + n_rotors): the best ones of one
+            model, the same for all, so that none depends on another. None: the guess.
+        known: What searches found at the last points of the parameters.
     """
 
     guess: Tensor
     measured: Tensor
     sd: Tensor
-    latest: list[Tensor]
     acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
     states: Tensor = field(default_factory=lambda: torch.zeros(1, RIGID, dtype=torch.float64))
     rows: Tensor = field(default_factory=lambda: torch.zeros(1, dtype=torch.long))
@@ -115,8 +116,8 @@ class Windows:
     held: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
     is_at_zero: bool = True
     idle: Tensor | None = None
-    learned: list[tuple[Tensor, Secants]] = field(default_factory=list)
-    known: dict[Hashable, Shooting] = field(default_factory=dict)
+    start: Tensor | None = None
+    known: Memo[Shooting] = memo_field(_KNOWN)
 
     def __post_init__(self) -> None:
         if not len(self.held):
@@ -137,9 +138,10 @@ class Windows:
             precision[RIGID:, RIGID:] += self.idle / (_IDLE * self.past_spread) ** 2
         return precision
 
-    def settled(self, predict: Predict, max_steps: int = MAX_STEPS) -> Shooting:
-        """The best initial states for one model, by Gauss-Newton with new tangents at every step,
-        and what the steps show of the bend beyond them.
+    def settled(
+        self, predict: Predict, max_steps: int = MAX_STEPS, near: Tensor | None = None
+    ) -> Shooting:
+        """The best initial states for one model, by Gauss-Newton with new tangents at every step.
 
         No rotor pulls backwards before the record: a thrust that wants below zero is zero, and the
         rest is best beside it. Such a bound is active in the whole neighborhood of a model, so that
@@ -150,21 +152,27 @@ class Windows:
                 same leading axes, (..., length, num_channels).
             max_steps: Number of full steps; fewer ask for a model that is nearer to the record, and
                 are Gauss-Newton's own.
+            near: States where the search starts; None: ``start``.
 
         Raises:
             ConvergenceError: the model is too far from the record for windows of this length.
         """
         with torch.no_grad():
-            latest = [self._at_zero(states, states[0, RIGID:] == 0.0) for states in self.latest]
-            for windows, states in [*latest, (self, self.guess)]:
-                shooting, size, states = windows._bounded(predict, states, max_steps)
-                if size < _SETTLED and not shooting.windows._wants_thrust(predict, states):
-                    self.latest[:] = [states]
-                    self.learned[:] = [(shooting.windows.held, shooting.secants)]
-                    return shooting
+            starts = [(self, self.guess)]
+            near = self.start if near is None else near
+            if near is not None:
+                starts.insert(0, self._at_zero(near, near[0, RIGID:] == 0.0))
+            for windows, states in starts:
+                for _ in range(_MAX_FREED):
+                    shooting, size, states = windows._bounded(predict, states, max_steps)
+                    if size >= _SETTLED:
+                        break
+                    wanted = shooting.windows._wants_thrust(predict, states)
+                    if not wanted.any():
+                        return shooting
+                    windows = self._at_zero(self.guess, shooting.windows.held & ~wanted)[0]
             if max_steps >= MAX_STEPS:
-                states = self.latest[0] if self.latest else self.guess
-                shooting, size = self._crept(predict, states - self.guess)
+                shooting, size = self._crept(predict, starts[0][1] - self.guess)
                 if size < _LINEAR:
                     return shooting
         raise ConvergenceError(
@@ -178,42 +186,36 @@ class Windows:
     def _bounded(
         self, predict: Predict, states: Tensor, max_steps: int
     ) -> tuple[Shooting, float, Tensor]:
-        """Steps with new tangents each, as long as ``Secants`` says; where they end below a thrust
-        of zero, again with that thrust at zero.
+        """Steps with new tangents each, as long as ``Secants`` says. A thrust that a step takes
+        below zero is held at zero from there on: without a slope it would come back, and go again.
 
         Returns:
             Tangents at the last states, the step that was wanted there over the spread, the states.
         """
-        windows = self
-        for _ in range(1 + states.shape[1] - RIGID):
-            change, secants, last = states - windows.guess, windows._learned(), None
-            for _ in range(max_steps):
-                shooting, step = windows._step(predict, change)
-                if last is not None:
-                    secants = secants.learned(change - last[0], last[1], step)
-                size = windows._size(step)
-                if size < _SETTLED:
-                    break
-                last = change, step
-                if max_steps >= MAX_STEPS:
-                    step = secants.ahead(step)
-                change = change + step / max(1.0, windows._size(step))
-            shooting = replace(shooting, secants=secants)
-            states = windows.guess + change
-            below = states[0, RIGID:] < 0.0
-            if size >= _SETTLED or not below.any():
+        windows, secants, last = self, Secants.none(len(self.guess), self.spread), None
+        for _ in range(max_steps):
+            change = states - windows.guess
+            shooting, step = windows._step(predict, change)
+            if last is not None:
+                secants = secants.learned(change - last[0], last[1], step)
+            size = windows._size(step)
+            if size < _SETTLED:
                 break
-            windows, states = windows._at_zero(states, below)
+            last = change, step
+            if max_steps >= MAX_STEPS:
+                step = windows._shortened(predict, change, secants.ahead(step))
+            else:
+                step = step / max(1.0, size)
+            states = states + step
+            below = states[0, RIGID:] < 0.0
+            if below.any():
+                windows, states = windows._at_zero(states, below)
+                secants, last = Secants.none(len(self.guess), self.spread), None
         return shooting, size, states
 
     def _size(self, step: Tensor) -> float:
         """Largest entry of a step over its spread."""
         return float((step / self.spread).abs().max())
-
-    def _learned(self) -> Secants:
-        """What the last search with these thrusts held learned of the bend."""
-        known = [secants for held, secants in self.learned if torch.equal(held, self.held)]
-        return known[0] if known else Secants.none(len(self.guess), self.spread)
 
     def _at_zero(self, states: Tensor, zero: Tensor) -> tuple[Windows, Tensor]:
         """The same windows with some thrusts before the record held at zero, and states there."""
@@ -222,18 +224,30 @@ class Windows:
         held, guess, states = self.held | zero, self.guess.clone(), states.clone()
         guess[0, RIGID:][held] = 0.0
         states[0, RIGID:][held] = 0.0
-        return replace(self, guess=guess, latest=[states], held=held), states
+        return replace(self, guess=guess, held=held), states
 
-    def _wants_thrust(self, predict: Predict, states: Tensor) -> bool:
-        """Whether a rotor that is held at zero would be better with a little thrust."""
-        rotors = torch.nonzero(self.held)[:, 0] if self.is_at_zero else self.held.new_zeros(0)
+    def with_thrusts_held(self) -> Windows:
+        """The same windows with the thrusts before the record as guessed."""
+        return replace(self, held=torch.ones_like(self.held), is_at_zero=False)
+
+    def _shortened(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
+        """A step as long as it may be: beyond the spread only in windows that it makes better."""
+        sizes = (step / self.spread).abs().amax(1)
+        if float(sizes.max()) <= 1.0:
+            return step
+        better = self._costs(predict, change + step) < self._costs(predict, change)
+        return step / torch.where(better, 1.0, sizes.clamp(min=1.0))[:, None]
+
+    def _wants_thrust(self, predict: Predict, states: Tensor) -> Tensor:
+        """Which rotors that are held at zero would be better with a little thrust, (n_rotors,)."""
+        rotors = torch.nonzero(self.held & self.is_at_zero)[:, 0]
         if not len(rotors):
-            return False
+            return torch.zeros_like(self.held)
         tried = states.repeat(1 + len(rotors), 1, 1)
         tried[1 + torch.arange(len(rotors)), 0, RIGID + rotors] += _NUDGE * self.past_spread
         off = (predict(tried)[:, 0] - self.measured[0]) / self.sd
         cost = off.nan_to_num(0.0).square().flatten(1).sum(1)
-        return bool((cost[1:] < cost[0]).any())
+        return torch.zeros_like(self.held).index_put((rotors,), cost[1:] < cost[0])
 
     def _crept(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
         """Steps that are halved until the fit is better; slower, and sure to go down.
@@ -249,8 +263,10 @@ class Windows:
             size = float((step / self.spread).abs().max())
             if size < _SETTLED:
                 break
-            here, share = self._cost(predict, change), 1.0 / max(1.0, size)
-            while share > _LEAST_SHARE and self._cost(predict, change + share * step) > here:
+            here, share = self._costs(predict, change).sum(), 1.0 / max(1.0, size)
+            while share > _LEAST_SHARE:
+                if self._costs(predict, change + share * step).sum() <= here:
+                    break
                 share *= 0.5
             if share <= _LEAST_SHARE:
                 break
@@ -259,24 +275,19 @@ class Windows:
         below = ((states < 0.0) | (states + step < 0.0))[0, RIGID:] & ~self.held
         if below.any():
             windows, states = self._at_zero(states, below)
-        elif size < _LINEAR:
-            self.latest[:] = [states]
-            return shooting, size
-        elif self.held.all():
+        elif size < _LINEAR or self.held.all():
             return shooting, size
         else:  # another kink: thrusts before the record stay where they are
-            windows = replace(self, guess=self.guess.clone(), held=torch.ones_like(self.held))
-            windows.guess[0, RIGID:] = states[0, RIGID:]
-            windows = replace(windows, latest=[states], is_at_zero=False)
-        shooting = windows.settled(predict)
-        self.latest[:] = windows.latest
-        return shooting, 0.0
+            guess = self.guess.clone()
+            guess[0, RIGID:] = states[0, RIGID:]
+            windows = replace(self, guess=guess).with_thrusts_held()
+        return windows.settled(predict, near=states), 0.0
 
-    def _cost(self, predict: Predict, change: Tensor) -> float:
-        """Misfit and departure from the guess, in units of their spreads, squared."""
+    def _costs(self, predict: Predict, change: Tensor) -> Tensor:
+        """Misfit and departure from the guess over their spreads, squared, (num_windows,)."""
         off = (predict((self.guess + change)[None])[0] - self.measured) / self.sd
-        prior = (change @ self.precision * change).sum()
-        return float(off.nan_to_num(0.0).square().sum() + prior)
+        off = off.where(torch.isfinite(self.measured), 0.0)
+        return off.square().sum((1, 2)) + (change @ self.precision * change).sum(1)
 
     def _step(self, predict: Callable[[Tensor], Tensor], change: Tensor) -> tuple[Shooting, Tensor]:
         """Tangents by central differences, and the step to be taken, (num_windows, m)."""
@@ -303,7 +314,6 @@ class Windows:
             tangent,
             gain,
             there[0][..., None],
-            Secants.none(windows, spread),
         )
         return shooting, (shooting.better(there[0][..., None], change[..., None]))[..., 0] - change
 
@@ -323,7 +333,6 @@ class Shooting:
         tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
         gain: Misfit to states, (num_windows, 12 + n_rotors, length * num_channels).
         here: Prediction of that model at d, (num_windows, length * num_channels, 1).
-        secants: What steps to d have shown of the bend beyond the tangents.
     """
 
     windows: Windows
@@ -332,7 +341,11 @@ class Shooting:
     tangent: Tensor
     gain: Tensor
     here: Tensor
-    secants: Secants
+
+    @property
+    def states(self) -> Tensor:
+        """Initial states of that model, (num_windows, 12 + n_rotors)."""
+        return self.windows.guess + self.change[..., 0]
 
     def at_own_point(self) -> Tensor:
         """Prediction of the model of the tangents, (num_windows * length, num_channels)."""

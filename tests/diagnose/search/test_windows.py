@@ -87,7 +87,7 @@ def test_a_model_is_asked_for_shorter_windows_of_its_own():
                 raise DiffsimError("windows are too long")
             return Swing(torch.as_tensor(7.2).double() + 0.0 * values["omega"], run)
 
-        def shortened(self):
+        def shortened(self, runs):
             return Shooting(0.5 * self.length_s) if self.length_s > 0.3 else None
 
     whole = replace(problem(omega=7.2), model=Shooting(3.0))
