@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 import diffsim
-from diffsim.cli import devices
 from diffsim.cli.main import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -130,9 +129,3 @@ def is_own(node: ast.Attribute) -> bool:
 def test_every_command_has_help_and_arguments():
     for name, module in COMMANDS.items():
         assert module.HELP and callable(module.add_arguments) and callable(module.command), name
-
-
-def test_the_command_knows_every_device():
-    from diffsim.stokes.devices import DEVICES
-
-    assert sorted(devices.NAMES) == sorted(DEVICES)

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from diffsim.cli.arguments import add_executor
 
 HELP = "design a fluidic device of slow flow, write its numbers and picture"
-NAMES = ("amplifier", "averager", "funnel", "gate", "twister", "switch")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``diffsim devices``."""
-    parser.add_argument("name", choices=NAMES)
+    parser.add_argument("name", help="amplifier, averager, funnel, gate, twister, switch or yours")
     parser.add_argument("--out", metavar="FOLDER", help="numbers, picture and state; resumable")
     parser.add_argument("--resolution", type=float, default=1.0, help="factor on cells per axis")
     parser.add_argument(

@@ -1,7 +1,12 @@
-"""Environments by name: classes with data sheets, and the native vector environments."""
+"""Environments by name: classes with data sheets, and the native vector environments.
+
+Packages of users add tasks by entry points of the group ``diffsim.environments``; they are made,
+trained and played by the same names.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from importlib import import_module
 from typing import Any, ClassVar, NamedTuple
@@ -13,6 +18,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.check_options import require_options
+from diffsim.core.plugins import ENVIRONMENTS, find_plugins, load_plugin
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
@@ -22,14 +28,14 @@ class Named(NamedTuple):
     """What is registered of a task.
 
     Attributes:
-        module: Where its class is.
-        max_steps: Length of an episode with default options, control steps.
+        module: Where its class is; None: in another package.
+        max_steps: Length of an episode with default options, control steps; None: as the task says.
         threshold: Return of an episode at which the task counts as solved: what published runs
             (``docs/measured/learning.md``) reached, rounded down; None where none was measured.
     """
 
-    module: str
-    max_steps: int
+    module: str | None = None
+    max_steps: int | None = None
     threshold: float | None = None
 
 
@@ -48,26 +54,62 @@ _TASKS = {
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 
 
+def known_tasks() -> Mapping[str, Named]:
+    """All tasks by name, those of other packages among them.
+
+    Raises:
+        ValueError: another package gives a task the name of one of this package.
+    """
+    added = find_plugins(ENVIRONMENTS)
+    if taken := sorted(set(added) & set(_TASKS)):
+        raise ValueError(
+            f"{ENVIRONMENTS}: {taken[0]!r} is a task of diffsim already; give "
+            f"{added[taken[0]].value} another name"
+        )
+    return {**_TASKS, **dict.fromkeys(added, Named())}
+
+
 def short_name(name: str) -> str:
     """A task's name, also from an environment's id.
 
     Raises:
         ValueError: no such task; the message offers the closest names.
     """
-    return require_choice("task", name.removeprefix("diffsim/").removesuffix("-v0"), _TASKS)
+    return require_choice("task", name.removeprefix("diffsim/").removesuffix("-v0"), known_tasks())
 
 
 def register() -> None:
     """Tell gymnasium of the environments."""
-    for name, named in _TASKS.items():
+    for name, named in known_tasks().items():
         if f"diffsim/{name}-v0" not in gymnasium.registry:
+            own = named.module is not None
             gymnasium.register(
                 f"diffsim/{name}-v0",
-                entry_point=f"{__name__}:{name}Env",
-                vector_entry_point=f"{__name__}:{name}VectorEnv",
+                entry_point=f"{__name__}:{name}Env" if own else partial(make_env, name),
+                vector_entry_point=f"{__name__}:{name}VectorEnv"
+                if own
+                else partial(make_vector, name),
                 max_episode_steps=named.max_steps,
                 reward_threshold=named.threshold,
             )
+
+
+def task_class(name: str) -> type[Task]:
+    """Class of a task.
+
+    Args:
+        name: Such as "CopterHover"; also the environment's id.
+
+    Raises:
+        ValueError: no such task, or one that another package cannot give.
+    """
+    short = short_name(name)
+    module = known_tasks()[short].module
+    if module is None:
+        added: type[Task] = load_plugin(ENVIRONMENTS, short, Task)
+        return added
+    own: type[Task] = getattr(import_module(module), short)
+    return own
 
 
 def make_task(name: str, **options: Any) -> Task:
@@ -81,10 +123,28 @@ def make_task(name: str, **options: Any) -> Task:
         ValueError: no such task, or an option that it does not have; the message offers the closest
             names.
     """
-    short = short_name(name)
-    kind: type[Task] = getattr(import_module(_TASKS[short].module), short)
-    require_options(short, options, kind)
+    kind = task_class(name)
+    require_options(short_name(name), options, kind)
     return kind(**options)
+
+
+def make_env(
+    name: str,
+    *,
+    render_mode: str | None = None,
+    sensor_noise: float | NDArray[np.float64] = 0.0,
+    **options: Any,
+) -> TaskEnv:
+    """The environment of a task that has no class of its own.
+
+    Args:
+        name: Name of a task, as ``make_task`` takes it.
+        render_mode: "rgb_array", "human" or None.
+        sensor_noise: Standard deviation of white noise on observations.
+        **options: Options of the task's class.
+    """
+    task = make_task(name, **options)
+    return TaskEnv(task, render_mode=render_mode, sensor_noise=sensor_noise)
 
 
 def make_vector(
@@ -110,7 +170,7 @@ def make_vector(
         **options: Options of the task's class.
     """
     task = make_task(name, **options)
-    if max_episode_steps not in (None, _TASKS[short_name(name)].max_steps):
+    if max_episode_steps not in (None, known_tasks()[short_name(name)].max_steps):
         task.max_steps = int(require_number("max_episode_steps", max_episode_steps, at_least=1))
     return TaskVectorEnv(
         task,

@@ -14,7 +14,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from diffsim.core import plugins
 from diffsim.core.check import require_choice
+from diffsim.core.plugins import find_plugins, load_plugin
 from diffsim.stokes.devices.amplifier import amplifier
 from diffsim.stokes.devices.averager import averager
 from diffsim.stokes.devices.coarse_to_fine import coarse_to_fine
@@ -39,14 +41,20 @@ DEVICES: dict[str, Callable[..., Device]] = {
 
 
 def make(name: str, resolution: float = 1.0, **options: object) -> Device:
-    """A device by name: "amplifier", "averager", "funnel", "gate", "twister" or "switch".
+    """A device by name: one of ``DEVICES``, or of another package's.
+
+    Packages of users add devices by entry points of the group ``diffsim.devices``: functions
+    (resolution, **options) -> Device.
 
     Args:
         name: Name of the device.
         resolution: Factor on the number of cells per axis; 1 is the thesis's grid.
         **options: Options of the device, such as ``wall`` of the twister.
     """
-    device = DEVICES[require_choice("name", name, DEVICES)](resolution, **options)
+    added = find_plugins(plugins.DEVICES)
+    require_choice("name", name, (*DEVICES, *added))
+    maker = DEVICES[name] if name in DEVICES else load_plugin(plugins.DEVICES, name, object)
+    device: Device = maker(resolution, **options)
     return replace(device, remake=partial(make, name, resolution, **options))
 
 
