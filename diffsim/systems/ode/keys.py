@@ -285,7 +285,7 @@ AnyOwn = Annotated[
 class OwnEffects(EffectChoice):
     """Which candidate causes are judged, and causes of your own."""
 
-    own: tuple[AnyOwn, ...] = Field(
+    own: tuple[AnyOwn, ...] = Field(  # type: ignore[assignment]  # rows, and formulas besides
         (), description="Causes of your own: by formulas, or as rows with `at`"
     )
 
