@@ -66,11 +66,9 @@ def predictions() -> Mapping[str, Any]:
 
 def _studies() -> Iterator[tuple[str, Any]]:
     from diffsim.cli.diagnose_inputs import described
-    from diffsim.data import IMPORTERS, import_study, load_study
+    from diffsim.data import load_study
     from labs.virtual import LABS
 
-    for name in IMPORTERS:
-        yield name, import_study(name)
     for path in described():
         yield path.stem, load_study(path)
     for name, make in LABS.items():
