@@ -10,7 +10,7 @@ import pytest
 from diffsim.core.units import factor
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
-from diffsim.systems.flow_network.effects import stokes_library
+from diffsim.systems.flow_network.causes import stokes_library
 from diffsim.systems.multicopter import unknown_wrench
 from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
 from diffsim.systems.multicopter.frames import Frames

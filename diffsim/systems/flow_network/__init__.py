@@ -4,8 +4,8 @@ The flow is steady at every sample, so a run is a sequence of drive levels. Flow
 (m^2/s), as everywhere in two dimensions.
 """
 
+from diffsim.systems.flow_network.causes import network_library, stokes_library
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
-from diffsim.systems.flow_network.effects import network_library, stokes_library
 from diffsim.systems.flow_network.model import StokesScene, device_base, device_model
 from diffsim.systems.flow_network.network import NetworkDevice, Segment
 from diffsim.systems.flow_network.network_model import NetworkScene, network_base, network_model

@@ -7,10 +7,13 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.causes.own import Ports
+from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
@@ -20,12 +23,17 @@ from diffsim.systems.description import (
     chosen_effects,
     settings_with,
 )
+from diffsim.systems.flow_network.causes import (
+    between_samples,
+    lumped_causes,
+    measure_scales,
+    signal_causes,
+)
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
 from diffsim.systems.flow_network.lumped_build import (
     LumpedNetwork,
     dead_ends,
     layout_of,
-    network_causes,
     quantities_of,
 )
 from diffsim.systems.quantities import Viscosity
@@ -53,6 +61,11 @@ class FlowNetworkDescription(Description):
     meters: tuple[MeterKeys, ...] = Field(
         min_length=1, description="What each channel of the study measures"
     )
+    samples: Literal["levels", "time"] = Field(
+        "levels",
+        description="What the samples of a run are: `levels` of the commands, each by itself, or "
+        "one after the other in `time`: then what is late, lags or has play is a cause, too",
+    )
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
     @model_validator(mode="after")
@@ -68,10 +81,44 @@ class FlowNetworkDescription(Description):
         """Model, candidate causes and options for a study."""
         if found := self.problems(study):
             raise ValueError("\n".join(str(p) for p in found))
+        network = self._network(study)
+        scales = measure_scales(study, network.narrowest)
+        causes = lumped_causes(network, scales)
+        if self.effects.only or self.samples == "time":
+            causes += self._signal_causes(study, scales)
+        model = SimModel(network, network.parameters.base, "flow network")
+        model.frame = {SCALES: scales.saved()}
+        return DiagnosisSetup(
+            model,
+            chosen_effects(causes, self.effects),
+            settings=settings_with(DiagnosisSettings(), self.effort),
+        )
+
+    def ports(self, study: Study) -> Ports:
+        """What the network offers to causes of a user."""
+        network, between = self._network(study), between_samples(self.samples)
+        return Ports(
+            scales=measure_scales(study, network.narrowest),
+            commands={name: between for name in network.commands if name},
+            channels=tuple(c.name for c in study.channels),
+            has_clock=self.samples == "time",
+            numbers=tuple(network.numbers),
+        )
+
+    def _signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
+        return signal_causes(
+            study,
+            scales,
+            pumps=[s.flow for s in self.sources if isinstance(s.flow, str)],
+            pressures=[s.pressure for s in self.sources if isinstance(s.pressure, str)],
+            is_in_time=self.samples == "time",
+        )
+
+    def _network(self, study: Study) -> LumpedNetwork:
         of = {m.channel: m for m in self.meters}
         meters = tuple(of[c.name] for c in study.channels)
         known = dict(quantities_of(self.viscosity, self.channels, meters, self.nuisances))
-        network = LumpedNetwork(
+        return LumpedNetwork(
             tubes=self.channels,
             sources=self.sources,
             meters=meters,
@@ -79,12 +126,6 @@ class FlowNetworkDescription(Description):
             parameters=BaseParameters(known, study.runs),
             density=self.density,
             shear_rate=self.shear_rate,
-        )
-        causes = chosen_effects(network_causes(network, study), self.effects)
-        return DiagnosisSetup(
-            SimModel(network, network.parameters.base, "flow network"),
-            causes,
-            settings=settings_with(DiagnosisSettings(), self.effort),
         )
 
     def _problems(self, study: Study) -> Iterator[Problem]:

@@ -7,6 +7,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.causes.own import Ports
+from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
 from diffsim.data.study import Study
@@ -22,11 +24,19 @@ from diffsim.systems.description import (
     chosen_effects,
     settings_with,
 )
+from diffsim.systems.flow_network.causes import (
+    between_samples,
+    measure_scales,
+    network_library,
+    signal_causes,
+    stokes_library,
+)
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
-from diffsim.systems.flow_network.effects import network_library, stokes_library
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, ManifoldKeys, PlaneKeys
+from diffsim.systems.flow_network.model import SINGLE as STOKES_NUMBERS
 from diffsim.systems.flow_network.model import device_model
 from diffsim.systems.flow_network.network import NetworkDevice, Segment
+from diffsim.systems.flow_network.network_model import SINGLE as NETWORK_NUMBERS
 from diffsim.systems.flow_network.network_model import network_model
 from diffsim.systems.quantities import Length, Viscosity
 
@@ -68,6 +78,11 @@ class FlowDeviceDescription(Description):
     )
     is_corrected: bool = Field(
         True, description="Whether resistances of a network are corrected by a finer grid once"
+    )
+    samples: Literal["levels", "time"] = Field(
+        "levels",
+        description="What the samples of a run are: `levels` of the commands, each by itself, or "
+        "one after the other in `time`: then what is late, lags or has play is a cause, too",
     )
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
@@ -128,10 +143,47 @@ class FlowDeviceDescription(Description):
                 corrected=self.is_corrected,
             )
             library = network_library(device)
+        scales = self._scales(study)
+        if self.effects.only or self.samples == "time":
+            library += self._signal_causes(study, scales)
+        model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
             chosen_effects(library, self.effects),
             settings=settings_with(DiagnosisSettings(), self.effort),
+        )
+
+    @property
+    def _drives_flow(self) -> bool:
+        """Whether what drives is pumps, not regulators of pressure."""
+        return self.manifold is None or self.manifold.drive == "flow"
+
+    def _scales(self, study: Study) -> Scales:
+        network = self.network
+        return measure_scales(
+            study, None if network is None else min(c.width.value for c in network.channels)
+        )
+
+    def _signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
+        held = tuple(name for name in self.back_pressures if name)
+        return signal_causes(
+            study,
+            scales,
+            pumps=self.drives if self._drives_flow else (),
+            pressures=held if self._drives_flow else self.drives,
+            is_in_time=self.samples == "time",
+        )
+
+    def ports(self, study: Study) -> Ports:
+        """What the device offers to causes of a user."""
+        between = between_samples(self.samples)
+        commands = (*self.drives, *(name for name in self.back_pressures if name))
+        return Ports(
+            scales=self._scales(study),
+            commands=dict.fromkeys(commands, between),
+            channels=tuple(c.name for c in study.channels),
+            has_clock=self.samples == "time",
+            numbers=STOKES_NUMBERS if self.manifold is not None else NETWORK_NUMBERS,
         )
 
     def _device(self) -> ChannelDevice | NetworkDevice:

@@ -10,18 +10,14 @@ F(p) = ((1 + c p)^4 - 1) / (4 c) makes channels of width w (1 + c p) linear; F(p
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
+from diffsim.systems.flow_network.steady import SteadyScene
 
 RTOL, MAX_ITERS = 1e-11, 60
 THROAT = 0.5  # share of a channel's length over which something may lodge in it, a raised cosine
@@ -70,14 +66,11 @@ class Layout:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LumpedScene:
+class LumpedScene(SteadyScene):
     """One run of the network; an effect whose number is zero is absent.
 
     Attributes:
         layout: What joins what.
-        drive: Flow of each pump at each level, (num_levels, num_pumps) [m^3/s].
-        back_pressure: Of each pressure source, (num_levels, num_held) [Pa].
-        level: Index of the level at each sample, (num_samples,).
         viscosity: Viscosity of the fluid at no shear [Pa s].
         width, height, length: Of each channel, (num_tubes,) [m]; a round one has its diameter as
             width, one of known resistance that [Pa s/m^3] at ``nominal_viscosity``.
@@ -97,9 +90,6 @@ class LumpedScene:
     """
 
     layout: Layout
-    drive: Tensor
-    back_pressure: Tensor
-    level: Tensor
     viscosity: Tensor
     width: Tensor
     height: Tensor
@@ -120,11 +110,6 @@ class LumpedScene:
     node_leak: Tensor = _ZERO
     rtol: float = RTOL
 
-    def narrowed(self, outlet: int, size: Tensor) -> Self:
-        """The middle of a branch narrower by ``size`` of its width."""
-        one = torch.eye(len(self.narrowing), dtype=torch.float64)[outlet]
-        return dataclasses.replace(self, narrowing=self.narrowing + size * one)
-
     def simulate(self) -> Tensor:
         """Readings, (num_samples, num_channels).
 
@@ -137,8 +122,7 @@ class LumpedScene:
         residual, slope = balance.at(y)
         # one Newton step more carries the gradients (implicit function theorem)
         y = y - torch.linalg.solve(slope.detach(), residual)
-        shown = balance.read(y) * self.channel_gain + self.channel_offset
-        return shown[self.level]
+        return self.show(balance.read(y) * self.channel_gain + self.channel_offset)
 
 
 class _Balance:

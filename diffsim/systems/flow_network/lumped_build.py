@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Effect
+from diffsim.causes.instruments import grid_of
+from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.flow_network import effects as causes
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
 from diffsim.systems.flow_network.lumped import Layout, LumpedScene, Reading
+from diffsim.systems.flow_network.steady import number_places
 
 _SIZES = ("width", "height", "diameter", "length", "resistance")
+_WIDTHS = _SIZES[:3]
+#: Fields of a scene that are one number, which causes may change.
+SINGLE = (
+    *("viscosity", "wall_offset", "slip_length", "thinning"),
+    *("compliance", "entrance_loss", "leak"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +60,9 @@ class LumpedNetwork:
 
         names = [m.channel for m in self.meters]
         return LumpedScene(
+            commands=self.commands,
+            grid=grid_of(run),
+            numbers=self.numbers,
             layout=self.layout,
             drive=drive * v["pump_gain"],
             back_pressure=back,
@@ -67,18 +76,62 @@ class LumpedNetwork:
             channel_gain=torch.stack([v.get(f"flow_gain_{n}", one) for n in names]),
             channel_offset=torch.stack([v.get(f"pressure_zero_{n}", zero) for n in names]),
             narrowing=torch.zeros(len(self.layout.branches), dtype=torch.float64),
+            node_leak=torch.zeros(len(self.layout.free), dtype=torch.float64),
             density=self.density,
             shear_rate=self.shear_rate,
             rtol=1e-11 * numerics.tolerance,
         )
 
+    @property
+    def _given(self) -> list[str | float | None]:
+        """Command or constant of each pump, then of each pressure."""
+        flows = [s.flow for s in self.sources if s.flow is not None]
+        return [*flows, *(s.pressure for s in self.sources if s.flow is None)]
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Command of each pump, then of each pressure; empty where it is constant."""
+        return tuple(given if isinstance(given, str) else "" for given in self._given)
+
+    @property
+    def narrowest(self) -> float | None:
+        """Width of the narrowest channel that has one [m]."""
+        values = self.parameters.quantities
+        keys = [f"{s}_{t.name}" for t in self.tubes if t.shape != "resistance" for s in _WIDTHS]
+        return min((values[key].value for key in keys if key in values), default=None)
+
+    def joints(self) -> list[str]:
+        """Names of the nodes where channels meet and no pump is."""
+        layout, nodes = self.layout, nodes_of(self.tubes)
+        ends = [*layout.starts, *layout.ends]
+        return [nodes[n] for n in layout.free if ends.count(n) > 1 and n not in layout.pumps]
+
+    @property
+    def numbers(self) -> dict[str, tuple[str, int | None]]:
+        """Numbers that causes may change, as of ``SteadyScene``."""
+        layout, nodes = self.layout, nodes_of(self.tubes)
+        vectors = {
+            "meter": ("channel_gain", len(self.meters)),
+            "narrowing": ("narrowing", len(layout.branches)),
+            "outlet_pressure": ("outlet_pressure", len(layout.held)),
+        }
+        found = number_places(SINGLE, vectors)
+        for i, node in enumerate(layout.free):
+            found[f"leak_at_{nodes[node]}"] = ("node_leak", i)
+        for i, tube in enumerate(self.tubes):
+            width = {"round": "diameter", "resistance": "resistance"}.get(tube.shape, "width")
+            found[f"{width}_{tube.name}"] = ("width", i)
+            if width == "width":
+                found[f"height_{tube.name}"] = ("height", i)
+            if width != "resistance":
+                found[f"length_{tube.name}"] = ("length", i)
+        return found
+
     def _levels(self, run: Run) -> tuple[Tensor, Tensor, Tensor]:
         """Different levels of pumps and of pressures, and which holds at each sample."""
-        count = len(run.time_s)
+        count, pumps = len(run.time_s), self.layout.pumps
         columns = []
-        pumps = [s for s in self.sources if s.flow is not None]
-        for s in (*pumps, *(s for s in self.sources if s.flow is None)):
-            given = s.flow if s.flow is not None else s.pressure
+        for given in self._given:
             value = run.command[given] if isinstance(given, str) else np.full(count, given)
             columns.append(np.asarray(value, dtype=np.float64))
         levels, level = np.unique(np.stack(columns, -1), axis=0, return_inverse=True)
@@ -170,106 +223,3 @@ def quantities_of(
         if meter.flow_in is None and nuisances.pressure_zero > 0.0:
             zero = Quantity(value=0.0, sd=nuisances.pressure_zero, unit="Pa")
             yield f"pressure_zero_{meter.channel}", zero
-
-
-_OF_LEVELS = tuple(e.name for e in (causes.COMPLIANCE, causes.THINNING, causes.ENTRANCE_LOSS))
-
-
-def network_causes(network: LumpedNetwork, study: Study) -> tuple[Effect, ...]:
-    """Candidate causes that the study's meters and commands can show.
-
-    Args:
-        network: Network as described.
-        study: Recorded runs.
-    """
-    layout, values = network.layout, network.parameters.quantities
-    narrow = [
-        min(values[f"{s}_{t.name}"].value for s in _SIZES[:3] if f"{s}_{t.name}" in values)
-        for t in network.tubes
-        if t.shape != "resistance"
-    ]
-    is_flow = [m.flow_in is not None for m in network.meters]
-    sees_pressure = not all(is_flow) or any(isinstance(s.pressure, str) for s in network.sources)
-    return tuple(
-        replace(
-            effect, needs=_several_levels if effect.name in _OF_LEVELS else _nothing, smooth=True
-        )
-        for effect in (
-            *(_of_walls(min(narrow)) if narrow else ()),
-            *((causes.VISCOSITY,) if sees_pressure else ()),
-            *((causes.LEAK,) if sees_pressure and layout.pumps else ()),
-            *(_joint_leak(layout, i, name) for i, name in _joints(network)),
-            *((_pressure_scale(is_flow),) if not all(is_flow) else ()),
-            *(causes.pump_gain(i) for i in range(len(layout.pumps))),
-            *(_meter_gain(i, n) for n, i in enumerate(_places(is_flow))),
-            *(_sized(causes.blocked_branch(i), 0.1) for i in range(len(layout.branches))),
-            *(_sized(causes.pressure_offset(i), 5.0) for i in range(len(layout.held))),
-        )
-    )
-
-
-def _joints(network: LumpedNetwork) -> list[tuple[int, str]]:
-    """Place among the free nodes, and name, of those where channels meet and no pump is."""
-    layout, nodes = network.layout, nodes_of(network.tubes)
-    ends = [*layout.starts, *layout.ends]
-    return [
-        (i, nodes[node])
-        for i, node in enumerate(layout.free)
-        if ends.count(node) > 1 and node not in layout.pumps
-    ]
-
-
-def _joint_leak(layout: Layout, place: int, name: str) -> Effect:
-    """A leak at one joint, whose place is that among the free nodes."""
-    there = torch.eye(len(layout.free), dtype=torch.float64)[place]
-
-    def leaking(scene: LumpedScene, size: Tensor, run: Run) -> LumpedScene:
-        return replace(scene, node_leak=scene.node_leak + size[0] * there)
-
-    return replace(
-        causes.LEAK,
-        name=f"leak_at_{name}",
-        form=f"Flow lost at the joint {name} in proportion to the pressure there.",
-        also_looks_like=("a leak at another joint", "meter_gain", "loose fitting", "porous wall"),
-        apply=leaking,
-    )
-
-
-def _of_walls(narrowest: float) -> Iterator[Effect]:
-    yield _sized(causes.SLIP, 0.01 * narrowest)
-    yield _sized(causes.WALL_OFFSET, 0.01 * narrowest)
-    yield _sized(causes.COMPLIANCE, 5e-4)
-    yield causes.THINNING
-    yield causes.ENTRANCE_LOSS
-
-
-def _places(is_flow: Sequence[bool]) -> list[int]:
-    return [i for i, flow in enumerate(is_flow) if flow]
-
-
-def _meter_gain(channel: int, number: int) -> Effect:
-    """The gain of a flow meter, named by its number among the flow meters."""
-    return replace(causes.meter_gain(channel), name=f"meter_gain_{number + 1}")
-
-
-def _pressure_scale(is_flow: Sequence[bool]) -> Effect:
-    shown = torch.tensor([0.0 if flow else 1.0 for flow in is_flow], dtype=torch.float64)
-
-    def scaled(scene: LumpedScene, size: Tensor, run: Run) -> LumpedScene:
-        return replace(scene, channel_gain=scene.channel_gain * (1.0 + size[0] * shown))
-
-    return replace(causes.PRESSURE_SCALE, apply=scaled)
-
-
-def _sized(effect: Effect, typical: float) -> Effect:
-    return replace(effect, typical=typical)
-
-
-def _several_levels(study: Study) -> str | None:
-    """Only several levels of a command tell it from a constant."""
-    levels = {float(v) for run in study.runs for c in run.command.values() for v in np.unique(c)}
-    return None if len(levels) > 1 else "two levels of a command or more"
-
-
-def _nothing(study: Study) -> str | None:
-    return None

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.instruments import grid_of
 from diffsim.core.errors import ConvergenceError
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
@@ -20,27 +19,31 @@ from diffsim.stokes import FlowField
 from diffsim.systems.flow_network.corrections import shear_rate_squared
 from diffsim.systems.flow_network.device import ChannelDevice
 from diffsim.systems.flow_network.rig import Rig
+from diffsim.systems.flow_network.steady import SteadyScene, number_places
 
 SWEEP_RTOL = 1e-8
 MAX_SWEEPS = 60
 WALL_SWEEPS = 3
 """Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
 jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""
+#: Fields of a scene that are one number, which causes may change.
+SINGLE = (
+    *("viscosity", "wall_offset", "inlet_skew", "leak", "slip_length", "compliance"),
+    *("viscosity_gradient", "thinning", "density"),
+)
 SWEPT = ("leak", "slip_length", "compliance", "viscosity_gradient", "thinning", "density")
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StokesScene:
+class StokesScene(SteadyScene):
     """One run of the device, with the hooks of its effects; zero or None is "not there".
 
     Attributes:
         rig: Device on its grid, with what all runs share.
-        drive: Levels of the command, (num_levels, num_inlets) [m^2/s or Pa].
-        level: Index of the command's level at each sample, (num_samples,).
         viscosity: At the nominal temperature [Pa s].
         wall_offset: Distance by which all walls move outwards [m].
-        narrowing: Distance by which walls come inwards at the nodes, (*node_shape,) [m].
+        narrowing: Of the middle of each branch, relative to its width, (num_outlets,) [-].
         inlet_skew: Lean of the inlet profile to one side, as in ``Rig.inflow`` [-].
         outlet_pressure: Beyond each outlet, (num_outlets,) [Pa].
         leak: Flow lost ahead of each inlet over the pressure there [m^2/(s Pa)].
@@ -56,14 +59,12 @@ class StokesScene:
     """
 
     rig: Rig
-    drive: Tensor
-    level: Tensor
     viscosity: Tensor
     outlet_pressure: Tensor
     channel_gain: Tensor
     channel_offset: Tensor
+    narrowing: Tensor
     wall_offset: Tensor = _ZERO
-    narrowing: Tensor | None = None
     inlet_skew: Tensor = _ZERO
     leak: Tensor | None = None
     slip_length: Tensor | None = None
@@ -73,12 +74,6 @@ class StokesScene:
     density: Tensor | None = None
     rtol: float = SWEEP_RTOL
     columns: tuple[int, ...] | None = None
-
-    def narrowed(self, outlet: int, size: Tensor) -> StokesScene:
-        """The middle of a branch narrower by ``size`` of its width."""
-        device = self.rig.device
-        half = 0.5 * device.outlets[outlet].width
-        return with_added(self, narrowing=half * size * device.throat(outlet, self.rig.grid.nodes))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels).
@@ -93,7 +88,7 @@ class StokesScene:
         shown = torch.cat(parts) * self.channel_gain + self.channel_offset
         if self.columns is not None:
             shown = shown[:, list(self.columns)]
-        return shown[self.level]
+        return self.show(shown)
 
     def _readings(self, field: FlowField) -> Tensor:
         rig = self.rig
@@ -139,8 +134,12 @@ class StokesScene:
     @property
     def _rigid(self) -> Tensor:
         """Level set without the pressure's doing."""
-        phi = self.rig.phi + self.wall_offset
-        return phi if self.narrowing is None else phi - self.narrowing
+        phi, device = self.rig.phi + self.wall_offset, self.rig.device
+        for outlet, share in enumerate(self.narrowing.unbind()):
+            if share.requires_grad or bool(share != 0.0):
+                half = 0.5 * device.outlets[outlet].width
+                phi = phi - half * share * device.throat(outlet, self.rig.grid.nodes)
+        return phi
 
     def _solve(
         self,
@@ -250,6 +249,17 @@ def device_model(
     if unknown := sorted({p.name for p in base} - set(nominal)):
         raise ValueError(f"base parameters {unknown} are unknown; known are {sorted(nominal)}")
 
+    names = tuple(device.commands if commands is None else commands)
+    outlets = len(device.outlets)
+    numbers = number_places(
+        SINGLE,
+        {
+            "meter": ("channel_gain", outlets + len(device.inlets) + device.num_profile_points),
+            "narrowing": ("narrowing", outlets),
+            "outlet_pressure": ("outlet_pressure", outlets),
+        },
+    )
+
     @lru_cache(maxsize=4)
     def rig(mesh: float) -> Rig:
         return Rig(device, mesh)
@@ -258,7 +268,7 @@ def device_model(
         on_grid = rig(numerics.mesh)
         all_values = {k: torch.tensor(v, dtype=torch.float64) for k, v in nominal.items()}
         all_values |= dict(values)
-        levels, level = _levels(device, run, device.commands if commands is None else commands)
+        levels, level = _levels(device, run, names)
         gains = [all_values[f"drive_gain_{i + 1}"] for i in range(len(device.inlets))]
         meters = [all_values[f"flow_gain_{i + 1}"] for i in range(len(device.outlets))]
         others = [torch.ones((), dtype=torch.float64)] * (
@@ -267,10 +277,15 @@ def device_model(
         return StokesScene(
             rig=on_grid,
             drive=levels * torch.stack(gains),
+            back_pressure=levels[:, :0],
             level=level,
+            commands=names,
+            grid=grid_of(run),
+            numbers=numbers,
             viscosity=all_values["viscosity"],
             wall_offset=all_values["wall_offset"],
             outlet_pressure=torch.zeros(len(device.outlets), dtype=torch.float64),
+            narrowing=torch.zeros(len(device.outlets), dtype=torch.float64),
             channel_gain=torch.stack([*meters, *others]),
             channel_offset=torch.zeros(len(meters) + len(others), dtype=torch.float64),
             rtol=SWEEP_RTOL * numerics.tolerance,
@@ -291,12 +306,3 @@ def _levels(device: ChannelDevice, run: Run, names: Sequence[str]) -> tuple[Tens
     commands = np.stack([np.asarray(run.command[name]) for name in names], -1)
     levels, level = np.unique(commands, axis=0, return_inverse=True)
     return torch.from_numpy(levels), torch.from_numpy(level.reshape(-1))
-
-
-def with_added(scene: Any, **changes: Tensor) -> Any:
-    """The scene with sizes added to those that it has."""
-    present = {name: getattr(scene, name) for name in changes}
-    total: dict[str, Any] = {
-        k: v if present[k] is None else present[k] + v for k, v in changes.items()
-    }
-    return dataclasses.replace(scene, **total)

@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from diffsim.systems.flow_network.steady import SteadyScene
 from diffsim.systems.flow_network.unit_flows import UnitFlowTable
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 RTOL = 1e-10
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NetworkConditions:
+class NetworkConditions(SteadyScene):
     """Drive, walls and fluid of one run; an effect whose number is zero is absent.
 
     Attributes:
         table: Unit flows of the device on its grid.
-        drive: Flow that the pump gives at each level, (num_levels, 1) [m^3/s].
-        back_pressure: Commanded beyond each outlet, (num_levels, num_outlets) [Pa].
-        level: Index of the command's level at each sample, (num_samples,).
         viscosity: Viscosity of the fluid at no shear [Pa s].
         width_gain: Relative change of each channel's width, (num_segments,) [-]; small, applied by
             the cube law of slits.
@@ -47,9 +40,6 @@ class NetworkConditions:
     """
 
     table: UnitFlowTable
-    drive: Tensor
-    back_pressure: Tensor
-    level: Tensor
     viscosity: Tensor
     width_gain: Tensor
     outlet_pressure: Tensor
@@ -65,8 +55,3 @@ class NetworkConditions:
     leak: Tensor = _ZERO
     columns: tuple[int, ...] | None = None
     rtol: float = RTOL
-
-    def narrowed(self, outlet: int, size: Tensor) -> Self:
-        """The middle of a branch narrower by ``size`` of its width."""
-        one = torch.eye(len(self.narrowing), dtype=torch.float64)[outlet]
-        return dataclasses.replace(self, narrowing=self.narrowing + size * one)

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.instruments import grid_of
 from diffsim.data.study import Run
 from diffsim.identify import Parameter
 from diffsim.identify.model import SimModel
@@ -18,7 +19,14 @@ from diffsim.identify.numerics import Numerics
 from diffsim.systems.flow_network.network import NetworkDevice
 from diffsim.systems.flow_network.network_balance import Balance
 from diffsim.systems.flow_network.network_conditions import RTOL, NetworkConditions
+from diffsim.systems.flow_network.steady import number_places
 from diffsim.systems.flow_network.unit_flows import UnitFlowTable
+
+#: Fields of a scene that are one number, which causes may change.
+SINGLE = (
+    *("viscosity", "wall_offset", "slip_length", "viscosity_gradient", "thinning"),
+    *("compliance", "entrance_loss", "leak"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +51,7 @@ class NetworkScene(NetworkConditions):
         shown = levels * self.channel_gain + self.channel_offset
         if self.columns is not None:
             shown = shown[:, list(self.columns)]
-        return shown[self.level]
+        return self.show(shown)
 
 
 def network_base(device: NetworkDevice, runs: Sequence[str]) -> tuple[Parameter, ...]:
@@ -94,6 +102,14 @@ def network_model(
     if unknown:
         raise ValueError(f"base parameters {unknown} are unknown; known are {sorted(nominal)}")
     num_flows = len(device.outlets)
+    numbers = number_places(
+        SINGLE,
+        {
+            "meter": ("channel_gain", num_flows + 2),
+            "narrowing": ("narrowing", num_flows),
+            "outlet_pressure": ("outlet_pressure", num_flows),
+        },
+    )
 
     @lru_cache(maxsize=4)
     def table(mesh: float) -> UnitFlowTable:
@@ -111,6 +127,9 @@ def network_model(
             drive=drive * v.get(f"pump_gain@{run.name}", one),
             back_pressure=back,
             level=level,
+            commands=(pump, *back_pressures),
+            grid=grid_of(run),
+            numbers=numbers,
             viscosity=v["viscosity"],
             width_gain=torch.stack(gains),
             outlet_pressure=zeros,

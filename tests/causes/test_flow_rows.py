@@ -1,0 +1,120 @@
+"""Pumps, gauges and meters of a network that is recorded in time; levels do without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.causes.own import OwnRow, own_causes
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify import fit
+from diffsim.systems.registry import description_of, setup_of
+from tests.systems.test_flow_description import ONE
+
+PRESSURE_SD, FLOW_SD = 0.5, 1e-11
+TIME = np.arange(0.0, 12.0, 0.1)
+MOST = 2e-8  # m^3/s
+RATE = 2.0 * np.pi / 4.0
+MODEL = {
+    **ONE,
+    "samples": "time",
+    "sources": [{"node": "in", "flow": "pump"}, {"node": "out", "pressure": 0}],
+    "meters": [{"channel": "p", "pressure_at": "in"}, {"channel": "q", "flow_in": "a"}],
+}
+
+
+def flow(time):
+    """What the pump is told: it swings, after a rest."""
+    return np.where(time > 0.0, 0.5 * MOST * (1.0 - np.cos(RATE * time)), 0.0)
+
+
+def lagged_flow(time, tau):
+    """The same behind a first-order lag, in closed form."""
+    share = 1.0 / (1.0 + (RATE * tau) ** 2)
+    swing = share * (np.cos(RATE * time) + RATE * tau * np.sin(RATE * time))
+    return 0.5 * MOST * (1.0 - swing + (share - 1.0) * np.exp(-time / tau))
+
+
+def study_of(pressure=None, rate=None, **keys):
+    """A channel with a pump; a gauge shows the pressure, a meter the flow."""
+    channels = (
+        Channel("p", "Pa", "pressure", PRESSURE_SD, None, "gauge"),
+        Channel("q", "m^3/s", "flow", FLOW_SD, None, "meter"),
+    )
+    flows = {"pump": flow(TIME)}
+    shown = np.zeros((len(TIME), 2))
+    run = Run("swing", TIME, shown, flows, "g")
+    made = Study("s", "flow_network", channels, (run,), model={**MODEL, **keys})
+    if pressure is None or rate is None:
+        return made
+    model = setup_of(made).model
+    with torch.no_grad():
+        at_most = model.predict(
+            replace(run, command={"pump": np.full(len(TIME), MOST)}), model.at_prior()
+        )
+    resistance = float(at_most[0, 0]) / MOST
+    noise = np.random.default_rng(1).normal(size=shown.shape) * [PRESSURE_SD, FLOW_SD]
+    shown = np.column_stack([resistance * pressure, rate]) + noise
+    return replace(made, runs=(replace(run, measured=shown),))
+
+
+CASES = {
+    "lag": (0.3, lambda s: (lagged_flow(TIME, s),) * 2),
+    "delay": (0.2, lambda s: (flow(TIME - s),) * 2),
+    "saturation": (0.2, lambda s: (np.minimum(flow(TIME), (1.0 - s) * MOST),) * 2),
+    "sensor_delay_of_gauge": (0.15, lambda s: (flow(TIME - s), flow(TIME))),
+    "sensor_lag_of_meter": (0.25, lambda s: (flow(TIME), lagged_flow(TIME, s))),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_pumps_and_sensors_do_in_time_is_found(name):
+    size, shown = CASES[name]
+    made = study_of(*shown(size))
+    setup = setup_of(made)
+    cause = next(e for e in setup.effects if e.name == name)
+    found = fit(setup.model, made.runs, made.channels, effects=[cause])
+    assert found.values[name] == pytest.approx(size, rel=0.05)
+    assert found.chi2 / (2 * len(TIME)) < 2.0
+
+
+def test_levels_have_no_causes_in_time_and_those_of_signals_by_name():
+    made = study_of(samples="levels")
+    names = {e.name for e in setup_of(made).effects}
+    assert "pump_gain_1" in names
+    assert not names & {"lag", "delay", "saturation", "dead_band", "sensor_curvature_of_gauge"}
+    asked = {"only": ["pump_gain_1", "saturation"]}
+    assert len(setup_of(study_of(samples="levels", effects=asked)).effects) == 2
+    with pytest.raises(ValueError, match="no cause 'lag'"):
+        setup_of(study_of(samples="levels", effects={"only": ["lag"]}))
+
+
+def test_a_cause_of_a_user_acts_through_the_same_ports():
+    made = study_of()
+    setup = setup_of(made)
+    rows = (
+        OwnRow(name="stronger_pump", at="command", map="u*(1 + size)", typical=0.1),
+        OwnRow(name="wider", at="number", scale="width_a", typical=0.01),
+        OwnRow(name="thicker", at="number", scale="viscosity", typical=0.1),
+    )
+    own = {e.name: e for e in own_causes(rows, description_of(made).ports(made), made)}
+    known = {e.name: e for e in setup.effects}
+    run, q = made.runs[0], setup.model.at_prior()
+    size = torch.tensor([0.1], dtype=torch.float64)
+    with torch.no_grad():
+        plain = setup.model.predict(run, q)
+        shown = {n: setup.model.predict(run, q, {e: size}) for n, e in (own | known).items()}
+    torch.testing.assert_close(shown["stronger_pump"], shown["pump_gain_1"], atol=0.0, rtol=0.0)
+    torch.testing.assert_close(shown["thicker"], shown["viscosity"], atol=0.0, rtol=0.0)
+    # a slit's resistance falls with the cube of its width; sides of a rectangle change it a little
+    ratio = float(shown["wider"][30, 0] / plain[30, 0])
+    assert ratio == pytest.approx(1.1**-3, rel=0.05)
+    with pytest.raises(ValueError, match="no command 'pmp'; did you mean 'pump'"):
+        own_causes(
+            (OwnRow(name="a", at="command", map="u + size", of="pmp", typical=1.0),),
+            description_of(made).ports(made),
+            made,
+        )
