@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from diffsim.core import plugins
 from tests.optional import needs
+from tests.systems.toy_cart import cart_study
 
 needs("gymnasium")
 
@@ -14,6 +17,7 @@ from dataclasses import replace
 
 from diffsim.envs.copter_tasks import CopterHover
 from diffsim.stokes.devices import funnel
+from diffsim.systems.ode.description import OdeDescription
 
 
 class Linger(CopterHover):
@@ -30,6 +34,12 @@ def wide_funnel(resolution=1.0):
 
 
 text = "no class"
+
+
+class LinkageDescription(OdeDescription):
+    """A linkage, which is a system of formulas with two more keys."""
+
+    system: str = "linkage"
 '''
 
 
@@ -80,6 +90,18 @@ def test_a_device_of_another_package_is_made_by_name(package):
     assert made.remake().name == "wide_funnel"
     with pytest.raises(ValueError, match="did you mean 'wide_funnel'"):
         devices.make("wide_funel")
+
+
+def test_a_system_of_another_package_is_diagnosed_by_its_name(package):
+    from diffsim.systems.registry import setup_of
+
+    study = cart_study()
+    linkage = replace(study, model={**study.model, "system": "linkage"})
+    with pytest.raises(ValueError, match="'linkage'"):
+        setup_of(linkage)
+    package("[diffsim.systems]", "linkage = lingering:LinkageDescription")
+    names = [e.name for e in setup_of(linkage).effects]
+    assert names == [e.name for e in setup_of(study).effects]
 
 
 @pytest.mark.parametrize(

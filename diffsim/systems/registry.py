@@ -1,7 +1,8 @@
 """Systems by name: the setup of a study, the candidate causes of a system, saved models.
 
 A study describes its system under ``model:``, ``model: {system: ode, ...}``; the classes of
-``DESCRIPTIONS`` read that, each imported when asked for.
+``DESCRIPTIONS`` read that, each imported when asked for. Packages of users add kinds of systems by
+entry points of the group ``diffsim.systems``.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 
 from diffsim.core.check import require_choice
 from diffsim.core.errors import Mistakes
+from diffsim.core.plugins import SYSTEMS, find_plugins, load_plugin
 from diffsim.core.schema import problem_lines
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
@@ -43,6 +45,38 @@ DESCRIPTIONS = {
 }
 
 
+def known_systems() -> tuple[str, ...]:
+    """Kinds of systems by name, those of other packages among them.
+
+    Raises:
+        ValueError: another package gives a kind the name of one of this package.
+    """
+    added = find_plugins(SYSTEMS)
+    if taken := sorted(set(added) & set(DESCRIPTIONS)):
+        raise ValueError(
+            f"{SYSTEMS}: {taken[0]!r} is a system of diffsim already; give "
+            f"{added[taken[0]].value} another name"
+        )
+    return (*DESCRIPTIONS, *added)
+
+
+def description_class(system: str) -> type[Description]:
+    """Class that reads ``model:`` of a kind of system.
+
+    Args:
+        system: One of ``known_systems()``.
+
+    Raises:
+        ValueError: no such kind, or one that another package cannot give.
+    """
+    if system not in DESCRIPTIONS:
+        added: type[Description] = load_plugin(SYSTEMS, system, Description)
+        return added
+    module, name = DESCRIPTIONS[system]
+    own: type[Description] = getattr(import_module(module), name)
+    return own
+
+
 def description_of(study: Study) -> Description:
     """The description of a study's system, every key checked.
 
@@ -57,16 +91,14 @@ def description_of(study: Study) -> Description:
     if study.model is None:
         raise ValueError(
             f"study {study.name} has no model; describe its system under ``model:`` (one of "
-            f"{', '.join(DESCRIPTIONS)}), or bring your own: diffsim diagnose --setup FILE.py, "
+            f"{', '.join(known_systems())}), or bring your own: diffsim diagnose --setup FILE.py, "
             "diffsim.diagnose.diagnose"
         )
     if "system" not in study.model:
-        raise ValueError(f"{where} has no system; name one of {', '.join(DESCRIPTIONS)}")
-    module, name = DESCRIPTIONS[
-        require_choice(f"{where}.system", str(study.model["system"]), DESCRIPTIONS)
-    ]
+        raise ValueError(f"{where} has no system; name one of {', '.join(known_systems())}")
+    system = require_choice(f"{where}.system", str(study.model["system"]), known_systems())
     try:
-        made: Description = getattr(import_module(module), name).model_validate(study.model)
+        made = description_class(system).model_validate(study.model)
     except ValidationError as error:
         raise Mistakes(problem_lines(where, error)) from None
     return made
