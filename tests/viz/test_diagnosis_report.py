@@ -159,25 +159,24 @@ def example(runs=RUNS, channels=CHANNELS, **changes) -> Report:
         "model": SimModel(lambda *_: None, base, "beam"),
         "verdict": "named",
         "decision": None,
-        "floor": None,
+        "floor": SimpleNamespace(
+            sd=np.array([c.sd for c in channels]),
+            source=("repeats", "repeats"),
+            scatter_ratio=np.full(2, np.nan),
+        ),
         "sentences": ("The command acts 21 ± 2 ms late.", "It explains 98 % of the misfit."),
         "named": ("delay",),
         "hypotheses": (),
         "table": rows,
-        "confounding_names": ("delay", "drag", "lag <b>"),
-        "confounding": np.array([[1.0, 0.1, 0.97], [0.1, 1.0, -0.2], [0.97, -0.2, 1.0]]),
+        "screened": SimpleNamespace(
+            names=("delay", "drag", "lag <b>"),
+            confounding=np.array([[1.0, 0.1, 0.97], [0.1, 1.0, -0.2], [0.97, -0.2, 1.0]]),
+        ),
         "cannot_see": {"tilt": "leaves no trace"},
         "gates": (GateResult(name="mesh", passed=False, value=3.1, limit=2.0, note="lambda"),),
-        "noise": {
-            "sd": {c.name: c.sd for c in channels},
-            "source": ("repeats", "repeats"),
-            "num_spikes": 2,
-        },
+        "num_spikes": 2,
         "rivals": (("lag <b>",),),
         "gain": GAIN,
-        "chi2_null": 5000.0,
-        "chi2_best": 303.0,
-        "num_samples": 300,
         "null": Predicted(runs, "null"),
         "best": Predicted(runs, "extended"),
         "next_run": NextRun("hold and release", {"hold and release": 1258.0, "sine": 2.0}, 600.0),
@@ -320,12 +319,9 @@ def test_every_label_of_a_large_matrix_is_shown_and_long_ones_are_cut():
 
 
 def test_names_of_causes_are_words_outside_of_tables():
-    shown = dr.diagnosis_page(
-        example(
-            confounding_names=("low_end_loss.[fan=10in]", "drag", "zero_of_thrust"),
-            cannot_see={},
-        )
-    )
+    names = ("low_end_loss.[fan=10in]", "drag", "zero_of_thrust")
+    screened = SimpleNamespace(names=names, confounding=example().confounding)
+    shown = dr.diagnosis_page(example(screened=screened, cannot_see={}))
     section = next(s for s in shown.sections if s.title == "What mimics what")
     assert section.text == ["These data hardly part low end loss (fan 10in) and zero of thrust."]
     (chart,) = section.content
@@ -399,8 +395,8 @@ def test_only_the_farthest_outside_are_shown_and_the_rest_is_counted():
 def test_what_is_missing_is_said():
     page_ = dr.diagnosis_page(
         example(
-            runs=RUNS[:1], next_run=None, gain=None, confounding_names=(), confounding=np.eye(0),
-            rivals=(),
+            runs=RUNS[:1], next_run=None, gain=None, rivals=(),
+            screened=SimpleNamespace(names=(), confounding=np.eye(0)),
         )
     )  # fmt: skip
     words = " ".join(t for section in page_.sections for t in section.text)

@@ -21,6 +21,7 @@ from diffsim.identify.whitening import MOST_RUNS
 Array = NDArray[np.float64]
 MAX_ORDER = 4
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
+FEWEST = 20  # deviations of repeats, from which on they tell the scatter
 SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
 
@@ -104,7 +105,9 @@ def noise_floor(
     sd, source, ratio, coefficients = [], [], [], []
     for c, channel in enumerate(channels):
         series = [d[:, c] for d in scatter]
-        measured = _rms(series)
+        values = np.concatenate([*series, np.zeros(0)])
+        values = values[np.isfinite(values)]
+        measured = float(np.sqrt(np.mean(values**2))) if len(values) > FEWEST else float("nan")
         stated = channel.sd
         ratio.append(measured / stated if stated is not None and np.isfinite(measured) else np.nan)
         if np.isfinite(measured) and not ratio[-1] > UNREPEATABLE:
@@ -191,12 +194,6 @@ def without_spikes(run: Run, left: Array) -> tuple[Run, int]:
     if not spikes.any() or spikes.mean() > MAX_SPIKES:
         return run, 0
     return replace(run, measured=np.where(spikes, np.nan, run.measured)), int(spikes.sum())
-
-
-def _rms(series: Sequence[Array]) -> float:
-    values = np.concatenate(series) if series else np.zeros(0)
-    values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if len(values) > 20 else float("nan")
 
 
 def _stretches(valid: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -17,6 +17,7 @@ from scipy import optimize, special
 
 from diffsim.core.memo import Memo, memo_field
 from diffsim.diagnose.checks.numerics import numerical_shift
+from diffsim.diagnose.judge.judge import Judgment
 from diffsim.diagnose.judge.left_out import (
     Folds,
     blocks_of,
@@ -196,28 +197,22 @@ class Averaged:
 
 
 def averaged(
-    search: Search,
-    withdrawn: frozenset[int],
-    refuted: frozenset[int],
-    fit: Fit,
-    changes: Mapping[str, Array],
-    instead: Mapping[frozenset[int], float] | None = None,
+    search: Search, judgment: Judgment, fit: Fit, changes: Mapping[str, Array]
 ) -> Averaged:
     """Weights of all sets and the widening of intervals.
 
     Args:
         search: Sets that were weighed.
-        withdrawn: Effects that unseen runs refuted; sets with them are out of play.
-        refuted: Unknown causes, by index, that repeats refuted.
+        judgment: Sets with effects that it withdrew are out of play, unknown causes that repeats
+            refuted have no weight; a wrong data sheet may have more evidence than a set's own.
         fit: Fit of the best set, whose parts are left out one after the other.
         changes: Change of the record by refining each numerical setting.
-        instead: Evidence of sets beside a wrong data sheet, where it is more [nats].
     """
     nats = {h: w.nats for h, w in {**search.linear, **search.weighed}.items()}
-    nats = {h: e for h, e in nats.items() if not h.effects & withdrawn}
-    nats |= {Hypothesis(members): e for members, e in (instead or {}).items()}
+    nats = {h: e for h, e in nats.items() if not h.effects & judgment.withdrawn}
+    nats |= {Hypothesis(members): e for members, (_, e) in judgment.decision.instead.items()}
     wider = widening(fit)
-    kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in refuted}
+    kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in judgment.refuted}
     return Averaged(
         search,
         _weights(kept),

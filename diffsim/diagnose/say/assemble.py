@@ -106,74 +106,53 @@ def report_of(
         bank: Runs that could be recorded next.
         referee: What names were held against.
     """
-    case = null.case
-    search, effects = judgment.search, case.effects
-    if search is not None and judgment.decision.best:
-        search = with_numerics(search, judgment.decision.best, is_late=True)
-        checks = checks.at_set(search.numerics.get(judgment.decision.best))
-        judgment = _with_forms(judgment, search, checks.unrefined)
-        search = judgment.search
-    decision = judgment.decision
-    members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
-    best = null.fit if search is None or not members else search.fit_of(members)
-    if search is not None:
-        search = with_numerics(search, members, is_late=True)
-        judgment = replace(judgment, search=search)
-        checks = checks.at_set(search.numerics.get(members))
-    gates = checks.gates
+    judgment, checks, members = _settle_best_set(judgment, checks)
+    case, search, decision = null.case, judgment.search, judgment.decision
+    effects, best = case.effects, null.fit
+    if search is not None and members:
+        best = search.fit_of(members)
     if members and not best.converged:
         why = f"of the extended model: its sizes are not to be trusted ({best.message})"
-        gates = (*gates, GateResult("fit_converged", False, 0.0, 1.0, why))
-    about = _averaged(search, judgment, best, checks)
-    certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
-    base = _base(best, judgment)
-    rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
+        checks = checks.joined([GateResult("fit_converged", False, 0.0, 1.0, why)])
     strained = {} if decision.beside is None else far_off(best)
-    left = None if decision.beside is None else _much_left(best)
+    rest = float(np.sqrt(best.chi2 / best.num_samples))
+    left = None if decision.beside is None or rest <= MUCH_LEFT else rest
     may_stand_in = bool(strained) or left is not None
     surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
+    about = None if search is None else averaged(search, judgment, best, checks.changes)
+    certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
+    rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
     known = CauseEvidence(
         judgment, about, screened, effects, members, case.unmet, certain, rivals, surest
     )
+    base = _base(best, judgment)
     causes = cause_rows(known, base)
-    findings = tuple(row.name for row in base if row.finding)
     refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
-    verdict, named = _verdict(judgment, certain, findings, stands_in=bool(refused))
+    is_off = any(row.finding for row in base)
+    verdict, named = _verdict(judgment, certain, is_off=is_off, stands_in=bool(refused))
     # of a verdict that names what all sets share, the sets are all told
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
-    names = tuple(set_names(h, effects, case.unknowns) for h in sets)
     rows = effect_rows(effects, judgment, screened, checks.changes)
     case.progress("done", 1.0, verdict)
     return Report(
         verdict=verdict,
         decision=decision,
         causes=causes,
-        rivals=names,
-        gates=gates,
+        rivals=tuple(set_names(h, effects, case.unknowns) for h in sets),
+        gates=checks.gates,
         floor=null.noise,
-        named=tuple(effects[i].name for i in sorted(named)),
-        best_names=tuple(effects[i].name for i in sorted(decision.best)),
+        named=set_names(Hypothesis(named), effects, ()),
+        best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside=_beside(judgment),
         strained=strained,
         left=left,
         chosen_by="" if referee is None else referee.words,
         hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
-        confounding_names=screened.names,
-        confounding=screened.confounding,
+        screened=screened,
         cannot_see=cannot_see(effects, screened, case.unmet, rows),
-        noise={
-            "sd": dict(
-                zip([c.name for c in case.study.channels], null.noise.sd.tolist(), strict=True)
-            ),
-            "source": null.noise.source,
-            "scatter_ratio": null.noise.scatter_ratio,
-            "num_spikes": null.num_spikes,
-        },
+        num_spikes=null.num_spikes,
         gain=judgment.gain,
-        chi2_null=null.fit.chi2,
-        chi2_best=best.chi2,
-        num_samples=null.fit.num_samples,
         settings=_settings(null, search, seed),
         null=null.fit,
         best=best,
@@ -181,11 +160,27 @@ def report_of(
         model=case.model,
         next_run=_advice(judgment, best, bank),
         force_map=None if search is None else _force_map(search),
-        findings=findings,
         base=base,
         unknown_share=_unknown_share(null, best, judgment),
         interval_factor=_interval_factor(causes, about),
     )
+
+
+def _settle_best_set(judgment: Judgment, checks: Checks) -> tuple[Judgment, Checks, frozenset[int]]:
+    """The judgment with what may stand in place of its causes, the checks at its best set, and the
+    effects that the extended model holds."""
+    search, best = judgment.search, judgment.decision.best
+    if search is None:
+        return judgment, checks, NONE
+    if best:
+        search = with_numerics(search, best, is_late=True)
+        checks = checks.at_set(search.numerics.get(best))
+        judgment = _with_forms(judgment, search, checks.unrefined)
+    decision = judgment.decision
+    members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
+    search = with_numerics(judgment.search or search, members, is_late=True)
+    judgment = replace(judgment, search=search)
+    return judgment, checks.at_set(search.numerics.get(members)), members
 
 
 def tested(frozen: Report, study: Study, seed: int) -> Report:
@@ -199,13 +194,12 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         seed: Seed of the bootstrap.
     """
     seen, is_test = frozen.study, bool(study.test_runs)
-    sd = np.array(list(frozen.noise["sd"].values()))
     found = on_unseen(
         frozen.null,
         frozen.best,
         study.test_runs or seen.select_runs,
         seen.channels,
-        sd,
+        frozen.floor.sd,
         spans_of(seen.fit_runs, seen.channels, seen.commands),
         seed=seed,
         use="test" if is_test else "select",
@@ -225,21 +219,6 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
     )
 
 
-def _averaged(
-    search: Search | None, judgment: Judgment, best: Fit, checks: Checks
-) -> Averaged | None:
-    if search is None:
-        return None
-    instead = {members: nats for members, (_, nats) in judgment.decision.instead.items()}
-    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes, instead)
-
-
-def _much_left(best: Fit) -> float | None:
-    """What a fit leaves, root mean square [noise sd]; None where it is not much."""
-    left = float(np.sqrt(best.chi2 / best.num_samples))
-    return left if left > MUCH_LEFT else None
-
-
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
     wrong = judgment.decision.sheets
@@ -247,7 +226,7 @@ def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
 
 
 def _verdict(
-    judgment: Judgment, certain: frozenset[int], findings: Sequence[str], *, stands_in: bool
+    judgment: Judgment, certain: frozenset[int], *, is_off: bool, stands_in: bool
 ) -> tuple[str, frozenset[int]]:
     """Verdict of the causes that are certain, and the effects that it names.
 
@@ -265,7 +244,7 @@ def _verdict(
             return "ambiguous", decision.best
     if decision.verdict == "ambiguous":
         return ("named", certain) if certain else ("ambiguous", decision.best)
-    if decision.verdict == "none" and findings:
+    if decision.verdict == "none" and is_off:
         return "data_sheet", NONE
     return decision.verdict, decision.best if decision.verdict == "named" else NONE
 

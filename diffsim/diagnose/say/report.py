@@ -20,6 +20,7 @@ from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.next_run import NextRun
 from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
 from diffsim.diagnose.say.wording import Answer
+from diffsim.diagnose.search.evidence import Screen
 from diffsim.identify import Fit
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel
@@ -36,13 +37,10 @@ class Report(Answer):
         sentences: The verdict in words, with numbers and units.
         hypotheses: Sets of effects by evidence, best first.
         table: Candidate causes by evidence, best first.
-        confounding_names: Components, in the order of ``confounding``.
-        confounding: (n, n) cosines between what base parameters cannot absorb.
+        screened: Scores of all candidates at the plain model.
         cannot_see: Effect or component -> why, or the smallest visible size.
-        noise: Source of the noise floor, sd by channel, repeat scatter over sensor noise.
+        num_spikes: Samples that were taken out as spikes.
         gain: Gain of the extended model on test runs; None without such runs.
-        chi2_null, chi2_best, num_samples: Misfit |W (y - S)|^2 without and with the best set, and
-            the number of samples, of the runs fitted.
         next_run: Advice, None if no bank of commands was given.
         force_map: Where and when a force is missing; None without an ``UnknownForce``.
         settings: Thresholds, seed and versions that decided the answer.
@@ -50,7 +48,6 @@ class Report(Answer):
         study, model: Study and model as given.
         headline: The answer in at most 25 plain words, with the error on unseen runs before and
             after in the recordings' own unit.
-        findings: Base parameters that ended beyond the limit of their row, 3 prior sd or more.
         base: Base parameters: fitted value, data sheet, and how far apart they are.
         errors: Error before and after on every test run, by kind of channel.
         outside: Where test runs lie outside of what was fitted.
@@ -60,14 +57,10 @@ class Report(Answer):
 
     hypotheses: tuple[HypothesisRow, ...]
     table: tuple[EffectRow, ...]
-    confounding_names: tuple[str, ...]
-    confounding: Array
+    screened: Screen
     cannot_see: Mapping[str, str]
-    noise: Mapping[str, Any]
+    num_spikes: int
     gain: Gain | None
-    chi2_null: float
-    chi2_best: float
-    num_samples: int
     settings: Mapping[str, Any]
     null: Fit
     best: Fit
@@ -77,12 +70,52 @@ class Report(Answer):
     force_map: ForceMap | None = None
     headline: str = ""
     sentences: tuple[str, ...] = ()
-    findings: tuple[str, ...] = ()
     base: tuple[BaseRow, ...] = ()
     errors: tuple[ErrorRow, ...] = ()
     outside: tuple[OutsideRow, ...] = ()
     unknown_share: float | None = None
     interval_factor: float = 1.0
+
+    @property
+    def chi2_null(self) -> float:
+        """Misfit |W (y - S)|^2 of the plain model on the fitted runs."""
+        return self.null.chi2
+
+    @property
+    def chi2_best(self) -> float:
+        """The same with the best set."""
+        return self.best.chi2
+
+    @property
+    def num_samples(self) -> int:
+        """Number of samples of the fitted runs."""
+        return self.null.num_samples
+
+    @property
+    def confounding_names(self) -> tuple[str, ...]:
+        """Components, in the order of ``confounding``."""
+        return self.screened.names
+
+    @property
+    def confounding(self) -> Array:
+        """(n, n) cosines between what base parameters cannot absorb."""
+        return self.screened.confounding
+
+    @property
+    def noise(self) -> dict[str, Any]:
+        """Source of the noise floor, sd by channel, repeat scatter over sensor noise, spikes."""
+        names = [channel.name for channel in self.study.channels]
+        return {
+            "sd": dict(zip(names, self.floor.sd.tolist(), strict=True)),
+            "source": self.floor.source,
+            "scatter_ratio": self.floor.scatter_ratio,
+            "num_spikes": self.num_spikes,
+        }
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Base parameters that ended beyond the limit of their row, 3 prior sd or more."""
+        return tuple(row.name for row in self.base if row.finding)
 
     def extended_model(self) -> SimModel:
         """The model with the named effects; base parameters and sizes at their posterior."""
@@ -90,10 +123,11 @@ class Report(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fits' matrices and the recordings, in types that JSON has."""
-        left_out = ("decision", "floor", "best_names", "beside", "strained", "left")
-        plain = {
-            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in left_out
-        }
+        left_out = {"decision", "floor", "best_names", "beside", "strained", "left"}
+        left_out |= {"screened", "num_spikes"}
+        own = (name for name in self.__dataclass_fields__ if name not in left_out)
+        more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
+        plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
         for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
             plain[name] = [asdict(row) for row in plain[name]]
         for name in ("next_run", "force_map", "gain"):

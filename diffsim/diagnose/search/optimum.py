@@ -77,11 +77,7 @@ def _sizes_optimum(gram: Array, b: Array, low: Array, high: Array, start: Array)
         return near  # there is but one valley
     far = _reweighted(gram, b, low, high, every, precision_at(free))
 
-    def cost(u: Array) -> float:
-        x = coordinate_of(u)
-        return float(u @ gram @ u - 2.0 * b @ u + x @ x)
-
-    return min(near, far, key=cost)
+    return min(near, far, key=lambda u: _cost(u, gram, b, every))
 
 
 def _reweighted(
@@ -91,10 +87,6 @@ def _reweighted(
     convex, as long as they lead down."""
     weights = weights.copy()
 
-    def cost(v: Array) -> float:
-        x = coordinate_of(v[sizes])
-        return float(v @ gram @ v - 2.0 * b @ v + v[~sizes] @ v[~sizes] + x @ x)
-
     v, here = np.full(len(b), np.inf), np.inf
     for step in range(MAX_REWEIGHTS):
         after, there = v, np.inf
@@ -102,10 +94,10 @@ def _reweighted(
             curvature, push = np.ones(len(b)), np.zeros(len(b))
             curvature[sizes], push[sizes] = _newton(v[sizes], weights[sizes])
             after = quadratic_optimum(gram + np.diag(curvature), b + push, low, high)
-            there = cost(after)
+            there = _cost(after, gram, b, sizes)
         if not there < here:
             after = quadratic_optimum(gram + np.diag(weights), b, low, high)
-            there = cost(after)
+            there = _cost(after, gram, b, sizes)
         close = REWEIGHT_TOLERANCE * np.maximum(np.abs(after), 1.0)
         is_end = bool(np.all(np.abs(after - v) <= close))
         v, here = after, there
@@ -113,6 +105,12 @@ def _reweighted(
             break
         weights[sizes] = precision_at(v[sizes])
     return v
+
+
+def _cost(v: Array, gram: Array, b: Array, sizes: NDArray[np.bool_]) -> float:
+    """Misfit and prior at v, but for a constant."""
+    x = coordinate_of(v[sizes])
+    return float(v @ gram @ v - 2.0 * b @ v + v[~sizes] @ v[~sizes] + x @ x)
 
 
 def _newton(u: Array, weights: Array) -> tuple[Array, Array]:
