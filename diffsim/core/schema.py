@@ -1,7 +1,7 @@
 """Blocks of YAML files that users write: unknown keys are refused, units are converted.
 
-A file is a tree of :class:`Part`; :func:`problem_lines` tells what is wrong with it, a line for
-each mistake with its path in the file.
+A file is a tree of :class:`Part`; :func:`read_part` makes it of plain values and tells what is
+wrong with them, a line for each mistake with its path in the file.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.errors import Mistakes
 from diffsim.core.units import in_unit
 
 
@@ -47,6 +48,32 @@ class Part(BaseModel):
         return given
 
 
+class FinitePart(Part):
+    """A block in which no number may be infinite or NaN."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+_P = TypeVar("_P", bound=Part)
+
+
+def read_part(part: type[_P], given: Any, where: str) -> _P:
+    """A block of plain values, as ``core.yaml_text`` reads them.
+
+    Args:
+        part: Its class.
+        given: What stands in the file.
+        where: What the paths begin with, as in ``problem_lines``.
+
+    Raises:
+        Mistakes: a line for each.
+    """
+    try:
+        return part.model_validate(given)
+    except ValidationError as error:
+        raise Mistakes(problem_lines(where, error)) from None
+
+
 def number(unit: str) -> Any:
     """Type of a key that is a known number in a unit; text with another unit is converted."""
     said = Said("number" if unit == "-" else f"number in {unit}")
@@ -65,6 +92,8 @@ _PLAIN = (
     (r"Input should be a valid boolean.*", "must be true or false"),
     (r"Input should be a valid (list|tuple)", "must be a list"),
     (r"Input should be a valid dictionary.*", "must be a mapping"),
+    (r"\w+ should have at least (\d+) items? after validation.*", r"must have \1 or more entries"),
+    (r"\w+ should have at most (\d+) items? after validation.*", r"must have \1 or fewer entries"),
     (r"Input should be (.*)", r"must be \1"),
 )
 """What pydantic says, and how people say it."""
@@ -78,7 +107,10 @@ def problem_lines(where: str, error: ValidationError) -> list[str]:
         error: Refusal of a :class:`Part`.
     """
     out = []
-    for one in error.errors(include_url=False):
+    errors = error.errors(include_url=False)
+    for one in errors:
+        if one["type"] == "too_short" and any(_is_below(e["loc"], one["loc"]) for e in errors):
+            continue  # entries that are wrong are not counted
         # "<...>" tells pydantic which of several blocks is meant, and is no key
         keys = [p for p in one["loc"] if not str(p).startswith("<")]
         path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in keys)
@@ -95,3 +127,7 @@ def problem_lines(where: str, error: ValidationError) -> list[str]:
             f"{where}{path}: {message}{came}" if path else f"{where.rstrip(': ')}: {message}"
         )
     return out
+
+
+def _is_below(path: tuple[str | int, ...], other: tuple[str | int, ...]) -> bool:
+    return len(path) > len(other) and path[: len(other)] == other

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, TypeAlias
 from diffsim.core.schema import number
 
 if TYPE_CHECKING:
+    Degrees: TypeAlias = float
+    DegreesPerSecond: TypeAlias = float
     Hertz: TypeAlias = float
     KilogramSquareMeters: TypeAlias = float
     Kilograms: TypeAlias = float
     KilogramsPerCubicMeter: TypeAlias = float
     Meters: TypeAlias = float
+    MetersPerSecond: TypeAlias = float
     MetersPerSquareSecond: TypeAlias = float
     MilliampHours: TypeAlias = float
     Newtons: TypeAlias = float
@@ -24,11 +27,14 @@ if TYPE_CHECKING:
     Seconds: TypeAlias = float
     Volts: TypeAlias = float
 else:
+    Degrees = number("deg")
+    DegreesPerSecond = number("deg/s")
     Hertz = number("Hz")
     KilogramSquareMeters = number("kg m^2")
     Kilograms = number("kg")
     KilogramsPerCubicMeter = number("kg/m^3")
     Meters = number("m")
+    MetersPerSecond = number("m/s")
     MetersPerSquareSecond = number("m/s^2")
     MilliampHours = number("mA h")
     Newtons = number("N")
@@ -42,11 +48,14 @@ else:
     Volts = number("V")
 
 __all__ = [
+    "Degrees",
+    "DegreesPerSecond",
     "Hertz",
     "KilogramSquareMeters",
     "Kilograms",
     "KilogramsPerCubicMeter",
     "Meters",
+    "MetersPerSecond",
     "MetersPerSquareSecond",
     "MilliampHours",
     "Newtons",

@@ -28,10 +28,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import problem_lines
+from diffsim.core.schema import read_part
 from diffsim.core.units import to_si
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.formats import split_part
@@ -111,10 +109,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
 def _parsed(path: Path, content: Any) -> StudyFile:
     if not isinstance(content, Mapping):
         raise ValueError(f"{path}: the study must be a mapping, got {type(content).__name__}")
-    try:
-        stated = StudyFile.model_validate(content)
-    except ValidationError as error:
-        raise Mistakes(problem_lines(f"{path}: ", error)) from None
+    stated = read_part(StudyFile, content, f"{path}: ")
     if stated.model is None and stated.system is None:
         raise ValueError(f"{path}: the study has neither model nor system; describe its model")
     if stated.model is not None and "system" not in stated.model:

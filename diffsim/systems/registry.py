@@ -12,12 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from diffsim.core.check import require_choice
-from diffsim.core.errors import Mistakes
 from diffsim.core.plugins import SYSTEMS, find_plugins, load_plugin
-from diffsim.core.schema import problem_lines
+from diffsim.core.schema import read_part
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel
@@ -97,10 +94,7 @@ def description_of(study: Study) -> Description:
     if "system" not in study.model:
         raise ValueError(f"{where} has no system; name one of {', '.join(known_systems())}")
     system = require_choice(f"{where}.system", str(study.model["system"]), known_systems())
-    try:
-        made = description_class(system).model_validate(study.model)
-    except ValidationError as error:
-        raise Mistakes(problem_lines(where, error)) from None
+    made: Description = read_part(description_class(system), study.model, where)
     return made
 
 

@@ -33,19 +33,20 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from diffsim.copter._shipped import shipped
 from diffsim.copter.design.spec import Connection, DesignSpec, PartSpec
-from diffsim.copter.vehicle.parts.database import PART_KINDS, option_names
-from diffsim.copter.yaml_lines import Located, read_yaml
-from diffsim.copter.yaml_lines import Path as Keys
+from diffsim.core.errors import Mistakes
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.core.inside import inside, require_file_name
+from diffsim.core.yaml_text import load_yaml
 
-_TOP = ["name", "notes", "parts", "connections", "rigid", "constraints", "values"]
+if TYPE_CHECKING:
+    from diffsim.copter.design.spec_keys import PartKeys
+
 _PART = {"kind", "bounds", "rotation", "place", "anchored", "direction", "propeller"}
 
 
@@ -62,7 +63,21 @@ def spec_from_text(text: str, source: str = "design", folder: Path | None = None
         source: What error messages call it.
         folder: Folder of the files that the text names.
     """
-    return _spec(read_yaml(text, source), folder)
+    # pydantic takes a third of a second: only for those who read a file
+    from diffsim.copter.design.spec_keys import DesignKeys
+    from diffsim.core.schema import read_part
+
+    said = read_part(DesignKeys, load_yaml(text, source), f"{source}: ")
+    return DesignSpec(
+        name=said.name or Path(source).stem,
+        notes=said.notes,
+        parts=_parts(said.parts, source, folder),
+        connections=tuple(Connection(**dict(c)) for c in said.connections or ()),
+        rigid=said.rigid or (),
+        constraints=said.constraints or (),
+        values=said.values,
+        folder=folder,
+    )
 
 
 def write_spec(spec: DesignSpec, path: str | Path) -> Path:
@@ -118,148 +133,22 @@ def _without_defaults(item: Any) -> dict[str, Any]:
     }
 
 
-def _spec(located: Located, folder: Path | None) -> DesignSpec:
-    data = _mapping(located, (), located.value)
-    for key in data:
-        located.require_choice((key,), "key", key, _TOP)
-    parts = _mapping(located, ("parts",), data.get("parts"))
-    name = _file_name(located, ("name",), str(data.get("name", Path(located.source).stem)))
-    return DesignSpec(
-        name=name,
-        notes=str(data.get("notes", "")),
-        parts=tuple(_part(located, name, value, folder) for name, value in parts.items()),
-        connections=tuple(
-            _connection(located, ("connections", k), value)
-            for k, value in enumerate(_list(located, ("connections",), data.get("connections")))
-        ),
-        rigid=tuple(
-            _pair(located, ("rigid", k), value)
-            for k, value in enumerate(_list(located, ("rigid",), data.get("rigid")))
-        ),
-        constraints=tuple(
-            str(text) for text in _list(located, ("constraints",), data.get("constraints"))
-        ),
-        values={
-            name: _number(located, ("values", name), value)
-            for name, value in _mapping(located, ("values",), data.get("values", {})).items()
-        },
-        folder=folder,
-    )
+def _parts(parts: Mapping[str, PartKeys], source: str, folder: Path | None) -> tuple[PartSpec, ...]:
+    made, lines = [], []
+    for name, keys in parts.items():
+        try:
+            made.append(_part(name, keys, folder))
+        except ValueError as error:
+            lines.append(f"{source}: parts.{name}: {error}")
+    if lines:
+        raise Mistakes(lines)
+    return tuple(made)
 
 
-def _part(located: Located, name: str, value: Any, folder: Path | None) -> PartSpec:
-    at: Keys = ("parts", name)
-    _file_name(located, at, name)
-    data = _mapping(located, at, value)
-    if "kind" not in data:
-        raise located.error(at, "kind is missing; say which part of the database this is")
-    kind = located.require_choice((*at, "kind"), "kind", str(data["kind"]), PART_KINDS)
-    options = {key: v for key, v in data.items() if key not in _PART}
-    for key in options:
-        known = [*option_names(kind), *sorted(_PART)]
-        located.require_choice((*at, key), f"option of a {kind}", key, known)
+def _part(name: str, keys: PartKeys, folder: Path | None) -> PartSpec:
+    common = {key: value for key, value in keys if key in _PART}
+    own = keys.model_fields_set - _PART
+    options = {key: value for key, value in keys if key in own}
     if "file" in options:
-        _require_inside(located, (*at, "file"), str(options["file"]), folder)
-    bounds = _mapping(located, (*at, "bounds"), data.get("bounds", {}))
-    fields_of_part: dict[str, Any] = {
-        "bounds": {key: _interval(located, (*at, "bounds", key), v) for key, v in bounds.items()},
-        "rotation": _numbers(located, (*at, "rotation"), data.get("rotation"), 3),
-        "place": _numbers(located, (*at, "place"), data.get("place"), 3),
-        "anchored": _flag(located, (*at, "anchored"), data.get("anchored", False)),
-        "direction": _numbers(located, (*at, "direction"), data.get("direction"), 3),
-        "propeller": _flag(located, (*at, "propeller"), data.get("propeller", True)),
-    }
-    try:
-        return PartSpec(name=name, kind=kind, options=options, **fields_of_part)
-    except ValueError as error:
-        raise located.error(at, str(error)) from error
-
-
-def _file_name(located: Located, at: Keys, name: str) -> str:
-    try:
-        return require_file_name("name", name)
-    except ValueError as error:
-        raise located.error(at, str(error)) from None
-
-
-def _require_inside(located: Located, at: Keys, stated: str, folder: Path | None) -> None:
-    try:
-        inside(folder or Path(), stated, "file")
-    except ValueError as error:
-        raise located.error(at, str(error)) from None
-
-
-def _connection(located: Located, at: Keys, value: Any) -> Connection:
-    data = _mapping(located, at, value)
-    known = [f.name for f in fields(Connection)]
-    for key in data:
-        located.require_choice((*at, key), "key", key, known)
-    for key in ("host", "guest"):
-        if key not in data:
-            raise located.error(at, f"{key} is missing; write it as part.patch")
-    adapters = data.get("adapters")
-    slide = data.get("slide")
-    return Connection(
-        host=str(data["host"]),
-        guest=str(data["guest"]),
-        at=_numbers(located, (*at, "at"), data.get("at")),
-        guest_at=_numbers(located, (*at, "guest_at"), data.get("guest_at")),
-        angle=_number(located, (*at, "angle"), data.get("angle", 0.0)),
-        roll=_number(located, (*at, "roll"), data.get("roll", 0.0)),
-        slide=None if slide is None else _flag(located, (*at, "slide"), slide),
-        adapters=None
-        if adapters is None
-        else tuple(str(v) for v in _list(located, (*at, "adapters"), adapters)),
-    )
-
-
-def _mapping(located: Located, at: Keys, value: Any) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise located.error(at, f"must map names to values, got {type(value).__name__}")
-    return value
-
-
-def _list(located: Located, at: Keys, value: Any) -> list[Any]:
-    if value is None:
-        return []
-    if not isinstance(value, list):
-        raise located.error(at, f"must be a list, got {type(value).__name__}")
-    return value
-
-
-def _pair(located: Located, at: Keys, value: Any) -> tuple[str, str]:
-    names = _list(located, at, value)
-    if len(names) != 2:
-        raise located.error(at, f"must name two parts, got {len(names)}")
-    return str(names[0]), str(names[1])
-
-
-def _number(located: Located, at: Keys, value: Any) -> float:
-    return located.require_number(at, value)
-
-
-def _numbers(
-    located: Located, at: Keys, value: Any, count: int | None = None
-) -> tuple[float, ...] | None:
-    if value is None:
-        return None
-    items = value if isinstance(value, list) else [value]
-    if count is not None and len(items) != count:
-        raise located.error(at, f"must hold {count} numbers, got {len(items)}")
-    return tuple(_number(located, at, item) for item in items)
-
-
-def _interval(located: Located, at: Keys, value: Any) -> tuple[float, float]:
-    numbers = _list(located, at, value)
-    if len(numbers) != 2:
-        raise located.error(at, f"must hold 2 numbers, got {len(numbers)}")
-    lower, upper = (_number(located, at, v) for v in numbers)
-    if not lower <= upper:
-        raise located.error(at, f"must be [lower, upper], got [{lower:g}, {upper:g}]")
-    return lower, upper
-
-
-def _flag(located: Located, at: Keys, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise located.error(at, f"must be true or false, got {value!r}")
-    return value
+        inside(folder or Path(), str(options["file"]), "file")
+    return PartSpec(name=require_file_name("name", name), options=options, **common)

@@ -30,10 +30,10 @@ def clip_for(spec: PartSpec, motor: Part, host: ContactEnd, degrees: float) -> P
     wanted = _carrier_normal(spec, motor)
     if _angle(host.placed.rotation @ host.patch.axis, wanted) <= _SQUARE:
         return None
-    bottom = make_part(_CLIP, {"normal": UP}).patches["bottom"]
+    bottom = make_part(_CLIP, {"normal": UP.tolist()}).patches["bottom"]
     rotation = aligning_rotation(host.patch, host.placed.rotation, bottom, degrees=degrees)
     try:
-        return make_part(_CLIP, {"normal": rotation.T @ wanted})
+        return make_part(_CLIP, {"normal": (rotation.T @ wanted).tolist()})
     except ValueError as error:
         raise ValueError(f"direction of {spec.name!r} on {host.name}: {error}") from error
 

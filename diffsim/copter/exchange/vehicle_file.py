@@ -27,7 +27,7 @@ from diffsim.copter.vehicle.vehicle_record import (
     assembled,
     own_rotor,
 )
-from diffsim.copter.yaml_lines import read_yaml
+from diffsim.core.yaml_text import load_yaml, read_text, read_yaml_file
 
 if TYPE_CHECKING:
     from diffsim.copter.exchange.vehicle_keys import BatteryFacts, RotorFacts, VehicleFile
@@ -58,7 +58,7 @@ def load_vehicle(path: str | Path) -> FlyingVehicle:
         raise FileNotFoundError(f"no vehicle file {path}")
     if path.suffix in _WHOLE:
         return _WHOLE[path.suffix](path)
-    return vehicle_from_text(path.read_text(encoding="utf-8"), str(path), path.parent, path.stem)
+    return vehicle_from_text(read_text(path), str(path), path.parent, path.stem)
 
 
 def is_vehicle_file(path: str | Path) -> bool:
@@ -72,7 +72,7 @@ def is_vehicle_file(path: str | Path) -> bool:
         return True
     if not path.is_file():
         return False
-    content = read_yaml(path.read_text(encoding="utf-8"), str(path)).value
+    content = read_yaml_file(path)
     return isinstance(content, dict) and "parts" not in content
 
 
@@ -87,15 +87,11 @@ def vehicle_from_text(
         folder: Where ``body_file`` lies; None: the current folder.
         name: Of the vehicle, if the text gives none.
     """
-    from pydantic import ValidationError  # a third of a second: only for those who read a file
-
+    # pydantic takes a third of a second: only for those who read a file
     from diffsim.copter.exchange.vehicle_keys import VehicleFile
-    from diffsim.core.schema import problem_lines
+    from diffsim.core.schema import read_part
 
-    try:
-        said = VehicleFile.model_validate(read_yaml(text, source).value)
-    except ValidationError as error:
-        raise ValueError("\n".join(problem_lines(f"{source}: ", error))) from None
+    said = read_part(VehicleFile, load_yaml(text, source), f"{source}: ")
     body = _body(said, folder or Path())
     turn = _TO_FRD[said.body]
     facts = [r.rotor or said.rotor for r in said.rotors]

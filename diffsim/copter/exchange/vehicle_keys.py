@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from diffsim.core.schema import Part
+from diffsim.core.schema import FinitePart
 from diffsim.core.schema_numbers import (
     Kilograms,
     Meters,
@@ -21,7 +20,7 @@ from diffsim.core.schema_numbers import (
 Point = tuple[Meters, Meters, Meters]
 
 
-class RotorFacts(Part):
+class RotorFacts(FinitePart):
     """What is known of a rotor: a shipped model, or its own numbers."""
 
     model: str | None = Field(
@@ -54,7 +53,7 @@ class RotorFacts(Part):
         return self
 
 
-class RotorPlace(Part):
+class RotorPlace(FinitePart):
     """Where a rotor is and how it turns."""
 
     at: Point | None = Field(
@@ -78,7 +77,7 @@ class RotorPlace(Part):
         return self
 
 
-class BatteryFacts(Part):
+class BatteryFacts(FinitePart):
     """A lithium-polymer pack."""
 
     cells: int = Field(ge=1, description="Cells in series")
@@ -88,7 +87,7 @@ class BatteryFacts(Part):
     )
 
 
-class VehicleFile(Part):
+class VehicleFile(FinitePart):
     """A multicopter by its numbers."""
 
     name: str | None = Field(None, description="Default: the name of the file")
@@ -120,13 +119,6 @@ class VehicleFile(Part):
             raise ValueError(
                 f"needs 3 numbers (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz), got {len(given)}"
             )
-        return given
-
-    @model_validator(mode="before")
-    @classmethod
-    def _is_mapping(cls, given: Any) -> Any:
-        if not isinstance(given, Mapping):
-            raise ValueError("a vehicle file is a mapping of keys: body, mass, inertia, rotors ...")
         return given
 
     @model_validator(mode="after")

@@ -24,23 +24,12 @@ from numpy.typing import NDArray
 
 from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.simulator.setpoint import Setpoint
-from diffsim.copter.yaml_lines import Located, read_yaml
-from diffsim.core.check import require_number
+from diffsim.core.yaml_text import load_yaml
 
 _PEAK_SPEED = 15.0 / 8.0  # of the least-jerk polynomial, per mean speed
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # per way and squared duration
 MAX_ACCELERATION = 1.5  # [m/s^2]
 MAX_YAW_ACCELERATION = math.radians(90.0)  # [rad/s^2]
-# arguments with their defaults; None: as it is, REQUIRED: must be given
-REQUIRED = object()
-_STEPS: dict[str, dict[str, Any]] = {
-    "take_off": {"height": REQUIRED, "speed": 0.8},
-    "hover": {"seconds": REQUIRED},
-    "fly_to": {"north": None, "east": None, "height": None, "speed": 1.5},
-    "yaw": {"degrees": REQUIRED, "rate": 45.0},
-    "land": {"speed": 0.5},
-}
-_FREE = {"north", "east", "degrees"}  # the others must be above zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +107,7 @@ def load_mission(name: str | Path) -> Mission:
 
     Raises:
         FileNotFoundError: a path without a file.
-        ValueError: unknown name, step or value; names file, line and step.
+        ValueError: unknown name, step or value; names file and key.
     """
     text, source, _ = read_named("simulator/flights", "mission", name)
     return mission_from_text(text, source)
@@ -126,58 +115,29 @@ def load_mission(name: str | Path) -> Mission:
 
 def mission_from_text(text: str, source: str = "mission") -> Mission:
     """Read a mission from YAML text; ``source`` is what error messages call it."""
-    located = read_yaml(text, source)
-    data = located.value
-    if not isinstance(data, dict):
-        raise located.error((), "a mission needs a name and a list of steps")
-    for key in data:
-        located.require_choice((key,), "key", key, ["name", "steps"])
-    steps = data.get("steps")
-    if not isinstance(steps, list) or not steps:
-        raise located.error(("steps",), "steps must be a list with one step or more")
+    # pydantic takes a third of a second: only for those who read a file
+    from diffsim.copter.simulator.mission_keys import MissionKeys
+    from diffsim.core.schema import read_part
+
+    said = read_part(MissionKeys, load_yaml(text, source), f"{source}: ")
     pose, time, legs = np.zeros(4), 0.0, []
-    for k, step in enumerate(steps):
-        name, values = _step(located, k, step)
-        _require_order(located, k, name, flying=bool(pose[2] < 0.0))
-        leg = _leg(name, values, time, pose)
+    for k, step in enumerate(said.steps):
+        name, keys = step.said
+        try:
+            _require_order(name, flying=bool(pose[2] < 0.0))
+        except ValueError as error:
+            raise ValueError(f"{source}: steps[{k}]: {error}") from None
+        leg = _leg(name, dict(keys), time, pose)
         pose, time = pose + leg.move, time + leg.duration
         legs.append(leg)
-    return Mission(str(data.get("name", Path(source).stem)), tuple(legs))
+    return Mission(said.name or Path(source).stem, tuple(legs))
 
 
-def _step(located: Located, k: int, step: Any) -> tuple[str, dict[str, Any]]:
-    """Name and arguments of one step, defaults filled in."""
-    if isinstance(step, str):
-        step = {step: {}}
-    if not isinstance(step, dict) or len(step) != 1:
-        raise located.error(("steps", k), f"a step is one of {list(_STEPS)} with its values")
-    ((name, given),) = step.items()
-    keys = ("steps", k, name)
-    located.require_choice(keys, "step", name, _STEPS)
-    given = {} if given is None else given
-    if not isinstance(given, dict):
-        raise located.error(keys, f"needs values such as {{{', '.join(_STEPS[name])}}}")
-    for key in given:
-        located.require_choice((*keys, key), f"value of {name}", key, _STEPS[name])
-    values: dict[str, Any] = {}
-    for key, default in _STEPS[name].items():
-        if default is REQUIRED and key not in given:
-            raise located.error(keys, f"{name} needs {key}; write {name}: {{{key}: 1.5}}")
-        values[key] = given.get(key, default)
-        if key in given:
-            located.require_number((*keys, key), values[key])
-            try:
-                require_number(key, values[key], above=-math.inf if key in _FREE else 0.0)
-            except ValueError as error:
-                raise located.error((*keys, key), str(error)) from error
-    return name, values
-
-
-def _require_order(located: Located, k: int, name: str, *, flying: bool) -> None:
+def _require_order(name: str, *, flying: bool) -> None:
     if name == "take_off" and flying:
-        raise located.error(("steps", k), "take_off while flying; use fly_to with another height")
+        raise ValueError("take_off while flying; use fly_to with another height")
     if name != "take_off" and not flying:
-        raise located.error(("steps", k), f"{name} on the ground; put a take_off before it")
+        raise ValueError(f"{name} on the ground; put a take_off before it")
 
 
 def _leg(name: str, values: dict[str, Any], time: float, pose: NDArray[np.float64]) -> Leg:

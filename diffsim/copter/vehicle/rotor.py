@@ -160,8 +160,12 @@ def rotor_model(name: str) -> RotorModel:
     Raises:
         ValueError: no such model; the message offers the closest names.
     """
-    values = rotor_record(name)["model"]
-    return RotorModel(**values | {"assumed": tuple(values["assumed"])})
+    # pydantic takes a third of a second: only for those who read a file
+    from diffsim.copter.vehicle.rotor_keys import RotorFile
+    from diffsim.core.schema import read_part
+
+    said = read_part(RotorFile, rotor_record(name), f"{name}.yaml: ")
+    return RotorModel(**dict(said.model))
 
 
 def motor_lag(rotors: Sequence[RotorModel]) -> MotorLag:

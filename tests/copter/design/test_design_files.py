@@ -179,19 +179,20 @@ connections: [{host: frame.nose, guest: motor.base}]
 @pytest.mark.parametrize(
     ("good", "bad", "message"),
     [
-        ("name: small", "nmae: small", r"line 1: nmae: key must be one of.*'name'"),
-        ("length: 0.2", "lenght: 0.2", r"line 3: parts.plate.lenght: .*mean 'length'"),
-        ("kind: plate", "kind: plaet", r"line 3: parts.plate.kind: .*mean 'plate'"),
-        ("{kind: plate, length: 0.2}", "{length: 0.2}", r"line 3: parts.plate: kind is missing"),
-        ("[0.1, 0.6]", "[0.1]", r"line 7: parts.arm.bounds.length: must hold 2 numbers, got 1"),
-        ("[0.1, 0.6]", "[0.6, 0.1]", r"line 7: .*must be .lower, upper."),
-        ("[0.1, 0.6]", "[0.1, wide]", r"line 7: .*must be a number, got str"),
+        ("name: small", "nmae: small", r"no key 'nmae' here; did you mean 'name'"),
+        ("length: 0.2", "length: .nan", r"parts.plate.length: must be a finite number, got nan"),
+        ("length: 0.2", "lenght: 0.2", r"parts.plate: no key 'lenght' .*mean 'length'"),
+        ("kind: plate", "kind: plaet", r"parts.plate: kind must be.*mean 'plate'"),
+        ("{kind: plate, length: 0.2}", "{length: 0.2}", r"parts.plate: kind is missing"),
+        ("[0.1, 0.6]", "[0.1]", r"parts.arm.bounds.length\[1\]: is missing"),
+        ("[0.1, 0.6]", "[0.6, 0.1]", r"arm.bounds.length: must be .lower, upper."),
+        ("[0.1, 0.6]", "[0.1, wide]", r"length\[1\]: must be a number in m.*, got 'wide'"),
         ("    length: 0.4", "    kind: rod", r"line 6: key 'kind' stands twice"),
-        ("angle: 30", "angel: 30", r"line 10: .*'angle'"),
-        ("guest: motor.base", "gest: motor.base", r"line 11: .*'guest'"),
-        ("constraints: [", "rigid: 3\nconstraints: [", r"line 12: rigid: must be a list, got int"),
+        ("angle: 30", "angel: 30", r"connections\[0\]: .*'angle'"),
+        ("guest: motor.base", "gest: motor.base", r"connections\[1\]: .*'guest'"),
+        ("constraints: [", "rigid: 3\nconstraints: [", r"rigid: must be a list, got 3"),
         ("plate.length", "plate.lentgh", r"did you mean 'length'"),
-        ("  arm:", "  1arm:", r"line 4: parts.1arm: .*letters, digits"),
+        ("  arm:", "  1arm:", r"parts.1arm: .*letters, digits"),
         ("0.4", "[", r"line \d+: not YAML"),
     ],
 )
@@ -200,6 +201,26 @@ def test_errors_say_where(good, bad, message):
     with pytest.raises(ValueError, match=message) as caught:
         design_from_text(SMALL.replace(good, bad, 1), "small.yaml")
     assert str(caught.value).startswith("small.yaml")
+
+
+def test_every_mistake_has_a_line():
+    text = SMALL.replace("length: 0.2", "length: 2 kg").replace("spin: ccw", "pusher: 1")
+    with pytest.raises(ValueError, match=r"^small\.yaml: ") as caught:
+        design_from_text(text.replace("angle", "angel"), "small.yaml")
+    plate, motor, connection = str(caught.value).split("\n")
+    assert plate.startswith("small.yaml: parts.plate.length: unit 'kg' is no unit of")
+    assert motor == "small.yaml: parts.motor.pusher: must be true or false, got 1"
+    assert connection.startswith("small.yaml: connections[0]: no key 'angel' here")
+
+
+def test_units_are_converted():
+    text = SMALL.replace("length: 0.2", "length: 20 cm").replace("angle: 30", "angle: 0.5 turn")
+    text = text.replace("[0.1, 0.6]", "[10 cm, 600 mm]").replace("[0.01, 0.02]", "[10 mm, 0.02]")
+    ours = design_from_text(text)
+    theirs = design_from_text(SMALL.replace("angle: 30", "angle: 180"))
+    assert ours.names == theirs.names
+    torch.testing.assert_close(ours.values, theirs.values, atol=1e-12, rtol=0.0)
+    torch.testing.assert_close(ours.upper, theirs.upper, atol=1e-12, rtol=0.0)
 
 
 def test_unknown_designs(tmp_path):

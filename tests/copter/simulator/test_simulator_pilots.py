@@ -72,22 +72,26 @@ def test_shipped_missions_load():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name: x", "steps must be a list"),
-        ("steps: []", "one step or more"),
-        ("- a", "needs a name and a list"),
-        ("stepz: []", "line 1.*did you mean 'steps'"),
-        ("steps:\n  - take_of: {height: 1}", "line 2.*did you mean 'take_off'"),
-        ("steps:\n  - take_off: {hight: 1}", "line 2.*did you mean 'height'"),
-        ("steps:\n  - take_off: {}", "line 2.*take_off needs height"),
-        ("steps:\n  - take_off: {height: high}", "line 2.*number"),
-        ("steps:\n  - take_off: {height: -1}", r"line 2.*\(0, inf\), got -1"),
-        ("steps:\n  - hover: {seconds: 1}", "line 2.*hover on the ground.*take_off before"),
-        ("steps:\n  - take_off: {height: 1}\n  - take_off: {height: 2}", "line 3.*while flying"),
-        ("steps:\n  - take_off: 3", "needs values such as"),
+        ("name: x", "steps: is missing"),
+        ("steps: []", "steps: must have 1 or more entries"),
+        ("- a", "must be a mapping"),
+        ("stepz: []", "did you mean 'steps'"),
+        ("steps:\n  - take_of: {height: 1}", r"steps\[0\]: .*did you mean 'take_off'"),
+        ("steps:\n  - take_off: {hight: 1}", r"steps\[0\].take_off: .*did you mean 'height'"),
+        ("steps:\n  - take_off: {}", r"steps\[0\].take_off.height: is missing$"),
+        ("steps:\n  - take_off: {height: high}", r"steps\[0\].take_off.height: must be a number"),
+        ("steps:\n  - take_off: {height: -1}", "height: must be above 0, got -1"),
+        ("steps:\n  - take_off: {height: .inf}", "height: must be a finite number, got inf"),
+        ("steps:\n  - hover: {seconds: 1}", r"steps\[0\]: hover on the ground.*take_off before"),
+        (
+            "steps:\n  - take_off: {height: 1}\n  - take_off: {height: 2}",
+            r"steps\[1\]: take_off while flying",
+        ),
+        ("steps:\n  - take_off: 3", r"steps\[0\].take_off: must be a mapping, got 3"),
         ("steps:\n  - 7", "a step is one of"),
     ],
 )
-def test_mission_errors_name_line_and_remedy(text, message):
+def test_mission_errors_name_key_and_remedy(text, message):
     with pytest.raises(ValueError, match=f"(?s)task.*{message}"):
         mission_from_text(text, "task.yaml")
 

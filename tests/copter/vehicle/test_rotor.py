@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from diffsim.copter.vehicle.battery import USUAL_SAG_EXPONENT
 from diffsim.copter.vehicle.fit_rotor import fit_power, fit_rotor, write_rotor
@@ -140,6 +141,13 @@ def test_records_state_their_source():
         source = record["provenance"]["source"]
         assert source.startswith(("rotor_bench/", "copter_reference/"))
         assert record["fit"]["thrust"]["rows"] >= 13
+
+
+def test_a_rotor_file_is_read_key_by_key(monkeypatch):
+    text = yaml.safe_dump({"model": {"name": "mine", "radius": "5 inch", "thrust_exponant": 2.0}})
+    monkeypatch.setattr("diffsim.copter.vehicle.rotor.read_shipped", lambda *names: text)
+    with pytest.raises(ValueError, match=r"^mine.yaml: model: no key 'thrust_exponant' here; did"):
+        rotor_model("mine")
 
 
 def test_model_goes_through_the_rows():

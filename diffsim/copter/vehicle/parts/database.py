@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from inspect import Parameter, signature
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diffsim.copter.vehicle.parts.fittings import (
     compound_angle_clip,
@@ -18,20 +17,23 @@ from diffsim.copter.vehicle.parts.frames import mesh_frame, outline_frame, x_fra
 from diffsim.copter.vehicle.parts.imported import imported_mesh, imported_motor, imported_rod
 from diffsim.copter.vehicle.parts.part import Part, PartMaker
 from diffsim.copter.vehicle.parts.structure import box_part, circular_plate, plate, rod
-from diffsim.core.check import require_choice, require_number
+from diffsim.core.check import require_choice
+
+if TYPE_CHECKING:
+    from diffsim.core.schema_numbers import Kilograms, Meters
 
 
-def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:
+def battery(size: Sequence[Meters] = (0.1008, 0.0336, 0.0224), mass: Kilograms = 0.2127) -> Part:
     """A three-cell pack of 2200 mAh by default; size (3,) [m], mass [kg]."""
     return box_part("battery", size, mass, 25.0)
 
 
-def electronics(size: Sequence[float] = (0.0815, 0.05, 0.0155), mass: float = 0.0359) -> Part:
+def electronics(size: Sequence[Meters] = (0.0815, 0.05, 0.0155), mass: Kilograms = 0.0359) -> Part:
     """Flight controller and receiver; size (3,) [m], mass [kg]."""
     return box_part("electronics", size, mass, 200.0)
 
 
-def payload(size: Sequence[float] = (0.08, 0.08, 0.05), mass: float = 0.5) -> Part:
+def payload(size: Sequence[Meters] = (0.08, 0.08, 0.05), mass: Kilograms = 0.5) -> Part:
     """Something carried; size (3,) [m], mass [kg]."""
     return box_part("payload", size, mass, 0.0)
 
@@ -61,11 +63,6 @@ PART_KINDS: dict[str, PartMaker] = {
 }
 
 
-def option_names(kind: str) -> tuple[str, ...]:
-    """Arguments of a kind's maker."""
-    return tuple(signature(PART_KINDS[kind]).parameters)
-
-
 def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """A part from the database.
 
@@ -74,26 +71,11 @@ def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
         options: Arguments of its maker: starting values of parameters and constant sizes.
 
     Raises:
-        ValueError: unknown kind or option, with the closest names; sizes that make no part.
+        ValueError: unknown kind or option, with the closest names; what cannot be read; sizes that
+            make no part.
     """
+    from diffsim.copter.vehicle.parts.options import option_keys  # pydantic comes with it
+    from diffsim.core.schema import read_part
+
     maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
-    options = dict(options or {})
-    for key, value in options.items():
-        require_choice(f"option of a {kind}", key, option_names(kind))
-        _require_type(f"{key} of a {kind}", value, str(signature(maker).parameters[key].annotation))
-    missing = [
-        name
-        for name, parameter in signature(maker).parameters.items()
-        if parameter.default is Parameter.empty and name not in options
-    ]
-    if missing:
-        raise ValueError(f"a {kind} needs {', '.join(missing)}; add it to the part")
-    return maker(**options)
-
-
-def _require_type(name: str, value: Any, annotation: str) -> None:
-    """Single numbers are sizes, masses, densities and factors: all of them above 0."""
-    if annotation == "float":
-        require_number(name, value, above=0.0)
-    elif annotation in ("bool", "str") and type(value).__name__ != annotation:
-        raise TypeError(f"{name} must be a {annotation}, got {value!r}")
+    return maker(**dict(read_part(option_keys(maker), dict(options or {}), kind)))

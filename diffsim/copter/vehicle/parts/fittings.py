@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from diffsim.copter.vehicle.parts.rotors import RotorData, rotor_data
 from diffsim.copter.vehicle.patches import Patch
 from diffsim.core.check import require_choice
 
+if TYPE_CHECKING:
+    from diffsim.core.schema_numbers import Kilograms, Meters, Ratio
+
 X, Y, DOWN = np.eye(3)
 MOTOR_RADIUS = 0.018  # [m]
 MOTOR_HEIGHT = 0.032
@@ -28,7 +32,7 @@ PROPELLER_ABOVE_BASE = 0.037  # bottom of the motor to the propeller's plane [m]
 SPINS = {"cw": 1, "ccw": -1}
 
 
-def round_connector(rod_diameter: float = 0.0146, mass: float = 0.0434197707992) -> Part:
+def round_connector(rod_diameter: Meters = 0.0146, mass: Kilograms = 0.0434197707992) -> Part:
     """A block with a bore along x for a rod and four flat faces, 40 x 45.6 x 45.6 mm."""
     half = 0.0228
     vertices, faces = ring_prism(square_loop(half), circle_loop(rod_diameter / 2))
@@ -48,7 +52,7 @@ def round_connector(rod_diameter: float = 0.0146, mass: float = 0.0434197707992)
     )
 
 
-def screw_mount(height: float = 0.02, diameter: float = 0.012, kind: str = "screw_mount") -> Part:
+def screw_mount(height: Meters = 0.02, diameter: Meters = 0.012, kind: str = "screw_mount") -> Part:
     """A round post with a screw in both ends; the height is a parameter [m]."""
     vertices, faces = fan_prism(circle_loop(diameter / 2), 1.0)
     basis = np.zeros((*vertices.shape, 1))
@@ -71,12 +75,12 @@ def screw_mount(height: float = 0.02, diameter: float = 0.012, kind: str = "scre
     )
 
 
-def standoff(height: float = 0.05, diameter: float = 0.016) -> Part:
+def standoff(height: Meters = 0.05, diameter: Meters = 0.016) -> Part:
     """A post that lifts a motor above its frame; the height is a parameter [m]."""
     return screw_mount(height, diameter, "standoff")
 
 
-def compound_angle_clip(normal: Sequence[float], height: float = 0.006) -> Part:
+def compound_angle_clip(normal: Sequence[Ratio], height: Meters = 0.006) -> Part:
     """A wedge whose top is tilted in any direction (thesis 3.6, Fig. 3-4).
 
     Args:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,16 +20,19 @@ from diffsim.copter.vehicle.parts.part import Parameter, Part, linear_center
 from diffsim.copter.vehicle.patches import Patch
 from diffsim.mesh.closed_surface import closed_surface
 
+if TYPE_CHECKING:
+    from diffsim.core.schema_numbers import KilogramsPerCubicMeter, Meters, Ratio
+
 X, Y, DOWN = np.eye(3)
 DENSITY_PRINT = 1050.0  # [kg/m^3]
 
 
 def x_frame(
-    half_length: float = 0.16,
-    half_width: float = 0.16,
-    thickness: float = 0.008,
-    arm_width: float = 0.03,
-    hub: float = 0.035,
+    half_length: Meters = 0.16,
+    half_width: Meters = 0.16,
+    thickness: Meters = 0.008,
+    arm_width: Meters = 0.03,
+    hub: Meters = 0.035,
 ) -> Part:
     """A printed X of four arms; motor pads keep their size while the arms stretch.
 
@@ -86,11 +90,11 @@ def x_frame(
 
 
 def outline_frame(
-    outline: Sequence[Sequence[float]],
-    mounts: Mapping[str, Sequence[float]],
-    length: float = 0.4,
-    width: float = 0.4,
-    thickness: float = 0.006,
+    outline: Sequence[Sequence[Ratio]],
+    mounts: Mapping[str, Sequence[Ratio]],
+    length: Meters = 0.4,
+    width: Meters = 0.4,
+    thickness: Meters = 0.006,
 ) -> Part:
     """A printed plate of any star-shaped outline, stretched along x and y.
 
@@ -137,10 +141,10 @@ def _middle(thickness: float, num_parameters: int) -> dict[str, Patch]:
 def mesh_frame(
     file: str | Path,
     mounts: Mapping[str, Mapping[str, Sequence[float]]],
-    scale_x: float = 1.0,
-    scale_y: float = 1.0,
-    scale_z: float = 1.0,
-    density: float = DENSITY_PRINT,
+    scale_x: Ratio = 1.0,
+    scale_y: Ratio = 1.0,
+    scale_z: Ratio = 1.0,
+    density: KilogramsPerCubicMeter = DENSITY_PRINT,
 ) -> Part:
     """A free-form frame from a closed surface file, stretched along its axes.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,11 +22,14 @@ from diffsim.copter.vehicle.parts.structure import rod_of_mesh
 from diffsim.copter.vehicle.patches import Patch
 from diffsim.mesh.closed_surface import closed_surface
 
+if TYPE_CHECKING:
+    from diffsim.core.schema_numbers import KilogramsPerCubicMeter, Meters, Ratio
+
 X = np.array([1.0, 0.0, 0.0])
 
 
 def imported_mesh(
-    file: str | Path, density: float, scale: Sequence[float] = (1.0, 1.0, 1.0)
+    file: str | Path, density: KilogramsPerCubicMeter, scale: Sequence[Ratio] = (1.0, 1.0, 1.0)
 ) -> Part:
     """A closed surface of constant size.
 
@@ -44,7 +48,7 @@ def imported_mesh(
     )
 
 
-def imported_rod(file: str | Path, density: float, length: float) -> Part:
+def imported_rod(file: str | Path, density: KilogramsPerCubicMeter, length: Meters) -> Part:
     """A tube of unit length along x in the file; the length is a parameter [m]."""
     vertices, faces = closed_surface(file)
     radius = float(np.abs(vertices[:, 1:]).max())
@@ -61,7 +65,11 @@ def imported_rod(file: str | Path, density: float, length: float) -> Part:
 
 
 def imported_motor(
-    file: str | Path, density: float, rotor: str, spin: str = "cw", flip_prop: bool = False
+    file: str | Path,
+    density: KilogramsPerCubicMeter,
+    rotor: str,
+    spin: str = "cw",
+    flip_prop: bool = False,
 ) -> Part:
     """A motor; the public tool lets the thrust act at the origin of the motor's mesh.
 

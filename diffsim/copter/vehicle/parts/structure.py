@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from diffsim.copter.vehicle.parts.part import Parameter, Part, density_of, linea
 from diffsim.copter.vehicle.patches import Patch, Slide
 from diffsim.core.check import require_number
 
+if TYPE_CHECKING:
+    from diffsim.core.schema_numbers import Meters
+
 X, Y, DOWN = np.eye(3)
 END_INSET = 0.02  # half the length of a round connector: it ends where the rod ends [m]
 DENSITY_CARBON = 1638.9  # [kg/m^3]
@@ -28,7 +32,7 @@ DENSITY_ACRYLIC = 1180.0
 
 
 def rod(
-    length: float = 0.5, outer_diameter: float = 0.0146, inner_diameter: float = 0.0127
+    length: Meters = 0.5, outer_diameter: Meters = 0.0146, inner_diameter: Meters = 0.0127
 ) -> Part:
     """A carbon tube along x, cut to length.
 
@@ -90,7 +94,7 @@ def rod_of_mesh(
     )
 
 
-def plate(length: float = 0.15, width: float = 0.15, thickness: float = 0.0024) -> Part:
+def plate(length: Meters = 0.15, width: Meters = 0.15, thickness: Meters = 0.0024) -> Part:
     """A rectangular plate: length along x, width along y are parameters [m]."""
     vertices, faces = box([1.0, 1.0, thickness])
     parameters = (
@@ -110,7 +114,7 @@ def plate(length: float = 0.15, width: float = 0.15, thickness: float = 0.0024) 
     )
 
 
-def circular_plate(diameter: float = 0.15, thickness: float = 0.0024) -> Part:
+def circular_plate(diameter: Meters = 0.15, thickness: Meters = 0.0024) -> Part:
     """A round plate; the diameter is a parameter [m]."""
     vertices, faces = fan_prism(circle_loop(0.5), thickness)
     points = scaled_points(vertices, [0])
