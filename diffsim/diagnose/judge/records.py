@@ -22,7 +22,6 @@ WRONG_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, be
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
-ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
 
 
 def small_unit(unit: str, values: Iterable[float]) -> str:
