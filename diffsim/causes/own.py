@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Literal
 
 from pydantic import Field
 
@@ -21,8 +21,8 @@ from diffsim.identify.effect import Apply, Effect
 class OwnRow(Row):
     """A cause of your own; ``at`` says through which port it acts."""
 
-    kind: Any = Field(
-        None, description="Where the cause lies: force, actuator, sensor, material, environment"
+    kind: Literal["force", "actuator", "sensor", "material", "environment"] | None = Field(  # type: ignore[assignment]  # said by the port where nobody states it
+        None, description="Where the cause lies; default: as its port says"
     )
     of: Names = Field(
         (),
