@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.own import OwnRow, own_causes
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import fit
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import setup_of
 from tests.systems.test_flow_description import ONE
 
 PRESSURE_SD, FLOW_SD = 0.5, 1e-11
@@ -93,28 +92,25 @@ def test_levels_have_no_causes_in_time_and_those_of_signals_by_name():
 
 
 def test_a_cause_of_a_user_acts_through_the_same_ports():
-    made = study_of()
+    rows = [
+        {"name": "stronger_pump", "at": "command", "map": "u*(1 + size)", "typical": 0.1},
+        {"name": "wider", "at": "number", "scale": "width_a", "typical": 0.01},
+        {"name": "thicker", "at": "number", "scale": "viscosity", "typical": 0.1},
+    ]
+    made = study_of(effects={"own": rows})
     setup = setup_of(made)
-    rows = (
-        OwnRow(name="stronger_pump", at="command", map="u*(1 + size)", typical=0.1),
-        OwnRow(name="wider", at="number", scale="width_a", typical=0.01),
-        OwnRow(name="thicker", at="number", scale="viscosity", typical=0.1),
-    )
-    own = {e.name: e for e in own_causes(rows, description_of(made).ports(made), made)}
-    known = {e.name: e for e in setup.effects}
+    names = ("stronger_pump", "pump_gain_1", "thicker", "viscosity", "wider")
     run, q = made.runs[0], setup.model.at_prior()
     size = torch.tensor([0.1], dtype=torch.float64)
     with torch.no_grad():
         plain = setup.model.predict(run, q)
-        shown = {n: setup.model.predict(run, q, {e: size}) for n, e in (own | known).items()}
+        shown = {
+            e.name: setup.model.predict(run, q, {e: size}) for e in setup.effects if e.name in names
+        }
     torch.testing.assert_close(shown["stronger_pump"], shown["pump_gain_1"], atol=0.0, rtol=0.0)
     torch.testing.assert_close(shown["thicker"], shown["viscosity"], atol=0.0, rtol=0.0)
     # a slit's resistance falls with the cube of its width; sides of a rectangle change it a little
     ratio = float(shown["wider"][30, 0] / plain[30, 0])
     assert ratio == pytest.approx(1.1**-3, rel=0.05)
     with pytest.raises(ValueError, match="no command 'pmp'; did you mean 'pump'"):
-        own_causes(
-            (OwnRow(name="a", at="command", map="u + size", of="pmp", typical=1.0),),
-            description_of(made).ports(made),
-            made,
-        )
+        setup_of(study_of(effects={"own": [{**rows[0], "of": "pmp"}]}))

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.own import OwnRow, own_causes
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import fit
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import setup_of
 
 GRAVITY, PLACE_SD, SPEED_SD = 9.81, 2e-4, 5e-3
 TIME = np.arange(0.0, 0.5, 1.0 / 120.0)
@@ -23,7 +22,7 @@ def parabola(start, speed, time):
     return place, speed[2] - GRAVITY * time
 
 
-def study_of(body, late=0.0, scale=0.0):
+def study_of(body, late=0.0, scale=0.0, **keys):
     """Three throws; the radar shows the speed ``late`` [s], and larger by ``scale``."""
     rng = np.random.default_rng(4)
     runs = []
@@ -46,6 +45,7 @@ def study_of(body, late=0.0, scale=0.0):
             {"body": "body", "position": {a: a for a in "xyz"}},
             {"body": "body", "velocity": {"z": "vz"}},
         ],
+        **keys,
     }
     return Study("thrown", "rigid_body", channels, tuple(runs), model=model)
 
@@ -97,26 +97,21 @@ def test_a_study_that_names_no_sensor_has_none_of_their_causes():
 
 @pytest.mark.parametrize("body", BODIES)
 def test_a_cause_of_a_user_acts_through_the_same_ports(body):
-    made = study_of(body)
+    rows = [
+        {"name": "stronger_gravity", "at": "number", "scale": "gravity", "typical": 0.01},
+        {"name": "slow_radar", "at": "clock", "of": "vz", "unit": "s", "typical": 0.01},
+    ]
+    made = study_of(body, effects={"own": rows})
     setup = setup_of(made)
-    rows = (
-        OwnRow(name="stronger_gravity", at="number", scale="gravity", typical=0.01),
-        OwnRow(name="slow_radar", at="clock", of="vz", unit="s", typical=0.01),
-    )
-    own = {e.name: e for e in own_causes(rows, description_of(made).ports(made), made)}
     known = {e.name: e for e in setup.effects}
     run, q = (setup.study or made).runs[0], setup.model.at_prior()
     size = torch.tensor([0.01], dtype=torch.float64)
     with torch.no_grad():
-        stronger = setup.model.predict(run, q, {own["stronger_gravity"]: size})
+        stronger = setup.model.predict(run, q, {known["stronger_gravity"]: size})
         weaker = setup.model.predict(run, q, {known["weaker_gravity"]: -size * GRAVITY})
-        late = setup.model.predict(run, q, {own["slow_radar"]: size})
+        late = setup.model.predict(run, q, {known["slow_radar"]: size})
         same = setup.model.predict(run, q, {known["sensor_delay_of_radar"]: size})
     torch.testing.assert_close(stronger, weaker, atol=1e-10, rtol=0.0)
     torch.testing.assert_close(late, same, atol=0.0, rtol=0.0)
     with pytest.raises(ValueError, match="no number 'gravty'; did you mean 'gravity'"):
-        own_causes(
-            (OwnRow(name="a", at="number", add="gravty", typical=1.0),),
-            description_of(made).ports(made),
-            made,
-        )
+        setup_of(study_of(body, effects={"own": [{**rows[0], "scale": "gravty"}]}))

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.own import OwnRow, own_causes
 from diffsim.causes.scales import SCALES
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import fit
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import setup_of
 from tests.systems.rod.test_rod_description import MODEL, NOISE, plain_study
 
 TIME = np.arange(0.0, 4.0, 0.1)
@@ -104,16 +103,15 @@ def test_poses_have_no_causes_in_time_and_few_of_signals():
 
 
 def test_a_cause_of_a_user_acts_through_the_same_ports():
-    made = pulled()
+    rows = [
+        {"name": "pulley", "at": "command", "map": "u*(1 + size)", "typical": 0.1},
+        {"name": "softer", "at": "number", "scale": "youngs_modulus", "typical": 0.1},
+        {"name": "late", "at": "clock", "of": "tip_x", "unit": "s", "typical": 0.02},
+    ]
+    made = pulled(effects={"own": rows})
     setup = setup_of(made)
-    rows = (
-        OwnRow(name="pulley", at="command", map="u*(1 + size)", typical=0.1),
-        OwnRow(name="softer", at="number", scale="youngs_modulus", typical=0.1),
-        OwnRow(name="late", at="clock", of="tip_x", unit="s", typical=0.02),
-    )
-    ports = description_of(made).ports(made)
-    own = {e.name: e for e in own_causes(rows, ports, made)}
-    gain = next(e for e in setup.effects if e.name == "command_gain")
+    known = {e.name: e for e in setup.effects}
+    own, gain = {row["name"]: known[row["name"]] for row in rows}, known["command_gain"]
     run, q = made.runs[0], setup.model.at_prior()
     size = torch.tensor([0.1], dtype=torch.float64)
     with torch.no_grad():
@@ -124,7 +122,7 @@ def test_a_cause_of_a_user_acts_through_the_same_ports():
     moved = (by_row["late"] != plain).any(0)
     assert moved.tolist() == [False] * 3 + [True] + [False] * 2
     with pytest.raises(ValueError, match="no number 'stifness'"):
-        own_causes((OwnRow(name="a", at="number", add="stifness", typical=1.0),), ports, made)
+        setup_of(pulled(effects={"own": [{**rows[1], "scale": "stifness"}]}))
 
 
 def test_sizes_mean_the_same_on_other_recordings():

@@ -90,7 +90,7 @@ class FlowNetworkDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(causes, self.effects),
+            chosen_effects(causes, self.effects, study, self.ports(study)),
             settings=settings_with(DiagnosisSettings(), self.effort),
         )
 

@@ -149,7 +149,7 @@ class FlowDeviceDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(library, self.effects),
+            chosen_effects(library, self.effects, study, self.ports(study)),
             settings=settings_with(DiagnosisSettings(), self.effort),
         )
 

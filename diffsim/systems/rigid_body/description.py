@@ -153,7 +153,7 @@ class RigidBodyDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(balls.causes(study, scales), self.effects),
+            chosen_effects(balls.causes(study, scales), self.effects, study, self.ports(study)),
             settings=settings_with(self._settings_of_balls(), self.effort),
             study=study,
         )
@@ -190,7 +190,7 @@ class RigidBodyDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(tossed.causes(study, scales), self.effects),
+            chosen_effects(tossed.causes(study, scales), self.effects, study, self.ports(study)),
             settings=settings_with(DiagnosisSettings(search=_TOSS), self.effort),
             study=study,
         )

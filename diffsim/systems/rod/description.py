@@ -76,7 +76,7 @@ class RodDescription(RodKeys):
         )
         return DiagnosisSetup(
             model,
-            chosen_effects(causes, self.effects),
+            chosen_effects(causes, self.effects, study, self.ports(study)),
             settings=settings_with(advised, self.effort),
         )
 
