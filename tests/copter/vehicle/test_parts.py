@@ -195,6 +195,11 @@ def test_estimated_rotors_lie_between_the_measured():
         ("outline_frame", {"outline": SQUARE[::-1], "mounts": {}}, "counterclockwise"),
         ("motor", {"rotor": "kde2814_11in"}, "kde2814_10in"),
         ("motor", {"spin": "left"}, "spin must be one of"),
+        (
+            "mesh_frame",
+            {"file": "f.stl", "mounts": {"nose": {"centre": [0, 0, 0]}}},
+            r"mesh_frame.mounts.nose.centre.\[key\]: must be 'center' or 'normal'",
+        ),
         ("rod", {"length": -0.1}, "rod.length: must be above 0, got -0.1"),
         ("battery", {"size": [0.1, 0.1]}, "size of a battery must be 3 lengths"),
         ("battery", {"size": [0.1, 0.0, 0.1]}, "size of a battery along y must lie in"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -140,7 +140,7 @@ def _middle(thickness: float, num_parameters: int) -> dict[str, Patch]:
 
 def mesh_frame(
     file: str | Path,
-    mounts: Mapping[str, Mapping[str, Sequence[float]]],
+    mounts: Mapping[str, Mapping[Literal["center", "normal"], Sequence[float]]],
     scale_x: Ratio = 1.0,
     scale_y: Ratio = 1.0,
     scale_z: Ratio = 1.0,
