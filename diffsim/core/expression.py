@@ -29,7 +29,7 @@ CONSTANTS = {"pi": math.pi, "e": math.e}
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberNode:
     """A constant of a formula."""
 
     value: float
@@ -50,7 +50,7 @@ class Apply:
     parts: tuple[Node, ...]
 
 
-Node: TypeAlias = "Number | Name | Apply"
+Node: TypeAlias = "NumberNode | Name | Apply"
 
 
 def _less(a: Tensor, b: Tensor) -> Tensor:
@@ -121,7 +121,7 @@ _COMPARE: dict[type[ast.cmpop], tuple[str, bool]] = {
     ast.Gt: ("less", True),
     ast.GtE: ("less_equal", True),
 }
-_ZERO, _ONE = Number(0.0), Number(1.0)
+_ZERO, _ONE = NumberNode(0.0), NumberNode(1.0)
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Expression:
 
 
 def _evaluate(node: Node, values: Values) -> Tensor:
-    if isinstance(node, Number):
+    if isinstance(node, NumberNode):
         return torch.tensor(node.value, dtype=torch.float64)
     if isinstance(node, Name):
         return values[node.name]
@@ -211,7 +211,7 @@ _ON_FLOATS: dict[str, Callable[..., float]] = {
 
 
 def _compile_floats(node: Node, names: tuple[str, ...]) -> Callable[..., float]:
-    if isinstance(node, Number):
+    if isinstance(node, NumberNode):
         value = node.value
         return lambda *given: value
     if isinstance(node, Name):
@@ -285,7 +285,7 @@ class _Parser:
             return self.compare(node, below)
         if isinstance(node, ast.BoolOp):
             join = "min" if isinstance(node.op, ast.And) else "max"
-            return _joined(join, [self.truth(part, below) for part in node.values])
+            return _join_nodes(join, [self.truth(part, below) for part in node.values])
         if isinstance(node, ast.IfExp):
             chosen = (node.test, node.body, node.orelse)
             return Apply("where", tuple(self.node(part, below) for part in chosen))
@@ -293,7 +293,7 @@ class _Parser:
         hint = "; a power is written **" if is_caret else ""
         raise self.error(node, f"is not allowed in a formula{hint}")
 
-    def number(self, node: ast.Constant) -> Number:
+    def number(self, node: ast.Constant) -> NumberNode:
         if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
             raise self.error(node, "is no number")
         try:
@@ -302,12 +302,12 @@ class _Parser:
             value = math.inf
         if not math.isfinite(value):
             raise self.error(node, "is too large")
-        return Number(value)
+        return NumberNode(value)
 
     def name(self, node: ast.Name) -> Node:
         key, known = node.id, self.known
         if key in CONSTANTS and (known is None or key not in known):
-            return Number(CONSTANTS[key])
+            return NumberNode(CONSTANTS[key])
         if known is not None and key not in known:
             raise self.error(node, f"is not known here{did_you_mean(key, (*known, *CONSTANTS))}")
         self.names[key] = None
@@ -345,7 +345,7 @@ class _Parser:
         for op, left, right in zip(node.ops, sides, sides[1:], strict=False):
             operation, is_swapped = _COMPARE[type(op)]
             tests.append(Apply(operation, (right, left) if is_swapped else (left, right)))
-        return _joined("min", tests)
+        return _join_nodes("min", tests)
 
     def truth(self, node: ast.expr, depth: int) -> Node:
         """1 where the part is not 0, else 0."""
@@ -359,7 +359,7 @@ class _Parser:
         )
 
 
-def _joined(operation: str, parts: Sequence[Node]) -> Node:
+def _join_nodes(operation: str, parts: Sequence[Node]) -> Node:
     out = parts[0]
     for part in parts[1:]:
         out = Apply(operation, (out, part))

@@ -28,22 +28,22 @@ def inside(folder: Path, stated: str, what: str) -> Path:
     for form in (PurePosixPath(stated), PureWindowsPath(stated)):
         if form.is_absolute() or form.drive or form.root:
             raise ValueError(
-                f"{what} must be a path relative to its folder, got {_shown(stated)}; put the file "
+                f"{what} must be a path relative to its folder, got {_quote(stated)}; put the file "
                 "into the folder"
             )
         if ".." in form.parts:
             raise ValueError(
-                f"{what} must stay in its folder, got {_shown(stated)}, which goes up by '..'; put "
+                f"{what} must stay in its folder, got {_quote(stated)}, which goes up by '..'; put "
                 "the file into the folder"
             )
     path = folder / stated
     try:
         stays = path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError) as error:  # a circle of links
-        raise ValueError(f"{what}: {_shown(stated)} cannot be followed: {error}") from None
+        raise ValueError(f"{what}: {_quote(stated)} cannot be followed: {error}") from None
     if not stays:
         raise ValueError(
-            f"{what} must stay in its folder, but {_shown(stated)} is a link that leaves it; put "
+            f"{what} must stay in its folder, but {_quote(stated)} is a link that leaves it; put "
             "the file itself into the folder"
         )
     return path
@@ -57,7 +57,7 @@ def require_file_name(what: str, name: str) -> str:
     """
     if not name.strip() or name.strip(".") == "" or _NOT_IN_NAMES.search(name):
         raise ValueError(
-            f"{what} must be a plain name, since files are called by it, got {_shown(name)}; use "
+            f"{what} must be a plain name, since files are called by it, got {_quote(name)}; use "
             "letters, digits, spaces, '_', '-' and '.'"
         )
     if len(name) > MAX_NAME:
@@ -65,5 +65,5 @@ def require_file_name(what: str, name: str) -> str:
     return name
 
 
-def _shown(text: str) -> str:
+def _quote(text: str) -> str:
     return repr(text if len(text) <= MAX_NAME else text[:MAX_NAME] + "...")

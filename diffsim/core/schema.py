@@ -19,7 +19,7 @@ from diffsim.core.units import in_unit
 
 
 @dataclass(frozen=True)
-class Said:
+class KindWords:
     """What a type of keys is called in messages to people, kept in its annotation.
 
     Attributes:
@@ -76,7 +76,7 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
 
 def number(unit: str) -> Any:
     """Type of a key that is a known number in a unit; text with another unit is converted."""
-    said = Said("number" if unit == "-" else f"number in {unit}")
+    said = KindWords("number" if unit == "-" else f"number in {unit}")
     return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit)), said]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from diffsim.core.schema import Part, Said
+from diffsim.core.schema import KindWords, Part
 
 _PLAIN = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "anything"}
 
@@ -49,7 +49,7 @@ def blocks_of(part: type[Part]) -> list[type[Part]]:
 
 
 def _key(name: str, info: FieldInfo) -> Key:
-    said = next((m.words for m in info.metadata if isinstance(m, Said)), None)
+    said = next((m.words for m in info.metadata if isinstance(m, KindWords)), None)
     words = said or words_of(info.annotation)
     return Key(
         info.alias or name,
@@ -64,7 +64,7 @@ def words_of(annotation: Any) -> str:
     """A type in words: ``tuple[float, ...]`` is "list of number"."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        said = next((m.words for m in inner[1:] if isinstance(m, Said)), None)
+        said = next((m.words for m in inner[1:] if isinstance(m, KindWords)), None)
         return said or words_of(inner[0])
     if origin in (Union, types.UnionType):
         kept = dict.fromkeys(words_of(a) for a in inner if a is not type(None))

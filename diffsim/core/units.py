@@ -44,7 +44,7 @@ def _registry() -> Any:
 
 
 @lru_cache(maxsize=512)
-def _parsed(unit: str) -> Any:
+def _parse_unit(unit: str) -> Any:
     """Unit as pint has it.
 
     Raises:
@@ -81,7 +81,7 @@ def factor(unit: str, into: str) -> float:
     Raises:
         ValueError: an unknown unit, or units of different quantities.
     """
-    have, want = _parsed(unit), _parsed(into)
+    have, want = _parse_unit(unit), _parse_unit(into)
     if have.dimensionality != want.dimensionality:
         raise ValueError(f"unit {unit!r} is no unit of the quantity that is wanted in {into!r}")
     ours, theirs = to_si(unit), to_si(into)
@@ -114,7 +114,7 @@ def to_si(unit: str) -> SI:
     Raises:
         ValueError: an unknown unit.
     """
-    parsed = _parsed(unit)
+    parsed = _parse_unit(unit)
     zero = _registry().Quantity(0.0, parsed).to_base_units()
     one = _registry().Quantity(1.0, parsed).to_base_units()
     offset = float(zero.magnitude)

@@ -16,7 +16,7 @@ MAX_NODES = 1_000_000  # keys, values and lists, aliases counted as what they st
 MAX_DEPTH = 50  # lists and mappings inside of each other
 
 
-class _Refused(yaml.MarkedYAMLError):
+class _RefusalError(yaml.MarkedYAMLError):
     """What would be YAML, but is refused here."""
 
 
@@ -32,12 +32,12 @@ class _Loader(yaml.SafeLoader):
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
             if event.anchor in self.anchors and event.anchor not in self._sizes:
-                raise self._refused(event, f"alias {event.anchor!r} stands inside of itself")
+                raise self._refuse_event(event, f"alias {event.anchor!r} stands inside of itself")
             self._add(self._sizes.get(event.anchor, 0), event)
             return super().compose_node(parent, index)
         self._depth += 1
         if self._depth > MAX_DEPTH:
-            raise self._refused(event, f"more than {MAX_DEPTH} levels inside of each other")
+            raise self._refuse_event(event, f"more than {MAX_DEPTH} levels inside of each other")
         before = self._count
         self._add(1, event)
         node = super().compose_node(parent, index)
@@ -51,9 +51,9 @@ class _Loader(yaml.SafeLoader):
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise _Refused(None, None, "a key must be plain text", key.start_mark)
+                raise _RefusalError(None, None, "a key must be plain text", key.start_mark)
             if key.value in seen and key.value != "<<":
-                raise _Refused(None, None, f"key {key.value!r} stands twice", key.start_mark)
+                raise _RefusalError(None, None, f"key {key.value!r} stands twice", key.start_mark)
             seen.add(key.value)
         return node
 
@@ -62,15 +62,15 @@ class _Loader(yaml.SafeLoader):
             return super().construct_object(node, deep)
         except (ValueError, OverflowError, LookupError) as error:  # dates, numbers, encodings
             kind = node.tag.rpartition(":")[2]
-            raise _Refused(None, None, f"no {kind}: {error}", node.start_mark) from error
+            raise _RefusalError(None, None, f"no {kind}: {error}", node.start_mark) from error
 
     def _add(self, count: int, event: Any) -> None:
         self._count += count
         if self._count > MAX_NODES:
-            raise self._refused(event, f"more than {MAX_NODES:,} values, aliases counted")
+            raise self._refuse_event(event, f"more than {MAX_NODES:,} values, aliases counted")
 
-    def _refused(self, event: Any, why: str) -> _Refused:
-        return _Refused(None, None, why, event.start_mark)
+    def _refuse_event(self, event: Any, why: str) -> _RefusalError:
+        return _RefusalError(None, None, why, event.start_mark)
 
 
 def load_yaml(text: str, source: str | Path) -> Any:
@@ -126,7 +126,7 @@ def compose_yaml(text: str, source: str | Path) -> yaml.Node | None:
         finally:
             loader.dispose()
     except yaml.YAMLError as error:
-        raise _named(error, text, source) from None
+        raise _locate_error(error, text, source) from None
 
 
 def construct(node: yaml.Node, source: str | Path) -> Any:
@@ -134,16 +134,16 @@ def construct(node: yaml.Node, source: str | Path) -> Any:
     try:
         return _Loader("").construct_document(node)
     except yaml.YAMLError as error:
-        raise _named(error, "", source) from None
+        raise _locate_error(error, "", source) from None
 
 
-def _named(error: yaml.YAMLError, text: str, source: str | Path) -> ValueError:
+def _locate_error(error: yaml.YAMLError, text: str, source: str | Path) -> ValueError:
     """The error with file and line; the text itself is not shown, it may be of another file."""
     if isinstance(error, yaml.MarkedYAMLError):
         mark = error.problem_mark or error.context_mark
         line = 1 if mark is None else mark.line + 1
         why = error.problem or error.context or "it cannot be read"
-        what = why if isinstance(error, _Refused) else f"not YAML: {why}"
+        what = why if isinstance(error, _RefusalError) else f"not YAML: {why}"
         return ValueError(f"{source}, line {line}: {what}")
     position = getattr(error, "position", 0)
     line = text[:position].count("\n") + 1

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from diffsim.core.schema import Part, Said
+from diffsim.core.schema import KindWords, Part
 
 
 def _read_families(given: Any) -> Any:
@@ -19,7 +19,7 @@ def _read_families(given: Any) -> Any:
 Families = Annotated[
     tuple[tuple[str, ...], ...],
     BeforeValidator(_read_families),
-    Said("list of texts or lists of text"),
+    KindWords("list of texts or lists of text"),
 ]
 
 

@@ -18,7 +18,7 @@ from pydantic import (
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import require_file_name
-from diffsim.core.schema import Part, Said
+from diffsim.core.schema import KindWords, Part
 from diffsim.core.units import to_si
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import SYSTEMS
@@ -51,11 +51,11 @@ def _plain_name(given: str) -> str:
     return require_file_name("name", given)
 
 
-def _named(given: Any) -> Any:
+def _wrap_name(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
 
 
-def _listed(given: Any) -> Any:
+def _wrap_in_list(given: Any) -> Any:
     return given if isinstance(given, (list, tuple)) and given else [given]
 
 
@@ -87,7 +87,7 @@ class TimeSource(Part):
 
 
 Times = Annotated[
-    tuple[TimeSource, ...], BeforeValidator(_listed), Said("TimeSource, or list of them")
+    tuple[TimeSource, ...], BeforeValidator(_wrap_in_list), KindWords("TimeSource, or list of them")
 ]
 
 
@@ -190,7 +190,7 @@ class CommandEntry(Source):
         return in_own_unit(given, {**values, "offset": "difference", "rate": "rate"})
 
     @model_validator(mode="after")
-    def _ordered(self) -> CommandEntry:
+    def _check_bounds(self) -> CommandEntry:
         if self.lower is not None and self.upper is not None and not self.lower < self.upper:
             raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
         return self
@@ -247,7 +247,7 @@ def _read_elsewhere(given: Any) -> OtherSource | None:
 
 
 Elsewhere = Annotated[
-    OtherSource | None, PlainValidator(_read_elsewhere), Said("column, OtherSource or null")
+    OtherSource | None, PlainValidator(_read_elsewhere), KindWords("column, OtherSource or null")
 ]
 
 
@@ -348,7 +348,7 @@ class StudyFile(Part):
         description="Short name, as reports and the folder of results show it"
     )
     system: Annotated[
-        str | None, PlainValidator(_read_system), Said(f"one of {', '.join(SYSTEMS)}")
+        str | None, PlainValidator(_read_system), KindWords(f"one of {', '.join(SYSTEMS)}")
     ] = Field(None, description="Kind of system, of studies without `model`")
     model: dict[str, Any] | None = Field(
         None, description="Description of the system; its keys depend on `system`, see below"
@@ -368,7 +368,7 @@ class StudyFile(Part):
     )
     table: TableFormat = Field(TableFormat(), description="Lay-out of the files")
     channels: tuple[ChannelEntry, ...] = Field(description="What was measured")
-    commands: tuple[Annotated[CommandEntry, BeforeValidator(_named)], ...] = Field(
+    commands: tuple[Annotated[CommandEntry, BeforeValidator(_wrap_name)], ...] = Field(
         (), description="What was commanded: a name, or a mapping"
     )
     defaults: RunKeys = Field(RunKeys(), description="Keys that hold for all runs")

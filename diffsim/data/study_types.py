@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, PlainValidator
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
-from diffsim.core.schema import Said
+from diffsim.core.schema import KindWords
 from diffsim.core.units import in_unit, to_si
 from diffsim.data.formula import quoted_names
 from diffsim.data.study import USES
@@ -154,38 +154,38 @@ def _read_values(given: Any) -> Any:
     return tuple(_read_value(v) for v in listed)
 
 
-Number = Annotated[float, PlainValidator(read_number), Said("number")]
-Positive = Annotated[float, BeforeValidator(read_number), Field(gt=0), Said("number above 0")]
-Unit = Annotated[str, PlainValidator(_read_unit), Said("unit")]
-Formula = Annotated[str, PlainValidator(_read_formula), Said("formula")]
-Texts = Annotated[tuple[str, ...], PlainValidator(read_texts), Said("text or list of texts")]
+Number = Annotated[float, PlainValidator(read_number), KindWords("number")]
+Positive = Annotated[float, BeforeValidator(read_number), Field(gt=0), KindWords("number above 0")]
+Unit = Annotated[str, PlainValidator(_read_unit), KindWords("unit")]
+Formula = Annotated[str, PlainValidator(_read_formula), KindWords("formula")]
+Texts = Annotated[tuple[str, ...], PlainValidator(read_texts), KindWords("text or list of texts")]
 PerRun = Annotated[
     float | dict[str, float],
     PlainValidator(_read_per_run),
-    Said("number, or mapping of runs to numbers"),
+    KindWords("number, or mapping of runs to numbers"),
 ]
 ZeroTime = Annotated[
     Start | float | dict[str, float],
     PlainValidator(_read_zero),
-    Said("number, `start`, or mapping of runs to numbers"),
+    KindWords("number, `start`, or mapping of runs to numbers"),
 ]
-FillValue = Annotated[Fill | float, PlainValidator(_read_fill), Said("hold, linear or number")]
+FillValue = Annotated[Fill | float, PlainValidator(_read_fill), KindWords("hold, linear or number")]
 Every = Annotated[
     int | dict[float, int],
     PlainValidator(_read_every),
-    Said("whole number, or mapping of times to whole numbers"),
+    KindWords("whole number, or mapping of times to whole numbers"),
 ]
 UseOfRuns = Annotated[
     Use | dict[str, tuple[str, ...]],
     PlainValidator(_read_use),
-    Said("fit, select or test, or mapping of these to runs"),
+    KindWords("fit, select or test, or mapping of these to runs"),
 ]
 UseOfBlocks = Annotated[
     dict[str, tuple[int, ...]],
     PlainValidator(_read_blocks_by_use),
-    Said("mapping of fit, select, test to numbers of pieces"),
+    KindWords("mapping of fit, select, test to numbers of pieces"),
 ]
 Values = Annotated[
-    tuple[str | float, ...], PlainValidator(_read_values), Said("list of numbers or texts")
+    tuple[str | float, ...], PlainValidator(_read_values), KindWords("list of numbers or texts")
 ]
-Value = Annotated[str | float, PlainValidator(_read_value), Said("number or text")]
+Value = Annotated[str | float, PlainValidator(_read_value), KindWords("number or text")]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.core.expression import OPERATIONS, Apply, Expression, Name, Node, Number
+from diffsim.core.expression import OPERATIONS, Apply, Expression, Name, Node, NumberNode
 
 _CODES = {name: code for code, name in enumerate(OPERATIONS)}  # in the order of TapeOp
 
@@ -56,7 +56,7 @@ def make_tapes(names: Sequence[str], groups: Sequence[Sequence[Expression]]) -> 
 
 
 def _collect(node: Node, constants: dict[float, int], seen: set[int]) -> None:
-    if isinstance(node, Number):
+    if isinstance(node, NumberNode):
         constants.setdefault(node.value, len(constants))
     elif isinstance(node, Apply) and id(node) not in seen:
         seen.add(id(node))
@@ -75,7 +75,7 @@ class _Writer:
 
     def register(self, node: Node) -> int:
         """Register of a part; instructions that it needs are added to ``rows``."""
-        if isinstance(node, Number):
+        if isinstance(node, NumberNode):
             return self._number[node.value]
         if isinstance(node, Name):
             return self._place[node.name]

@@ -19,7 +19,7 @@ from torch import Tensor
 from diffsim.causes.own import OwnRow, Ports, own_causes
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import Part, Said, number
+from diffsim.core.schema import KindWords, Part, number
 from diffsim.core.units import in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -110,7 +110,7 @@ def quantity(unit: str) -> Any:
         }
         return {**given, **numbers, "unit": unit}
 
-    said = Said("quantity" if unit == "-" else f"quantity in {unit}")
+    said = KindWords("quantity" if unit == "-" else f"quantity in {unit}")
     return Annotated[Quantity, BeforeValidator(read), said]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from diffsim.core.schema import Part, Said
+from diffsim.core.schema import KindWords, Part
 from diffsim.core.schema_numbers import (
     MetersPerSquareSecond,
     Newtons,
@@ -23,7 +23,7 @@ from diffsim.systems.description import Quantity
 from diffsim.systems.quantities import Inertia, Length, Plain, PositiveInertia, Rate
 
 _NONE = Quantity(value=0.0)
-Level = Annotated[float, BeforeValidator(lambda given: in_si(given)[0]), Said("number")]
+Level = Annotated[float, BeforeValidator(lambda given: in_si(given)[0]), KindWords("number")]
 
 
 class FrameKeys(Part):

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
 
-from diffsim.core.expression import Apply, Expression, Name, Node, Number
+from diffsim.core.expression import Apply, Expression, Name, Node, NumberNode
 from diffsim.ode import Ode
 
 TIME = "t"
@@ -232,11 +232,11 @@ def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> E
         at: Increasing places.
         values: Values there, equally many.
     """
-    total: Node = Number(values[0])
+    total: Node = NumberNode(values[0])
     for low, high, before, after in zip(at, at[1:], values, values[1:], strict=False):
-        above = Apply("max", (Apply("sub", (of.root, Number(low))), Number(0.0)))
-        inside = Apply("min", (above, Number(high - low)))
-        slope = Number((after - before) / (high - low))
+        above = Apply("max", (Apply("sub", (of.root, NumberNode(low))), NumberNode(0.0)))
+        inside = Apply("min", (above, NumberNode(high - low)))
+        slope = NumberNode((after - before) / (high - low))
         total = Apply("add", (total, Apply("mul", (slope, inside))))
     return _expression(total)
 
