@@ -130,7 +130,8 @@ class ActuatorDynamics(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(dynamics)`` shows."""
         return (
-            f"time_constant={_shown(self.time_constant)} s, max_rate={_shown(self.max_rate)} 1/s, "
+            f"time_constant={_format_tensor(self.time_constant)} s, "
+            f"max_rate={_format_tensor(self.max_rate)} 1/s, "
             f"delay_steps={self.delay_steps}"
         )
 
@@ -198,7 +199,7 @@ def _error_after(error: Tensor, lag: Tensor | None, rate: Tensor | None, dt: flo
     return torch.where(sliding > dt, error.sign() * excess, settling)
 
 
-def _shown(value: Tensor | None) -> str:
+def _format_tensor(value: Tensor | None) -> str:
     if value is None:
         return "None"
     return f"{value.item():g}" if value.ndim == 0 else str(value.tolist())

@@ -12,7 +12,7 @@ from diffsim.core.layer import is_kernel_alone
 from diffsim.soft import _ops_elastic
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, energy_arrays, flat
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import Prepared
+from diffsim.soft.prepared import PreparedBody
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
@@ -87,7 +87,7 @@ def elastic_force(
     Returns:
         Forces, shape of x [N]. Gradients: x, activation, pressure, physics; first order.
     """
-    x, loads = _checked(body, x, activation=activation, pressure=pressure, physics=physics)
+    x, loads = _check_state(body, x, activation=activation, pressure=pressure, physics=physics)
     return -elastic_gradient(x, loads)[0]
 
 
@@ -112,7 +112,7 @@ def elastic_energy(
     Returns:
         Energies, (...) [J]. Gradient: x only (parameters are treated as constants).
     """
-    x, loads = _checked(body, x, activation=activation, pressure=pressure, physics=physics)
+    x, loads = _check_state(body, x, activation=activation, pressure=pressure, physics=physics)
     constants = replace(
         loads.physics,
         w_mu=loads.physics.w_mu.detach(),
@@ -123,12 +123,12 @@ def elastic_energy(
         loads,
         activation=loads.activation.detach(),
         pressure=loads.pressure.detach(),
-        prepared=Prepared(body, constants),
+        prepared=PreparedBody(body, constants),
     )
     return elastic_gradient(x, loads)[1]
 
 
-def _checked(
+def _check_state(
     body: Solid,
     x: Tensor,
     *,
@@ -138,5 +138,5 @@ def _checked(
 ) -> tuple[Tensor, Loads]:
     x = require("x", x, ("...", body.mesh.num_nodes, 3))
     state = State(x, torch.zeros_like(x))
-    prepared = Prepared(body, physics)
+    prepared = PreparedBody(body, physics)
     return check_inputs(prepared, state, activation=activation, pressure=pressure)

@@ -112,8 +112,10 @@ class Hydrodynamics(nn.Module):
         self.register_buffer("faces", surface.faces, persistent=False)
         hold(self, "density", density)
         hold(self, "water_velocity", water_velocity)
-        hold(self, "drag_coefficients", _trainable("drag_coefficients", drag_coefficients))
-        hold(self, "thrust_coefficients", _trainable("thrust_coefficients", thrust_coefficients))
+        hold(self, "drag_coefficients", _make_trainable("drag_coefficients", drag_coefficients))
+        hold(
+            self, "thrust_coefficients", _make_trainable("thrust_coefficients", thrust_coefficients)
+        )
         self.fade_angle = require_number(
             "fade_angle", fade_angle, at_least=0.0, at_most=0.5 * math.pi, hint="unit is rad"
         )
@@ -154,7 +156,7 @@ class Hydrodynamics(nn.Module):
         per_face = self._face_forces(self._at_corners(x), self._at_corners(v), water) / corners
         shares = per_face.transpose(-1, -2).repeat_interleave(corners, dim=-2)
         forces = torch.zeros_like(x).index_add(-2, self.faces.flatten(), shares)
-        return self._limited(forces)
+        return self._limit_forces(forces)
 
     def drag_coefficient(self, alpha: Tensor) -> Tensor:
         """C_d at angles of attack [rad] in [0, pi/2], any shape."""
@@ -204,7 +206,7 @@ class Hydrodynamics(nn.Module):
         thrust = (pressure * self.thrust_coefficient(alpha) * speed**2)[..., None, :] * normal
         return drag - thrust
 
-    def _limited(self, forces: Tensor) -> HydroForces:
+    def _limit_forces(self, forces: Tensor) -> HydroForces:
         if self.max_force is None:
             nodes = torch.zeros(forces.shape[:-1], dtype=torch.bool)
             return HydroForces(forces, nodes)
@@ -235,7 +237,7 @@ class Hydrodynamics(nn.Module):
         )
 
 
-def _trainable(name: str, value: Value) -> Tensor:
+def _make_trainable(name: str, value: Value) -> Tensor:
     return value if isinstance(value, Tensor) else nn.Parameter(as_tensor(name, value))
 
 

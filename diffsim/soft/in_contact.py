@@ -11,7 +11,7 @@ from diffsim.contact import ContactPlanes, Obstacle, detect
 from diffsim.soft import _ops_contact
 from diffsim.soft._arrays import ContactArrays
 from diffsim.soft.inputs import flat
-from diffsim.soft.problem import Problem
+from diffsim.soft.problem import StepProblem
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
@@ -42,7 +42,7 @@ def enters(body: Solid, planes: ContactPlanes, x: Tensor) -> bool:
 
 
 def solve_in_contact(
-    body: Solid, planes: ContactPlanes, state: State, problem: Problem
+    body: Solid, planes: ContactPlanes, state: State, problem: StepProblem
 ) -> tuple[Tensor, Tensor]:
     """The solution of a problem with half spaces; also the contact force on every node [N]."""
     if body.solver.method == "quasi_newton":

@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.core.check import require
 from diffsim.soft._arrays import EnergyArrays
 from diffsim.soft.physics import DampingWeights, Physics
-from diffsim.soft.prepared import Prepared
+from diffsim.soft.prepared import PreparedBody
 from diffsim.soft.state import State, require_state
 
 EMPTY = torch.zeros(0, dtype=torch.float64)
@@ -34,7 +34,7 @@ class Loads:
     target: Tensor
     activation: Tensor
     pressure: Tensor
-    prepared: Prepared
+    prepared: PreparedBody
 
     @property
     def physics(self) -> Physics:
@@ -67,13 +67,15 @@ class DampingFrame:
     x_velocity: Tensor
 
 
-def check_inputs(prepared: Prepared, state: State, **given: Tensor | None) -> tuple[Tensor, Loads]:
+def check_inputs(
+    prepared: PreparedBody, state: State, **given: Tensor | None
+) -> tuple[Tensor, Loads]:
     """Positions (..., num_nodes, 3) [m] of a state, and what acts on it; see ``step``."""
     x = check_state(prepared, state).x
     return x, check_loads(prepared, x.shape, given)
 
 
-def check_state(prepared: Prepared, state: State) -> State:
+def check_state(prepared: PreparedBody, state: State) -> State:
     """The state, contiguous; refuses what a step cannot begin from."""
     physics = prepared.physics
     require_state(state)
@@ -92,7 +94,7 @@ def check_state(prepared: Prepared, state: State) -> State:
 
 
 def check_loads(
-    prepared: Prepared, shape: tuple[int, ...], given: Mapping[str, Tensor | None]
+    prepared: PreparedBody, shape: tuple[int, ...], given: Mapping[str, Tensor | None]
 ) -> Loads:
     """What acts in a step.
 
@@ -106,13 +108,13 @@ def check_loads(
 
 
 def check_load(
-    prepared: Prepared, shape: tuple[int, ...], name: str, value: Tensor | None
+    prepared: PreparedBody, shape: tuple[int, ...], name: str, value: Tensor | None
 ) -> Tensor:
     """One of ``LOADS`` with the batch axes of positions (..., num_nodes, 3)."""
     return _CHECKS[name](prepared, shape, value)
 
 
-def make_loads(prepared: Prepared, parts: Mapping[str, Tensor]) -> Loads:
+def make_loads(prepared: PreparedBody, parts: Mapping[str, Tensor]) -> Loads:
     """All of ``LOADS``, checked, as one record."""
     return Loads(
         force=parts["external_force"],
@@ -123,7 +125,7 @@ def make_loads(prepared: Prepared, parts: Mapping[str, Tensor]) -> Loads:
     )
 
 
-def _force(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+def _force(prepared: PreparedBody, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
     """External forces and weight."""
     force, name = prepared.weight, "external_force"
     if value is not None:
@@ -131,23 +133,23 @@ def _force(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> 
     return broadcast(name, force, shape)
 
 
-def _target(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+def _target(prepared: PreparedBody, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
     target, name = prepared.body.x_rest, "dirichlet_target"
     if value is not None:
         target = require(name, value, ("...", shape[-2], 3))
     return broadcast(name, target, shape)
 
 
-def _activation(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+def _activation(prepared: PreparedBody, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
     rest = prepared.body.muscles.rest_activation
     return _signal("activation", value, "muscles", rest, shape[:-2])
 
 
-def _pressure(prepared: Prepared, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
+def _pressure(prepared: PreparedBody, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
     return _signal("pressure", value, "chambers", prepared.no_pressure, shape[:-2])
 
 
-_CHECKS: dict[str, Callable[[Prepared, tuple[int, ...], Tensor | None], Tensor]] = {
+_CHECKS: dict[str, Callable[[PreparedBody, tuple[int, ...], Tensor | None], Tensor]] = {
     "external_force": _force,
     "dirichlet_target": _target,
     "activation": _activation,

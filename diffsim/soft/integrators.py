@@ -39,7 +39,7 @@ VELOCITY = Rates(c=0.0, kappa=1.0)  # of explicit steps: displacements stand for
 
 
 @dataclass(frozen=True)
-class Stage:
+class ImplicitStage:
     """The implicit problem of one step.
 
     Attributes:
@@ -79,21 +79,21 @@ def _euler_step(integrator: str, dt: float) -> float:
     return dt / 2.0 if integrator == "implicit_midpoint" else dt
 
 
-def make_stage(integrator: str, dt: float, state: State) -> Stage:
+def make_stage(integrator: str, dt: float, state: State) -> ImplicitStage:
     """The problem of one step from ``state``; external and internal forces enter apart from y."""
     x, v = state.x, state.v
     if integrator == "bdf2" and state.x_prev is not None and state.v_prev is not None:
         # Curtiss and Hirschfelder 1952: x1 = (4 x - x_prev)/3 + 2h/3 v1, and the same for v1.
         x_velocity = (4.0 * x - state.x_prev) / 3.0
         y = x_velocity + (2.0 * dt / 9.0) * (4.0 * v - state.v_prev)
-        return Stage(rates=_bdf2(dt), y=y, x_velocity=x_velocity)
+        return ImplicitStage(rates=_bdf2(dt), y=y, x_velocity=x_velocity)
     h = _euler_step(integrator, dt)
     midpoint = integrator == "implicit_midpoint"
-    return Stage(rates=_euler(h), y=x + h * v, x_velocity=x, midpoint=midpoint)
+    return ImplicitStage(rates=_euler(h), y=x + h * v, x_velocity=x, midpoint=midpoint)
 
 
 def finish_stage(
-    integrator: str, stage: Stage, state: State, solution: Tensor, fixed: Tensor
+    integrator: str, stage: ImplicitStage, state: State, solution: Tensor, fixed: Tensor
 ) -> State:
     """The state after a step, from the solution of its problem; fixed (num_nodes, 3) bool."""
     velocity = stage.rates.kappa * (solution - stage.x_velocity)

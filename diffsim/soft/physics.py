@@ -135,7 +135,10 @@ class LumpedVolume:
             masses = density[:, None] * self.shares
             none = torch.zeros_like(self.nodal)
             return none.index_add(0, self.elements.flatten(), masses.flatten())
-        return _checked_density(_per("density", density, num_nodes, "num_nodes")) * self.nodal
+        return (
+            _checked_density(_repeat_for_batch("density", density, num_nodes, "num_nodes"))
+            * self.nodal
+        )
 
     def _mass_of_members(self, density: Tensor, batch: int) -> Tensor:
         """(batch, num_nodes) [kg]."""
@@ -180,7 +183,7 @@ def make_physics(
     num_elements, num_nodes = len(volume.elements), len(volume.nodal)
 
     def per_element(name: str) -> Tensor:
-        return _per(name, getattr(values, name), num_elements, "num_elements", batch)
+        return _repeat_for_batch(name, getattr(values, name), num_elements, "num_elements", batch)
 
     weights = material.weights(per_element("youngs_modulus"), per_element("poissons_ratio"))
     if values.node_mass is None:
@@ -203,14 +206,14 @@ def make_physics(
     _range("fiber_stiffness", fiber_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
         material=material.law,
-        w_mu=_expanded(weights.w_mu, batch),
-        w_vol=_expanded(weights.w_vol, batch),
-        mass=_expanded(mass, batch),
-        weighing_mass=_expanded(weighing_mass, batch),
+        w_mu=_expand_to_batch(weights.w_mu, batch),
+        w_vol=_expand_to_batch(weights.w_vol, batch),
+        mass=_expand_to_batch(mass, batch),
+        weighing_mass=_expand_to_batch(weighing_mass, batch),
         gravity=gravity,
         rayleigh_alpha=rayleigh_alpha,
         rayleigh_beta=rayleigh_beta,
-        fiber_stiffness=_expanded(fiber_stiffness, batch),
+        fiber_stiffness=_expand_to_batch(fiber_stiffness, batch),
     )
 
 
@@ -225,7 +228,7 @@ def require_distinct(name: str, value: object, batch: int, sizes: Mapping[str, i
             )
 
 
-def _expanded(value: Tensor, batch: int | None) -> Tensor:
+def _expand_to_batch(value: Tensor, batch: int | None) -> Tensor:
     """(size,) as (batch, size), where there is a batch."""
     return value if batch is None or value.ndim == 2 else value.expand(batch, -1)
 
@@ -268,7 +271,9 @@ def _nodal_mass(
     return mass
 
 
-def _per(name: str, value: Tensor, size: int, axis: str, batch: int | None = None) -> Tensor:
+def _repeat_for_batch(
+    name: str, value: Tensor, size: int, axis: str, batch: int | None = None
+) -> Tensor:
     """(size,), or (batch, size) where it is given for the members of a batch."""
     if not isinstance(value, Tensor) or value.ndim == 0:
         return require(name, value, ()).expand(size).contiguous()

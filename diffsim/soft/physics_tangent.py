@@ -38,7 +38,7 @@ def physics_directions(
                 n: forward_ad.make_dual(v, directions[n][k]) if n in directions else v
                 for n, v in values.items()
             }
-            rows.append(_unpacked(body.physics(**dual)))
+            rows.append(_unpack_tangents(body.physics(**dual)))
     return stack_physics(rows)
 
 
@@ -49,29 +49,33 @@ def stack_physics(rows: list[Physics]) -> Physics:
         none = torch.zeros_like(damped)
         rows = [r if r.rayleigh_beta is not None else replace(r, rayleigh_beta=none) for r in rows]
     stacked = {n: torch.stack([getattr(r, n) for r in rows]) for n in _tensors(rows[0])}
-    return _with(rows[0], stacked)
+    return _replace_tensors(rows[0], stacked)
 
 
 def difference_physics(points: Sequence[Physics], weights: Sequence[float]) -> Physics:
     """Sum of weight times physics at the points of a difference formula: one direction."""
     stacked = stack_physics(list(points))
     weight = torch.tensor(weights, dtype=torch.float64)
-    return _with(stacked, {n: torch.tensordot(weight, v, 1) for n, v in _tensors(stacked).items()})
+    return _replace_tensors(
+        stacked, {n: torch.tensordot(weight, v, 1) for n, v in _tensors(stacked).items()}
+    )
 
 
-def _unpacked(physics: Physics) -> Physics:
+def _unpack_tangents(physics: Physics) -> Physics:
     """The tangents of dual numbers."""
 
     def tangent(value: Tensor) -> Tensor:
         primal, tangent = forward_ad.unpack_dual(value)
         return torch.zeros_like(primal) if tangent is None else tangent
 
-    return _with(physics, {n: tangent(v) for n, v in _tensors(physics).items()})
+    return _replace_tensors(physics, {n: tangent(v) for n, v in _tensors(physics).items()})
 
 
 def still_physics(physics: Physics, count: int) -> Physics:
     """Directions in which no parameter moves."""
-    return _with(physics, {n: v.new_zeros(count, *v.shape) for n, v in _tensors(physics).items()})
+    return _replace_tensors(
+        physics, {n: v.new_zeros(count, *v.shape) for n, v in _tensors(physics).items()}
+    )
 
 
 def as_damped_as(changing: Physics, physics: Physics) -> Physics:
@@ -86,5 +90,5 @@ def _tensors(physics: Physics) -> dict[str, Tensor]:
     return {n: v for n, v in values.items() if isinstance(v, Tensor)}
 
 
-def _with(physics: Physics, tensors: Mapping[str, Any]) -> Physics:
+def _replace_tensors(physics: Physics, tensors: Mapping[str, Any]) -> Physics:
     return replace(physics, **tensors)

@@ -47,7 +47,7 @@ class StageTerms:
         )
 
 
-class Prepared:
+class PreparedBody:
     """A body with parameters: what all steps of a rollout share.
 
     Everything that a gradient may pass through is computed here, before the first step: a step

@@ -11,7 +11,7 @@ from diffsim.soft.inputs import DampingFrame, Loads, energy_terms, flat
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+class StepProblem:
     """argmin 1/2 |x - y|^2_inertia - force.x + E(x) + D(x) - p V(x), x = target where fixed.
 
     The layer under every integrator and under statics; see csrc/kernels/soft/implicit_step.h.
@@ -44,7 +44,7 @@ class Problem:
         )
 
 
-def solve(problem: Problem, *, iterate: bool = False) -> Tensor:
+def solve(problem: StepProblem, *, iterate: bool = False) -> Tensor:
     """The positions (..., num_nodes, 3) that solve a problem [m].
 
     Args:

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from diffsim.soft._arrays import StepArrays
 from diffsim.soft._context import small_strain_lambda
-from diffsim.soft.integrators import Rates, Stage, rates_of
+from diffsim.soft.integrators import ImplicitStage, Rates, rates_of
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import Prepared
-from diffsim.soft.problem import Problem
+from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.problem import StepProblem
 from diffsim.soft.state import State
 
 
@@ -65,7 +65,7 @@ class Changing:
             take them.
     """
 
-    def __init__(self, prepared: Prepared, physics: Physics):
+    def __init__(self, prepared: PreparedBody, physics: Physics):
         own = prepared.physics
         self.prepared, self.physics = prepared, physics
         self.weight = (
@@ -89,7 +89,7 @@ class Changing:
 
 
 def solve_along(
-    prepared: Prepared, arrays: StepArrays, x: Tensor, rates: Mapping[str, Tensor]
+    prepared: PreparedBody, arrays: StepArrays, x: Tensor, rates: Mapping[str, Tensor]
 ) -> Tensor:
     """Derivatives of a problem's solution x along K directions.
 
@@ -106,9 +106,9 @@ def solve_along(
 
 
 def stage_rates(
-    problem: Problem,
-    stage: Stage,
-    d_stage: Stage,
+    problem: StepProblem,
+    stage: ImplicitStage,
+    d_stage: ImplicitStage,
     moving: State,
     moved: Mapping[str, Tensor | None],
     changing: Changing,
@@ -137,7 +137,7 @@ def stage_rates(
 
 
 def load_rates(
-    problem: Problem, moved: Mapping[str, Tensor | None], changing: Changing
+    problem: StepProblem, moved: Mapping[str, Tensor | None], changing: Changing
 ) -> dict[str, Tensor]:
     """Rates of loads and stiffness; weight is among the forces."""
     d_force, d_target = moved["external_force"], moved["dirichlet_target"]
@@ -150,7 +150,7 @@ def load_rates(
 
 
 def _fiber_rates(
-    problem: Problem, d_activation: Tensor | None, changing: Changing
+    problem: StepProblem, d_activation: Tensor | None, changing: Changing
 ) -> dict[str, Tensor]:
     """Rates of the fibers (``MuscleSet.fibers``) that activations have a part in."""
     muscles = changing.prepared.body.muscles

@@ -8,8 +8,8 @@ from torch import Tensor
 from diffsim.core.check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import Prepared
-from diffsim.soft.problem import Problem, solve
+from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.problem import StepProblem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
@@ -60,7 +60,7 @@ def static_equilibrium(
             start = start.expand(*given.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
     x, loads = check_inputs(
-        Prepared(body, physics),
+        PreparedBody(body, physics),
         state,
         external_force=external_force,
         activation=activation,
@@ -68,6 +68,6 @@ def static_equilibrium(
         dirichlet_target=dirichlet_target,
     )
     mass = loads.physics.mass
-    problem = Problem(y=x.detach(), guess=x, inertia=torch.zeros_like(mass), loads=loads)
+    problem = StepProblem(y=x.detach(), guess=x, inertia=torch.zeros_like(mass), loads=loads)
     x = solve(problem, iterate=True)
     return State(x, torch.zeros_like(x))

@@ -18,13 +18,13 @@ from diffsim.soft.integrators import (
     EXPLICIT,
     VELOCITY,
     WITH_CONTACT,
-    Stage,
+    ImplicitStage,
     finish_stage,
     make_stage,
 )
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import Prepared
-from diffsim.soft.problem import Problem, solve
+from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.problem import StepProblem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
@@ -71,7 +71,7 @@ def step(
         TypeError, ValueError: wrong shape, dtype or non-finite input.
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
-    prepared = Prepared(body, physics)
+    prepared = PreparedBody(body, physics)
     state = check_state(prepared, state)
     given = {
         "external_force": external_force,
@@ -134,7 +134,7 @@ def _contact_step(body: Solid, state: State, obstacles: Sequence[Obstacle], load
     return end._replace(contact_force=contact_force)
 
 
-def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
+def stage_problem(stage: ImplicitStage, guess: Tensor, loads: Loads) -> StepProblem:
     """The stage's problem; mass-proportional damping joins the inertia term.
 
     Args:
@@ -145,7 +145,7 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
     terms, c = loads.prepared.terms(stage.rates), stage.rates.c
     if stage.midpoint:  # the unknown is in the middle of the step
         loads = loads.with_target(0.5 * (guess + loads.target))
-    return Problem(
+    return StepProblem(
         y=(c * stage.y + terms.alpha * stage.x_velocity) / terms.total,
         guess=guess,
         inertia=terms.inertia,

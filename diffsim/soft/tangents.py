@@ -20,8 +20,8 @@ from diffsim.soft.inputs import LOADS, Loads, check_inputs, check_state
 from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import as_damped_as, still_physics
-from diffsim.soft.prepared import Prepared
-from diffsim.soft.problem import Problem
+from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.problem import StepProblem
 from diffsim.soft.problem_tangent import Changing, load_rates, solve_along, stage_rates
 from diffsim.soft.rollout import LoadsInTime, Signal
 from diffsim.soft.solid import Solid
@@ -137,7 +137,7 @@ def rollout_tangents(
     keep = keep or (lambda state, moving: (state.x, moving.x))
     kept = [keep(state, moving)]
     with torch.no_grad():
-        prepared = Prepared(body, as_damped_as(directed, physics))
+        prepared = PreparedBody(body, as_damped_as(directed, physics))
         state = check_state(prepared, state)
         changing = Changing(prepared, directed)
         loads_at = LoadsInTime(prepared, shape, signals)
@@ -181,7 +181,7 @@ def static_tangents(
     directed = directions.physics or still_physics(physics, count)
     state = State(x, torch.zeros_like(x))
     with torch.no_grad():
-        prepared = Prepared(body, physics)
+        prepared = PreparedBody(body, physics)
         x, loads = check_inputs(
             prepared,
             state,
@@ -190,7 +190,7 @@ def static_tangents(
             pressure=pressure,
             dirichlet_target=dirichlet_target,
         )
-        problem = Problem(y=x, guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
+        problem = StepProblem(y=x, guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
         still = State(torch.zeros(count, *x.shape, dtype=x.dtype), torch.zeros(0))
         moved = _MovedInTime(body, directions, count)(0, state, still)
         rates = load_rates(problem, moved, Changing(prepared, directed))
@@ -216,14 +216,14 @@ class _MovedInTime:
         }
         given = {name: getattr(directions, name) for name in LOADS}
         self._moving = {n: f for n, f in given.items() if callable(f)}
-        self._still = {n: self._checked(n, r) for n, r in given.items() if n not in self._moving}
+        self._still = {n: self._check_rate(n, r) for n, r in given.items() if n not in self._moving}
 
     def __call__(self, k: int, state: State, tangent: State) -> dict[str, Tensor | None]:
         """Directions of all ``LOADS`` by name; None: it does not move."""
-        moving = {n: self._checked(n, f(k, state, tangent)) for n, f in self._moving.items()}
+        moving = {n: self._check_rate(n, f(k, state, tangent)) for n, f in self._moving.items()}
         return self._still | moving
 
-    def _checked(self, name: str, rate: Tensor | None) -> Tensor | None:
+    def _check_rate(self, name: str, rate: Tensor | None) -> Tensor | None:
         return None if rate is None else require(f"directions.{name}", rate, self._shapes[name])
 
 

@@ -10,7 +10,7 @@ from diffsim.soft import _ops_contact, _ops_elastic, _ops_step
 from diffsim.soft.forces import ElasticGradient, elastic_gradient
 from diffsim.soft.inputs import check_loads
 from diffsim.soft.integrators import IMPLICIT, INTEGRATORS
-from diffsim.soft.prepared import Prepared
+from diffsim.soft.prepared import PreparedBody
 from tests.soft.cases import irregular_mesh, leaf, noise, soft_body, two_muscles
 from tests.soft.test_chambers import hollow
 
@@ -191,7 +191,7 @@ def test_a_bound_energy_has_the_bits_of_the_op(monkeypatch):
     """At single places and many at once, and where a derivative is asked for."""
     monkeypatch.delitem(sys.modules, "torch._dynamo", raising=False)
     body, _ = activated()
-    prepared = Prepared(body, body.physics(youngs_modulus=torch.tensor(35.0).double()))
+    prepared = PreparedBody(body, body.physics(youngs_modulus=torch.tensor(35.0).double()))
     for shape in ((), (3,), (2, 2)):
         x = body.x_rest + 0.05 * noise(*shape, *body.x_rest.shape, seed=3)
         loads = check_loads(prepared, tuple(x.shape), {})
@@ -213,7 +213,7 @@ def test_a_bound_energy_has_the_bits_of_the_op(monkeypatch):
 
 def test_a_bound_energy_refuses_what_the_op_refuses():
     body, _ = forced()
-    bound = ElasticGradient(check_loads(Prepared(body, None), tuple(body.x_rest.shape), {}))
+    bound = ElasticGradient(check_loads(PreparedBody(body, None), tuple(body.x_rest.shape), {}))
     bad = body.x_rest.clone()
     for value in (float("nan"), float("inf")):
         bad[1, 2] = value

@@ -22,7 +22,7 @@ from diffsim.core.errors import ConvergenceError
 from diffsim.soft.forces import ElasticGradient
 from diffsim.soft.inputs import check_loads
 from diffsim.soft.physics import LumpedVolume
-from diffsim.soft.prepared import Prepared
+from diffsim.soft.prepared import PreparedBody
 
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
 _STATIC_ITERATIONS = 60
@@ -276,7 +276,7 @@ class SoftScene:
         physics = body.physics(**values)
         # a field of moduli weighs the strain; the energy carries gradients in x alone
         scale = 0.5 * self.parameter("youngs_modulus").detach().mean() * body.nodal_volume.sum()
-        return SolidForce(Prepared(body, physics), scale)
+        return SolidForce(PreparedBody(body, physics), scale)
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
@@ -477,7 +477,7 @@ class SolidForce:
         scale: Energy of the mean square strain one, E V / 2 [J].
     """
 
-    def __init__(self, prepared: Prepared, scale: Tensor):
+    def __init__(self, prepared: PreparedBody, scale: Tensor):
         self._prepared, self._scale = prepared, scale
         self._gradients: dict[tuple[int, ...], ElasticGradient] = {}
 
