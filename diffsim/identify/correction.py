@@ -91,7 +91,7 @@ class Correction:
         for known, added in self.told:
             if known.name == run.name and known.measured is run.measured:
                 return added
-        return self._kept(run, lambda: self._simulated(run))
+        return self._kept(run, lambda: self._simulate_correction(run))
 
     def over(self, runs: Sequence[Run]) -> Array:
         """The same for several runs in a row, (N,)."""
@@ -116,7 +116,7 @@ class Correction:
         return Correction(replace(problem, correction=None), x, self.finer)
 
     @torch.no_grad()
-    def _simulated(self, run: Run) -> Tensor:
+    def _simulate_correction(self, run: Run) -> Tensor:
         point = torch.from_numpy(np.array(self.x))
         total = torch.zeros(run.measured.shape, dtype=torch.float64)
         for one in self.finer:

@@ -12,7 +12,7 @@ from diffsim.identify.jacobian import Stencil
 
 
 @dataclass(frozen=True)
-class Point:
+class ModelPoint:
     """Values of base parameters and effects at which a model is simulated.
 
     Attributes:
@@ -25,7 +25,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Line:
+class DifferenceLine:
     """One coordinate that a model is differentiated along.
 
     Attributes:
@@ -35,5 +35,5 @@ class Line:
     """
 
     stencil: Stencil
-    points: tuple[Point, ...]
+    points: tuple[ModelPoint, ...]
     effect: Effect | None

@@ -21,7 +21,7 @@ from diffsim.identify.problem import PredictionError, Problem
 Array = NDArray[np.float64]
 
 
-class Unwhitened:
+class NoWhitener:
     """Takes every sample as it is, missing ones too."""
 
     def matrix(self, run: Run) -> sparse.csr_array:
@@ -146,4 +146,4 @@ def _is_finite(column: Array) -> bool:
 
 
 def _raw(problem: Problem) -> Problem:
-    return replace(problem, whitener=Unwhitened())
+    return replace(problem, whitener=NoWhitener())

@@ -18,7 +18,7 @@ from diffsim.identify.numerics import NumericalEffect, Numerics
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
-    from diffsim.identify.line import Line, Point
+    from diffsim.identify.line import DifferenceLine, ModelPoint
     from diffsim.identify.shape import MovingShape
 
 
@@ -73,7 +73,7 @@ class Parameter:
         return (value - self.value) / self.sd
 
 
-def _bounded(p: Parameter) -> bool:
+def _has_lower_bound(p: Parameter) -> bool:
     """Whether a parameter has a lower bound; of a logarithm zero is none."""
     return math.isfinite(p.lower) and not (p.log and p.lower <= 0.0)
 
@@ -101,7 +101,9 @@ class BaseValues:
         rows = [(p.value, p.sd, p.lower, p.upper) for p in base if not p.log]
         table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
         self._value, self._sd, self._lower, self._upper = table.unbind(-1)
-        self.low = np.array([p.coordinate_of(p.lower) if _bounded(p) else -np.inf for p in base])
+        self.low = np.array(
+            [p.coordinate_of(p.lower) if _has_lower_bound(p) else -np.inf for p in base]
+        )
         self.high = np.array(
             [p.coordinate_of(p.upper) if math.isfinite(p.upper) else np.inf for p in base]
         )
@@ -232,7 +234,7 @@ class SimModel:
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
-        physical, numerical = _parted(sizes)
+        physical, numerical = _split_effects(sizes)
         self.simulations.add(len(q) if q.ndim > 1 else 1)
         out = plain = self.scene(run, q, physical, numerics).simulate()
         for effect, size in numerical.items():
@@ -259,7 +261,7 @@ class SimModel:
         """
         if self.batched:
             return self.predict(run, q, sizes, numerics)
-        physical, numerical = _parted(sizes)
+        physical, numerical = _split_effects(sizes)
         self.simulations.add(len(q))
         out = plain = self.simulate_many(run, q, physical, numerics)
         for effect, size in numerical.items():
@@ -280,7 +282,7 @@ class SimModel:
         """The run at one point, ready to be simulated; arguments as for ``predict``. Numerical
         effects act on predictions, in no scene."""
         scene = self.build(self.values.at(q), run, Numerics() if numerics is None else numerics)
-        for effect, size in _parted(sizes)[0].items():
+        for effect, size in _split_effects(sizes)[0].items():
             scene = effect.apply(scene, size, run)
         return scene
 
@@ -306,8 +308,8 @@ class SimModel:
     def tangents(
         self,
         run: Run,
-        at: Point,
-        lines: Sequence[Line],
+        at: ModelPoint,
+        lines: Sequence[DifferenceLine],
         numerics: Numerics | None = None,
     ) -> tuple[Tensor, Tensor] | None:
         """The prediction of a run and its derivatives, for models quicker than their simulations.
@@ -376,7 +378,7 @@ class SimModel:
         return torch.zeros(len(self.base), dtype=torch.float64)
 
 
-def _parted(
+def _split_effects(
     sizes: Mapping[Effect, Tensor] | None,
 ) -> tuple[dict[Effect, Tensor], dict[NumericalEffect, Tensor]]:
     """Effects of the scene and effects of its prediction, apart."""

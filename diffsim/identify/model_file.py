@@ -284,7 +284,7 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
             values.setdefault(name, 0.0)
             sd.setdefault(name, PRIOR_WIDTH * effect.typical)
     _require_units(saved, {**{n: p.unit for n, p in known.items()}, **_units(effects)})
-    return extended_at(_prepared(setup.model, saved), effects, values, sd, saved.numerics)
+    return extended_at(_prepare_model(setup.model, saved), effects, values, sd, saved.numerics)
 
 
 def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -304,7 +304,7 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
         wanted = effect_coordinates([by_name[name]])
         given = [c for c in saved.components if c == name or c.partition(".")[0] == name]
         # a run that the model has not met tells its own
-        if not _same(wanted, given):
+        if not _have_same_names(wanted, given):
             raise ValueError(
                 f"{saved.path}: effect {name} must have {', '.join(wanted)}, got {', '.join(given)}"
             )
@@ -312,7 +312,7 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
     return tuple(chosen)
 
 
-def _same(wanted: Sequence[str], given: Sequence[str]) -> bool:
+def _have_same_names(wanted: Sequence[str], given: Sequence[str]) -> bool:
     """Whether names of components are the same but for those of single runs ("zero.@run_9")."""
     shared = [sorted(c for c in names if not _is_of_run(c)) for names in (wanted, given)]
     return shared[0] == shared[1] and any(map(_is_of_run, wanted)) == any(map(_is_of_run, given))
@@ -333,7 +333,7 @@ def _require_frame(saved: SavedModel, model: SimModel) -> None:
         )
 
 
-def _prepared(model: SimModel, saved: SavedModel) -> SimModel:
+def _prepare_model(model: SimModel, saved: SavedModel) -> SimModel:
     if saved.prepared_at is None:
         return model
     at = [float(saved.prepared_at.get(p.name, 0.0)) for p in model.base]

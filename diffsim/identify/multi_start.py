@@ -19,7 +19,7 @@ TURN_BACK = 1e3  # cost of a point that cannot be simulated, over that of the st
 
 
 @dataclass(frozen=True, eq=False)
-class Starts:
+class RandomStarts:
     """Random start points, best first.
 
     Attributes:
@@ -39,7 +39,7 @@ def random_starts(
     spread: float = 1.0,
     fixed: tuple[str, ...] = (),
     report: Callable[[float], object] = lambda cost: None,
-) -> Starts:
+) -> RandomStarts:
     """Simulate points drawn from the prior, the prior's center first.
 
     Args:
@@ -69,7 +69,7 @@ def random_starts(
     if not np.isfinite(cost).any():
         raise DiffsimError(f"none of {count} random starts could be simulated; narrow the priors")
     order = np.argsort(cost)
-    return Starts(x[order], cost[order])
+    return RandomStarts(x[order], cost[order])
 
 
 @dataclass(frozen=True, eq=False)

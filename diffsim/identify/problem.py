@@ -26,7 +26,7 @@ from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect, effect_coordinates, touches
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
-from diffsim.identify.line import Line, Point
+from diffsim.identify.line import DifferenceLine, ModelPoint
 from diffsim.identify.model import SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
@@ -172,7 +172,7 @@ class Problem:
         sizes = self.sizes_at(x)
         self._require_finite(run, x[: self.num_base], sizes)
         out = self.model.predict(run, self._simulated_at(x), sizes, self.numerics)
-        return self._corrected(run, self._of_shape(run, out, run.measured.shape))
+        return self._add_correction(run, self._of_shape(run, out, run.measured.shape))
 
     def shape_at(self, run: Run, x: Tensor) -> MovingShape | None:
         """What moves in the run as it is simulated; None where models show nothing."""
@@ -184,7 +184,7 @@ class Problem:
         q = x[..., : self.num_base]
         return q if self.correction is None else q + self.correction.shift
 
-    def _corrected(self, run: Run, out: Tensor) -> Tensor:
+    def _add_correction(self, run: Run, out: Tensor) -> Tensor:
         return out if self.correction is None else out + self.correction.of(run)
 
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
@@ -200,7 +200,7 @@ class Problem:
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
         self._require_finite(run, q, sizes)
         out = self.model.predict_many(run, q, sizes, self.numerics)
-        return self._corrected(run, self._of_shape(run, out, (len(q), *run.measured.shape)))
+        return self._add_correction(run, self._of_shape(run, out, (len(q), *run.measured.shape)))
 
     def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
         if tuple(out.shape) != shape:
@@ -217,9 +217,11 @@ class Problem:
         def one(run: Run) -> Array:
             with torch.no_grad():
                 predicted = self.predict(run, point).numpy()
-            return self.whiten(run, np.nan_to_num(run.measured).ravel() - _finite(predicted, run))
+            return self.whiten(
+                run, np.nan_to_num(run.measured).ravel() - _check_finite(predicted, run)
+            )
 
-        return np.concatenate(self._each(one))
+        return np.concatenate(self._compute_each(one))
 
     def records(self, points: Array) -> Array:
         """Predicted samples of all runs at K points, (K, N) [unit of the channel].
@@ -233,7 +235,7 @@ class Problem:
             with torch.no_grad():
                 return self.predict_many(run, given).numpy().reshape(len(given), -1)
 
-        return np.concatenate(self._each(one), axis=1)
+        return np.concatenate(self._compute_each(one), axis=1)
 
     def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
@@ -286,10 +288,10 @@ class Problem:
             matrix = self.whitener.matrix(run)
             full = np.zeros((matrix.shape[0], len(x)))
             full[:, idx] = matrix @ columns
-            left = np.nan_to_num(run.measured).ravel() - _finite(here, run)
+            left = np.nan_to_num(run.measured).ravel() - _check_finite(here, run)
             return np.asarray(matrix @ left), full
 
-        parts = self._each(one)
+        parts = self._compute_each(one)
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     @property
@@ -319,19 +321,19 @@ class Problem:
         here, columns = given
         shape = run.measured.shape
         columns = self._of_shape(run, columns, (len(stencils), *shape))
-        here = self._corrected(run, self._of_shape(run, here, shape))
+        here = self._add_correction(run, self._of_shape(run, here, shape))
         return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
 
-    def _point(self, scaled: Tensor) -> Point:
-        return Point(self._simulated_at(scaled), self._sizes(scaled[self.num_base :]))
+    def _point(self, scaled: Tensor) -> ModelPoint:
+        return ModelPoint(self._simulated_at(scaled), self._sizes(scaled[self.num_base :]))
 
-    def _line(self, at: Tensor, i: int, stencil: Stencil) -> Line:
+    def _line(self, at: Tensor, i: int, stencil: Stencil) -> DifferenceLine:
         """Points of a stencil along scaled coordinate i."""
         unit = torch.zeros_like(at)
         unit[i] = 1.0
         owner = None if i < self.num_base else self.owners[i - self.num_base][0]
         points = tuple(self._point(at + offset * unit) for offset in stencil.offsets)
-        return Line(stencil, points, owner)
+        return DifferenceLine(stencil, points, owner)
 
     def gradient(self, x: Array) -> tuple[float, Array]:
         """½ |r|² and its gradient by reverse mode: one backward pass per run."""
@@ -343,7 +345,7 @@ class Problem:
             r = matrix @ left
             return 0.5 * float(r @ r), _pulled_back(predicted, leaf, -(matrix.T @ r))
 
-        parts = self._each(one)
+        parts = self._compute_each(one)
         return sum(p[0] for p in parts), np.sum([p[1] for p in parts], axis=0)
 
     def pullback(self, x: Array, cotangent: Array) -> Array:
@@ -361,7 +363,7 @@ class Problem:
             matrix = self.whitener.matrix(run)
             return _pulled_back(self.predict(run, leaf), leaf, matrix.T @ of_run[run.name])
 
-        return np.asarray(np.sum(self._each(one), axis=0))
+        return np.asarray(np.sum(self._compute_each(one), axis=0))
 
     def by_run(self, rows: Array) -> list[Array]:
         """Whitened rows of all runs, (num_valid, ...), by run."""
@@ -372,7 +374,7 @@ class Problem:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         return np.asarray(self.whitener.matrix(run) @ record)
 
-    def _each(self, job: Callable[[Run], Any]) -> list[Any]:
+    def _compute_each(self, job: Callable[[Run], Any]) -> list[Any]:
         if self.workers > 1:
             with ThreadPoolExecutor(self.workers) as pool:
                 contexts = [copy_context() for _ in self.runs]  # records of solves go along
@@ -386,7 +388,7 @@ def _pulled_back(predicted: Tensor, leaf: Tensor, cotangent: Array) -> Array:
     return np.asarray(grad.numpy())
 
 
-def _finite(predicted: Array, run: Run) -> Array:
+def _check_finite(predicted: Array, run: Run) -> Array:
     flat = np.asarray(predicted).ravel()
     if not np.isfinite(flat).all():
         bad = int((~np.isfinite(flat)).sum())

@@ -20,7 +20,7 @@ from diffsim.systems.soft_body.together import simulate_together
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
-    from diffsim.identify.line import Line, Point
+    from diffsim.identify.line import DifferenceLine, ModelPoint
     from diffsim.identify.shape import MovingShape
 
 
@@ -52,8 +52,8 @@ class SoftModel(SimModel):
     def tangents(
         self,
         run: Run,
-        at: Point,
-        lines: Sequence[Line],
+        at: ModelPoint,
+        lines: Sequence[DifferenceLine],
         numerics: Numerics | None = None,
     ) -> tuple[Tensor, Tensor] | None:
         """Prediction and its derivatives, see :meth:`SimModel.tangents`."""
@@ -89,8 +89,8 @@ class SoftModel(SimModel):
     def _blend(
         self,
         run: Run,
-        at: Point,
-        line: Line,
+        at: ModelPoint,
+        line: DifferenceLine,
         effect: NumericalEffect,
         here: Tensor,
         numerics: Numerics | None,
@@ -128,7 +128,7 @@ class _PlainScenes:
         return self._made[key]
 
 
-def _owned(plain: _PlainScenes, at: Point, present: set[Effect]) -> OwnedScene | None:
+def _owned(plain: _PlainScenes, at: ModelPoint, present: set[Effect]) -> OwnedScene | None:
     """The scene at a point with some of its effects; None where it is no soft scene."""
     scene = plain(at.q)
     if not isinstance(scene, SoftScene):
