@@ -16,7 +16,7 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
-from diffsim.data.runs_guess import GuessedRun, Quantity
+from diffsim.data.runs_guess import GuessedQuantity, GuessedRun
 from diffsim.data.study_check import TODO
 from diffsim.data.study_file import STUDY_FILE, load_study
 from diffsim.data.study_guess import Guess, guess_study
@@ -96,22 +96,22 @@ def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
         f"# Mend what is wrong, fill in what says {TODO}, then: diffsim diagnose check {out.name}",
         "# All keys: docs/study_keys.md",
         "",
-        f"name: {_inline(folder.resolve().name)}",
+        f"name: {_write_inline(folder.resolve().name)}",
     ]
     relative = os.path.relpath(folder.resolve(), out.resolve().parent)
     if relative != ".":
-        lines.append(f"data: {_inline(relative)}    # folder of the files")
+        lines.append(f"data: {_write_inline(relative)}    # folder of the files")
     lines += ["", "# The system that was recorded.", *_model(system), ""]
-    lines += ["# The clock of the files.", f"time: {_inline(guess.time)}"]
+    lines += ["# The clock of the files.", f"time: {_write_inline(guess.time)}"]
     layout = guess.layout
     if (layout.header_line, layout.first_line) != (1, 2):
         form = {"header_line": layout.header_line, "first_line": layout.first_line}
-        lines.append(f"table: {_inline(form)}    # lines of the files, from 1")
+        lines.append(f"table: {_write_inline(form)}    # lines of the files, from 1")
     lines += ["", "# What was measured; sd is the noise, guessed from the scatter between samples."]
-    lines += ["channels:", *(f"  - {_inline(_channel(q))}" for q in guess.channels)]
+    lines += ["channels:", *(f"  - {_write_inline(_channel(q))}" for q in guess.channels)]
     lines += ["", *_commands(guess), "", *_runs(guess)]
     lines += ["", "# `check` repeats these until you take them out.", "todo:"]
-    lines += [f"  - {_inline(sentence)}" for sentence in guess.todo]
+    lines += [f"  - {_write_inline(sentence)}" for sentence in guess.todo]
     lines += [] if guess.todo else ["  []"]
     return "\n".join(lines) + "\n"
 
@@ -124,7 +124,7 @@ def _commands(guess: Guess) -> Iterator[str]:
         return
     yield "commands:"
     for q in guess.commands:
-        yield f"  - {_inline(_command(q))}    # looks commanded {q.why}"
+        yield f"  - {_write_inline(_command(q))}    # looks commanded {q.why}"
 
 
 def _runs(guess: Guess) -> Iterator[str]:
@@ -138,7 +138,7 @@ def _runs(guess: Guess) -> Iterator[str]:
     if shared:
         yield "# For all runs; facts of `setup` are columns that are constant in each run."
         yield "defaults:"
-        yield from (f"  {key}: {_inline(value)}" for key, value in shared.items())
+        yield from (f"  {key}: {_write_inline(value)}" for key, value in shared.items())
         yield ""
     yield "# use: fit, select (chooses between causes) or test (touched once, at the end)."
     yield "runs:"
@@ -146,9 +146,9 @@ def _runs(guess: Guess) -> Iterator[str]:
         yield from _split_runs(guess)
     elif len(guess.runs) == 1:
         entry = {**_entry(guess.runs[0]), "blocks": {"num": 6, "use": {"select": [4], "test": [6]}}}
-        yield f"  - {_inline(entry)}    # one long run, cut into six pieces"
+        yield f"  - {_write_inline(entry)}    # one long run, cut into six pieces"
     else:
-        yield from (f"  - {_inline(_entry(run))}" for run in guess.runs)
+        yield from (f"  - {_write_inline(_entry(run))}" for run in guess.runs)
 
 
 def _split_runs(guess: Guess) -> Iterator[str]:
@@ -162,7 +162,7 @@ def _split_runs(guess: Guess) -> Iterator[str]:
         uses = {u: [r.value for r in runs if r.use == u] for u in ("select", "test")}
         if any(uses.values()):
             entry["use"] = {use: values for use, values in uses.items() if values}
-        yield f"  - {_inline(entry)}"
+        yield f"  - {_write_inline(entry)}"
 
 
 def _entry(run: GuessedRun) -> dict[str, Any]:
@@ -178,11 +178,11 @@ def _files(run: GuessedRun) -> str | list[str]:
     return [run.file, *run.further] if run.further else run.file
 
 
-def _channel(q: Quantity) -> dict[str, Any]:
+def _channel(q: GuessedQuantity) -> dict[str, Any]:
     return _quantity(q) | ({} if q.sd is None else {"sd": q.sd})
 
 
-def _command(q: Quantity) -> dict[str, Any]:
+def _command(q: GuessedQuantity) -> dict[str, Any]:
     ends = {
         k: float(f"{v:.4g}") for k, v in (("lower", q.lower), ("upper", q.upper)) if v is not None
     }
@@ -192,7 +192,7 @@ def _command(q: Quantity) -> dict[str, Any]:
     return _quantity(q) | filled | ({"is_measured": True} if q.is_measured else ends)
 
 
-def _quantity(q: Quantity) -> dict[str, Any]:
+def _quantity(q: GuessedQuantity) -> dict[str, Any]:
     column = {} if q.column.name == q.name else {"column": q.column.name}
     return {"name": q.name, **column, "unit": q.unit}
 
@@ -225,13 +225,13 @@ def _keys(part: type[Part], indent: str, skipped: tuple[str, ...] = SKIPPED) -> 
     keys = [key for key in keys_of(part) if key.name not in skipped]
     for key in keys:
         if key.default is None:
-            yield from _needed(key, indent)
+            yield from _write_needed_key(key, indent)
     for key in keys:
         if key.default is not None:
             yield _cut(f"{indent}# {key.name}: {_kind(key)}; {key.meaning}")
 
 
-def _needed(key: Key, indent: str) -> Iterator[str]:
+def _write_needed_key(key: Key, indent: str) -> Iterator[str]:
     """A key that must be given, its block spelled out where it is one."""
     yield _cut(f"{indent}# {key.meaning}; {key.kind}")
     name = key.parts[0].__name__ if len(key.parts) == 1 else ""
@@ -257,7 +257,7 @@ def _cut(line: str) -> str:
     return line if len(line) <= WIDTH else line[: WIDTH - 3].rsplit(" ", 1)[0] + " .."
 
 
-def _inline(value: Any) -> str:
+def _write_inline(value: Any) -> str:
     """A value on one line of YAML."""
     style = isinstance(value, (Mapping, list))
     text = yaml.safe_dump(

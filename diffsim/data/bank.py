@@ -69,15 +69,15 @@ def generated_bank(study: Study) -> tuple[Run, ...]:
     if not study.fit_runs:
         return ()
     like = max(study.fit_runs, key=lambda run: run.time_s[-1] - run.time_s[0])
-    like = _thinned(like)
-    drives = [drive for name in like.command if (drive := _drive(study, name)) is not None]
+    like = _thin_run(like)
+    drives = [drive for name in like.command if (drive := _find_drive(study, name)) is not None]
     if study.system in _FLOWN:  # what is commanded there follows from the motion
         drives = []
     made = [
         *(run for drive in drives for run in (_signals if _lasts(like) else _poses)(like, drive)),
         *_other_sizes(study, drives),
         *_other_facts(study),
-        *_again(study),
+        *_repeat_runs(study),
     ]
     first: dict[str, Run] = {}
     for run in made:
@@ -92,22 +92,22 @@ def _spread(runs: list[Run], most: int) -> list[Run]:
     return [runs[i] for i in np.linspace(0, len(runs) - 1, most).round().astype(int)]
 
 
-def _thinned(run: Run) -> Run:
+def _thin_run(run: Run) -> Run:
     """A run of at most ``MAX_SAMPLES`` samples, from its beginning, evenly sampled."""
     n = min(len(run.time_s), MAX_SAMPLES)
     step = float(np.median(np.diff(run.time_s))) if len(run.time_s) > 1 else 1.0
     time_s = run.time_s[0] + step * np.arange(n)
-    command = {name: np.full(n, _rest(values)) for name, values in run.command.items()}
+    command = {name: np.full(n, _find_rest(values)) for name, values in run.command.items()}
     blank = np.zeros((n, run.measured.shape[1]))
     return replace(run, time_s=time_s, measured=blank, command=command, use=NEXT)
 
 
-def _rest(values: Array) -> float:
+def _find_rest(values: Array) -> float:
     there = values[np.isfinite(values)]
     return float(there[0]) if len(there) else 0.0
 
 
-def _drive(study: Study, name: str) -> _Drive | None:
+def _find_drive(study: Study, name: str) -> _Drive | None:
     """What a command can do; None where it cannot be commanded or never changed."""
     known = next((c for c in study.commands if c.name == name), Command(name))
     if known.is_measured:
@@ -120,7 +120,7 @@ def _drive(study: Study, name: str) -> _Drive | None:
     high = float(values.max()) if known.upper is None else known.upper
     if not high > low:
         return None
-    rest = float(np.clip(_rest(study.fit_runs[0].command[name]), low, high))
+    rest = float(np.clip(_find_rest(study.fit_runs[0].command[name]), low, high))
     rate = float("inf") if known.rate is None else known.rate
     shown = known.shown_unit or known.unit or ""
     scale = factor(known.unit, shown) if known.unit and shown else 1.0
@@ -137,7 +137,7 @@ def _poses(like: Run, drive: _Drive) -> Iterator[Run]:
     for share in np.linspace(0.0, 1.0, _STAIRS):
         level = drive.low + float(share) * (drive.high - drive.low)
         values = np.full(len(like.time_s), level)
-        yield _driven(like, drive, f"held at {drive.level(level)}", values)
+        yield _drive_command(like, drive, f"held at {drive.level(level)}", values)
 
 
 def _signals(like: Run, drive: _Drive) -> Iterator[Run]:
@@ -148,17 +148,17 @@ def _signals(like: Run, drive: _Drive) -> Iterator[Run]:
     for share in (1.0, 0.25):
         level = drive.rest + share * (far - drive.rest)
         values = np.where(t >= 0.1 * total, level, drive.rest)
-        yield _driven(like, drive, f"step to {drive.level(level)}", values)
+        yield _drive_command(like, drive, f"step to {drive.level(level)}", values)
     other = drive.low if far == drive.high else drive.high
     if other != drive.rest:
         values = np.where(t >= 0.1 * total, other, drive.rest)
-        yield _driven(like, drive, f"step to {drive.level(other)}", values)
+        yield _drive_command(like, drive, f"step to {drive.level(other)}", values)
     stairs = drive.rest + (far - drive.rest) * np.minimum(
         np.floor(t / total * 2 * _STAIRS), 2 * _STAIRS - 1 - np.floor(t / total * 2 * _STAIRS)
     ).clip(0, _STAIRS) / (_STAIRS - 1)
-    yield _driven(like, drive, f"stairs up to {drive.level(far)} and down", stairs)
+    yield _drive_command(like, drive, f"stairs up to {drive.level(far)} and down", stairs)
     ramp = drive.rest + (far - drive.rest) * (1.0 - np.abs(2.0 * t / total - 1.0))
-    yield _driven(like, drive, f"ramp up to {drive.level(far)} and down", ramp)
+    yield _drive_command(like, drive, f"ramp up to {drive.level(far)} and down", ramp)
     for share in (1.0, 0.2):
         yield from _chirp(like, drive, share)
 
@@ -178,20 +178,20 @@ def _chirp(like: Run, drive: _Drive, share: float) -> Iterator[Run]:
     phase = 2.0 * np.pi * slow * total / growth * (np.exp(growth * t / total) - 1.0)
     what = f"chirp {slow:.2g} to {fast:.2g} Hz, {drive.level(size)}"
     about = f" about {drive.level(middle)}" if middle != 0.0 else ""
-    yield _driven(like, drive, f"{what}{about}", middle + size * np.sin(phase))
+    yield _drive_command(like, drive, f"{what}{about}", middle + size * np.sin(phase))
 
 
-def _driven(like: Run, drive: _Drive, what: str, values: Array) -> Run:
+def _drive_command(like: Run, drive: _Drive, what: str, values: Array) -> Run:
     """A run in which one command does something, no faster than it can."""
     total = like.time_s[-1] - like.time_s[0]
     name = f"{drive.name}: {what}, {total:.3g} s"
-    limited = _limited(values, like.time_s, drive)
+    limited = _limit_to_drive(values, like.time_s, drive)
     return replace(
         like, name=name, group=name, use=NEXT, command={**like.command, drive.name: limited}
     )
 
 
-def _limited(values: Array, time_s: Array, drive: _Drive) -> Array:
+def _limit_to_drive(values: Array, time_s: Array, drive: _Drive) -> Array:
     """Values within the limits of a command and its rate."""
     out = np.clip(values, drive.low, drive.high)
     if np.isfinite(drive.rate):
@@ -207,13 +207,17 @@ def _other_sizes(study: Study, drives: list[_Drive]) -> Iterator[Run]:
         return
     for run in _one_of_each_command(study):
         for size in (0.5, 1.5):
-            yield from _changed(run, drives, f"{run.name} again, {size:g} times as large", size, 1)
+            yield from _change_commands(
+                run, drives, f"{run.name} again, {size:g} times as large", size, 1
+            )
         for speed in (0.5, 2.0) if _lasts(run) else ():
             words = "twice as fast" if speed == 2.0 else "half as fast"
-            yield from _changed(run, drives, f"{run.name} again, {words}", 1.0, speed)
+            yield from _change_commands(run, drives, f"{run.name} again, {words}", 1.0, speed)
 
 
-def _changed(run: Run, drives: list[_Drive], name: str, size: float, speed: float) -> Iterator[Run]:
+def _change_commands(
+    run: Run, drives: list[_Drive], name: str, size: float, speed: float
+) -> Iterator[Run]:
     """A recorded run with its commands changed, if they stay within their limits."""
     t = run.time_s - run.time_s[0]
     command = dict(run.command)
@@ -224,34 +228,34 @@ def _changed(run: Run, drives: list[_Drive], name: str, size: float, speed: floa
         if not there.any():
             return
         wanted = np.interp(speed * t, t[there], wanted[there])
-        limited = _limited(wanted, run.time_s, drive)
+        limited = _limit_to_drive(wanted, run.time_s, drive)
         if np.abs(limited - wanted).max() > 0.05 * (drive.high - drive.low):
             return
         command[drive.name] = limited
     if all(np.array_equal(command[d.name], run.command[d.name]) for d in drives):
         return
-    yield replace(run, name=name, group=name, use=NEXT, command=command, measured=_blank(run))
+    yield replace(run, name=name, group=name, use=NEXT, command=command, measured=_make_blank(run))
 
 
 def _one_of_each_command(study: Study) -> list[Run]:
-    runs = {run.group: _head(run) for run in study.fit_runs}
+    runs = {run.group: _keep_head(run) for run in study.fit_runs}
     return _spread(list(runs.values()), 3)
 
 
-def _head(run: Run) -> Run:
+def _keep_head(run: Run) -> Run:
     """The first samples of a run, measured ones kept: some models start from them."""
     n = MAX_SAMPLES
     cut = {name: values[:n] for name, values in run.command.items()}
     return replace(run, time_s=run.time_s[:n], measured=run.measured[:n], command=cut)
 
 
-def _blank(run: Run) -> Array:
+def _make_blank(run: Run) -> Array:
     return np.zeros_like(run.measured)
 
 
 def _other_facts(study: Study) -> Iterator[Run]:
     """Recorded commands under other facts: those of other runs, and those that are allowed."""
-    words = set(_words(study.model))
+    words = set(_collect_words(study.model))
     seen = {_facts(run.setup, words): run for run in study.runs}
     bundles = [dict(facts) for facts in seen]
     if len(bundles) > max(4, len(study.runs) // 3):  # facts of single runs, such as start speeds
@@ -264,28 +268,28 @@ def _other_facts(study: Study) -> Iterator[Run]:
             setup = {**run.setup, **change}
             if not change or (run.group, _facts(setup, words | set(change))) in recorded:
                 continue
-            told = ", ".join(f"{k} = {_shown(v)}" for k, v in change.items())
+            told = ", ".join(f"{k} = {_format_value(v)}" for k, v in change.items())
             name = f"{run.name} again, with {told}"
             yield replace(run, name=name, group=name, use=NEXT, setup=setup)
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _words(stated: Any) -> Iterator[str]:
+def _collect_words(stated: Any) -> Iterator[str]:
     """Words of a description: facts that it does not mention change nothing."""
     if isinstance(stated, Mapping):
         for key, value in stated.items():
-            yield from (*_words(key), *_words(value))
+            yield from (*_collect_words(key), *_collect_words(value))
     elif isinstance(stated, (list, tuple)):
         for value in stated:
-            yield from _words(value)
+            yield from _collect_words(value)
     elif isinstance(stated, str):
         yield from re.findall(r"\w+", stated)
 
 
-def _again(study: Study) -> Iterator[Run]:
+def _repeat_runs(study: Study) -> Iterator[Run]:
     """Recorded runs once more, as they were: what a repeat is worth."""
     for run in _one_of_each_command(study):
         yield replace(run, name=f"{run.name} again", group=run.group, use=NEXT)

@@ -42,7 +42,7 @@ def calibrate(places_m: Array, pixels: Array, size_px: tuple[int, int]) -> dict[
         )
     middle = 0.5 * np.asarray(size_px, np.float64)
     found = [
-        _refined(start, places, pixels - middle)
+        _refine_camera(start, places, pixels - middle)
         for start in _starts(places, pixels - middle, float(size_px[0]))
     ]
     best = min(found, key=lambda f: float(np.square(f.fun).sum()))
@@ -86,7 +86,7 @@ def _starts(places: Array, pixels: Array, width: float) -> list[Array]:
     return out
 
 
-def _refined(start: Array, places: Array, pixels: Array) -> OptimizeResult:
+def _refine_camera(start: Array, places: Array, pixels: Array) -> OptimizeResult:
     """Least squares of the pixels from one first guess."""
 
     def off(x: Array) -> Array:

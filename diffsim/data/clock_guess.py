@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from diffsim.core.units import to_si
 from diffsim.data.columns import Table
 from diffsim.data.study_check import LATE
-from diffsim.data.table_guess import Column, Layout
+from diffsim.data.table_guess import Column, TableLayout
 
 TIME = re.compile(
     r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I
@@ -37,7 +37,7 @@ _JUMP = 10.0  # times the usual step of a counter: another recording
 
 
 def guess_clock(
-    layout: Layout, tables: Sequence[Table], said: list[str]
+    layout: TableLayout, tables: Sequence[Table], said: list[str]
 ) -> tuple[dict[str, Any], Column | None, list[str]]:
     """The clock: a column that is called so, the first one that only grows, or a counter.
 
@@ -108,7 +108,7 @@ def is_counter(column: Column, table: Table, rows: NDArray[np.int64]) -> bool:
 
 
 def guess_split(
-    layout: Layout, tables: Sequence[Table], clock: Column | None, said: list[str]
+    layout: TableLayout, tables: Sequence[Table], clock: Column | None, said: list[str]
 ) -> tuple[Column, ...]:
     """Columns whose values are runs: they change where the clock starts again, or name trials."""
     table = tables[0]
@@ -163,7 +163,7 @@ def _numbers_rows(column: Column, tables: Sequence[Table]) -> bool:
 
 
 def _split_at(
-    back: NDArray[np.int64], layout: Layout, table: Table, clock: Column, said: list[str]
+    back: NDArray[np.int64], layout: TableLayout, table: Table, clock: Column, said: list[str]
 ) -> tuple[Column, ...]:
     for column in layout.columns:
         if not column.name or column is clock:

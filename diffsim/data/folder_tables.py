@@ -22,7 +22,7 @@ from diffsim.data.formats import SUFFIXES, parts_of
 from diffsim.data.log_columns import BESIDE, COMMAND, DRIVES, log_column
 from diffsim.data.paired_files import clocks_of, joined, joined_layout, paired, share_columns
 from diffsim.data.runs_guess import say
-from diffsim.data.table_guess import Layout, column_of, layout_of, tables_in
+from diffsim.data.table_guess import TableLayout, column_of, layout_of, tables_in
 
 LOGS = (".ulg", ".mcap", ".bag", ".db3")
 BAG = "metadata.yaml"
@@ -33,7 +33,7 @@ _STATE = re.compile(
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundTable:
     """A table of a folder.
 
     Attributes:
@@ -47,7 +47,7 @@ class Found:
     folder: Path
     path: Path
     part: str
-    layout: Layout
+    layout: TableLayout
     num_parts: int = 1
 
     @property
@@ -86,7 +86,7 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class FolderRecording:
     """A run of an unknown folder, before its columns are sorted out.
 
     Attributes:
@@ -104,7 +104,7 @@ class Recording:
 
 def recordings_in(
     folder: Path, said: list[str], parts: Sequence[str] = ()
-) -> tuple[Layout, list[Recording], list[dict[str, Any]]]:
+) -> tuple[TableLayout, list[FolderRecording], list[dict[str, Any]]]:
     """Tables with the same columns: those that most files, then most bytes, have.
 
     Files of other columns that share the names of these, but for a word, are read with them.
@@ -120,14 +120,14 @@ def recordings_in(
     Raises:
         ValueError: no table that looks like a recording, or no such part.
     """
-    found = list(_found(folder, said))
+    found = list(_find_tables(folder, said))
     if parts:
         known = dict.fromkeys(f.part for f in found if f.part)
         for part in parts:
             if part not in known:
                 close = did_you_mean(part, list(known))
                 raise ValueError(f"--part: no table {part!r}{close}; known: {', '.join(known)}")
-    families: dict[tuple[Any, ...], list[Found]] = {}
+    families: dict[tuple[Any, ...], list[FoundTable]] = {}
     for one in found:
         if parts and one.part and one.part != parts[0]:
             continue
@@ -140,8 +140,8 @@ def recordings_in(
             "run_1.csv with columns divided by comma, semicolon or tab, or one of "
             f"{', '.join(SUFFIXES)}"
         )
-    timed = {k: v for k, v in families.items() if any(TIME.match(_bare(n)) for n in k[2])}
-    best = max((timed or families).values(), key=_worth)
+    timed = {k: v for k, v in families.items() if any(TIME.match(_strip_unit(n)) for n in k[2])}
+    best = max((timed or families).values(), key=_rank)
     kinds = [] if best[0].part else _kinds(best, families.values())
     times = _times(kinds)
     taken = {f.path for kind in (kinds if times else [best]) for f in kind}
@@ -149,7 +149,7 @@ def recordings_in(
     say(said, "files with other columns, not used", list(others))
     if times:
         return *_of_kinds(kinds, times, said), times
-    further = _further(found, best, parts, said)
+    further = _choose_further(found, best, parts, said)
     runs = [_recording(one, further, found) for one in best]
     layout = best[0].layout
     if best[0].is_topic:
@@ -157,7 +157,9 @@ def recordings_in(
     return layout, runs, []
 
 
-def _kinds(best: Sequence[Found], families: Iterable[Sequence[Found]]) -> list[list[Found]]:
+def _kinds(
+    best: Sequence[FoundTable], families: Iterable[Sequence[FoundTable]]
+) -> list[list[FoundTable]]:
     """Files of several instruments, run by run: what sounds like the record of a motion first."""
     kinds, names = [list(best)], [one.path.stem for one in best]
     for family in families:
@@ -172,7 +174,7 @@ def _kinds(best: Sequence[Found], families: Iterable[Sequence[Found]]) -> list[l
     return sorted(kinds, key=lambda kind: not _STATE.search(kind[0].path.stem))
 
 
-def _times(kinds: Sequence[Sequence[Found]]) -> list[dict[str, Any]]:
+def _times(kinds: Sequence[Sequence[FoundTable]]) -> list[dict[str, Any]]:
     """Clocks of the files of a run; empty where a run has one file, or they do not fit."""
     if len(kinds) < 2:
         return []
@@ -181,15 +183,15 @@ def _times(kinds: Sequence[Sequence[Found]]) -> list[dict[str, Any]]:
 
 
 def _of_kinds(
-    kinds: Sequence[Sequence[Found]], times: Sequence[dict[str, Any]], said: list[str]
-) -> tuple[Layout, list[Recording]]:
+    kinds: Sequence[Sequence[FoundTable]], times: Sequence[dict[str, Any]], said: list[str]
+) -> tuple[TableLayout, list[FolderRecording]]:
     """Runs of several files each."""
     runs = []
     for files in zip(*kinds, strict=True):
         shared = paired([files[0].path.stem], [files[1].path.stem]) or {files[0].name: (0, 0)}
         table = joined([f.table() for f in files], times)
         first, *further = (f.reference for f in files)
-        runs.append(Recording(next(iter(shared)), first, tuple(further), table))
+        runs.append(FolderRecording(next(iter(shared)), first, tuple(further), table))
     one = " with ".join(f.path.name for f in next(zip(*kinds, strict=True)))
     said.append(f"runs: files that share a name are one, such as {one}, at the clock of the first")
     layouts, tables = [k[0].layout for k in kinds], [[f.table() for f in k] for k in kinds]
@@ -197,8 +199,12 @@ def _of_kinds(
 
 
 def _of_topics(
-    joined: Table, parts: Sequence[str], main: Found, found: Sequence[Found], said: list[str]
-) -> Layout:
+    joined: Table,
+    parts: Sequence[str],
+    main: FoundTable,
+    found: Sequence[FoundTable],
+    said: list[str],
+) -> TableLayout:
     """Columns of a log as conventions have them, each of the first topic that has it."""
     own = {f.part: {c.name for c in f.layout.columns} for f in found if f.path == main.path}
     columns, unused = [], []
@@ -207,13 +213,13 @@ def _of_topics(
         column = log_column(name, part)
         (unused.append(name) if column is None else columns.append(column))
     say(said, "fields of topics, not used", unused)
-    return Layout(1, 2, tuple(columns))
+    return TableLayout(1, 2, tuple(columns))
 
 
-def _found(folder: Path, said: list[str]) -> Iterator[Found]:
+def _find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
     for path in tables_in(folder):
         if layout := layout_of(path):
-            yield Found(folder, path, "", layout)
+            yield FoundTable(folder, path, "", layout)
     failed: list[str] = []
     bags = (p for p in folder.iterdir() if (p / BAG).is_file())  # of ROS 2: a folder each
     files = [*folder.iterdir(), *(file for bag in bags for file in bag.iterdir())]
@@ -221,22 +227,22 @@ def _found(folder: Path, said: list[str]) -> Iterator[Found]:
         try:
             parts = parts_of(path)
             for part in parts:
-                header = Found(folder, path, part, Layout(1, 2, ())).table().header
-                layout = Layout(1, 2, tuple(column_of(name) for name in header))
-                yield Found(folder, path, part, layout, len(parts))
+                header = FoundTable(folder, path, part, TableLayout(1, 2, ())).table().header
+                layout = TableLayout(1, 2, tuple(column_of(name) for name in header))
+                yield FoundTable(folder, path, part, layout, len(parts))
         except (ImportError, ValueError) as error:
             failed.append(str(error))
     said += [f"not read: {message}" for message in failed]
 
 
-def _worth(family: Sequence[Found]) -> tuple[int, bool, int]:
+def _rank(family: Sequence[FoundTable]) -> tuple[int, bool, int]:
     """More runs first, then what sounds like a record, then what is larger."""
     looks = family[0].is_topic and bool(_STATE.search(family[0].part))
     return len(family), looks, sum(f.size() for f in family)
 
 
-def _further(
-    found: Sequence[Found], best: Sequence[Found], parts: Sequence[str], said: list[str]
+def _choose_further(
+    found: Sequence[FoundTable], best: Sequence[FoundTable], parts: Sequence[str], said: list[str]
 ) -> tuple[str, ...]:
     """Topics that are read at the clock of the record: those that are asked for, else those
     that belong to it, and one that sounds commanded."""
@@ -258,17 +264,19 @@ def _further(
     return asked
 
 
-def _recording(one: Found, further: Sequence[str], found: Sequence[Found]) -> Recording:
+def _recording(
+    one: FoundTable, further: Sequence[str], found: Sequence[FoundTable]
+) -> FolderRecording:
     table = one.table()
     if not further:
-        return Recording(one.name, one.reference, (), table)
+        return FolderRecording(one.name, one.reference, (), table)
     others = [f for part in further for f in found if (f.path, f.part) == (one.path, part)]
     references = tuple(f.reference for f in others)
-    joined = _joined(table, [f.table() for f in others])
-    return Recording(one.name, one.reference, references, joined)
+    joined = _join_tables(table, [f.table() for f in others])
+    return FolderRecording(one.name, one.reference, references, joined)
 
 
-def _joined(main: Table, others: Sequence[Table]) -> Table:
+def _join_tables(main: Table, others: Sequence[Table]) -> Table:
     """Columns of all tables at the clock of the first, as a study reads them."""
     columns = main.columns()
     clock = main.numbers("time_s")
@@ -280,8 +288,8 @@ def _joined(main: Table, others: Sequence[Table]) -> Table:
     return Table.of_columns(main.path, columns)
 
 
-def _bare(name: str) -> str:
+def _strip_unit(name: str) -> str:
     return column_of(name).base
 
 
-__all__ = ["Recording", "recordings_in"]
+__all__ = ["FolderRecording", "recordings_in"]

@@ -27,7 +27,7 @@ def header_units(path: Path) -> Iterator[Problem]:
     stated = StudyFile.model_validate(read_yaml_file(path))
     for clock in stated.time:
         if clock.column and clock.step is None:
-            yield from _told("time", clock.column, clock.unit)
+            yield from _compare_units("time", clock.column, clock.unit)
             is_counter = COUNTER.match(column_of(clock.column).base) is not None
             if is_counter and "unit" not in clock.model_fields_set:
                 said = f"column {clock.column} counts rows; give step, the seconds for each count"
@@ -35,7 +35,9 @@ def header_units(path: Path) -> Iterator[Problem]:
     for what, entries in (("channel", stated.channels), ("command", stated.commands)):
         for entry in entries:
             if entry.unit is not None and _as_it_stands(entry):
-                yield from _told(f"{what} {entry.name}", entry.column or entry.name, entry.unit)
+                yield from _compare_units(
+                    f"{what} {entry.name}", entry.column or entry.name, entry.unit
+                )
             if entry.unit and to_si(entry.unit).unit == "kg" and _FORCE.search(entry.name):
                 said = f"{entry.unit} is a mass; of a force write {entry.unit}f"
                 yield Problem("warning", f"{what} {entry.name}", said)
@@ -45,18 +47,18 @@ def _as_it_stands(entry: ChannelEntry | CommandEntry) -> bool:
     return entry.formula is None and entry.scale == 1.0 and entry.offset == 0.0
 
 
-def _told(where: str, column: str, unit: str) -> Iterator[Problem]:
+def _compare_units(where: str, column: str, unit: str) -> Iterator[Problem]:
     header = column_of(column)
     said = header.unit or (unit_of_clock(column) if where == "time" else None)
-    if said is None or "clock" in (said, unit) or (said, unit) in _LOOSE or _same(said, unit):
+    if said is None or "clock" in (said, unit) or (said, unit) in _LOOSE or _are_same(said, unit):
         return
-    if not header.is_said and not _alike(said, unit):  # x_s may be the x of a slave
+    if not header.is_said and not _are_alike(said, unit):  # x_s may be the x of a slave
         return
     message = f"the header {column!r} says {said}, the study says unit: {unit}; which is right?"
     yield Problem("warning", where, message)
 
 
-def _same(one: str, other: str) -> bool:
+def _are_same(one: str, other: str) -> bool:
     if "-" in (one, other):
         return one == other
     try:
@@ -66,5 +68,5 @@ def _same(one: str, other: str) -> bool:
         return False
 
 
-def _alike(one: str, other: str) -> bool:
+def _are_alike(one: str, other: str) -> bool:
     return to_si(one).unit == to_si(other).unit

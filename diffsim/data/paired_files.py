@@ -14,7 +14,7 @@ from diffsim.core.units import to_si
 from diffsim.data.clock_guess import guess_clock
 from diffsim.data.columns import Table
 from diffsim.data.steps import rest_and_jump
-from diffsim.data.table_guess import Column, Layout
+from diffsim.data.table_guess import Column, TableLayout
 
 _LAST = re.compile(r"(?P<rest>.+)[_\-. ](?P<tag>[^_\-. ]+)")
 _FIRST = re.compile(r"(?P<tag>[^_\-. ]+)[_\-. ](?P<rest>.+)")
@@ -32,14 +32,14 @@ def paired(first: Sequence[str], second: Sequence[str]) -> dict[str, tuple[int, 
         Index in both by what they share, in the order of ``first``; None where one of the first
         has no partner.
     """
-    for tag, rests in _tagged(first):
-        for other, others in _tagged(second):
+    for tag, rests in _find_tags(first):
+        for other, others in _find_tags(second):
             if tag != other and set(rests) <= set(others):
                 return {rest: (at, others[rest]) for rest, at in rests.items()}
     return None
 
 
-def _tagged(stems: Sequence[str]) -> Iterator[tuple[str, Mapping[str, int]]]:
+def _find_tags(stems: Sequence[str]) -> Iterator[tuple[str, Mapping[str, int]]]:
     """A word that all stems end or begin with, or none, and what is left of them."""
     for pattern in (_LAST, _FIRST):
         found = [pattern.fullmatch(stem) for stem in stems]
@@ -51,7 +51,7 @@ def _tagged(stems: Sequence[str]) -> Iterator[tuple[str, Mapping[str, int]]]:
 
 
 def clocks_of(
-    layouts: Sequence[Layout], tables: Sequence[Sequence[Table]]
+    layouts: Sequence[TableLayout], tables: Sequence[Sequence[Table]]
 ) -> list[dict[str, Any]] | None:
     """Keys of ``time`` for each kind of file, where one study can state them all.
 
@@ -96,11 +96,11 @@ def joined(tables: Sequence[Table], times: Sequence[Mapping[str, Any]]) -> Table
 
 
 def joined_layout(
-    layouts: Sequence[Layout],
+    layouts: Sequence[TableLayout],
     times: Sequence[Mapping[str, Any]],
     tables: Sequence[Sequence[Table]],
     header: Sequence[str],
-) -> Layout:
+) -> TableLayout:
     """Columns of a joined table, as the headers of its files state them.
 
     Args:
@@ -123,7 +123,7 @@ def _fill(name: str, tables: Sequence[Table]) -> str:
     return "hold" if rest_and_jump(values[np.isfinite(values)] for values in found) else "linear"
 
 
-def share_columns(a: Layout, b: Layout) -> bool:
+def share_columns(a: TableLayout, b: TableLayout) -> bool:
     """Whether two kinds of files have columns in common: then they are runs of one instrument.
 
     One in common may be the clock.

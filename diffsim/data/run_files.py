@@ -16,7 +16,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns import Rows, Table, require_increasing
 from diffsim.data.run_plan import (
-    Case,
+    RunFiles,
     cases_of,
     chosen_rows,
     constants,
@@ -24,7 +24,15 @@ from diffsim.data.run_plan import (
     parts_by,
     with_defaults,
 )
-from diffsim.data.run_samples import Samples, facts_of, in_si, kept_rows, picked, unfilled, zero_of
+from diffsim.data.run_samples import (
+    RunSamples,
+    facts_of,
+    in_si,
+    kept_rows,
+    picked,
+    unfilled,
+    zero_of,
+)
 from diffsim.data.study import Run
 from diffsim.data.study_schema import (
     ChannelEntry,
@@ -93,7 +101,7 @@ class RunReader:
         out: list[Run] = []
         for piece, entry, where in made:
             try:
-                out += _placed(piece, entry, where, groups, len(out))
+                out += _place_runs(piece, entry, where, groups, len(out))
             except ValueError as error:
                 self._tell(error)
         return tuple(out)
@@ -110,7 +118,7 @@ class RunReader:
             )
         return self.tables[path]
 
-    def _pieces(self, case: Case) -> Iterator[Piece]:
+    def _pieces(self, case: RunFiles) -> Iterator[Piece]:
         """Runs of a file, by the values of ``split``."""
         entry = case.entry
         try:
@@ -136,15 +144,15 @@ class RunReader:
                 name = filled(entry.name or default, words, f"{case.where}.name")
                 group = entry.group and filled(entry.group, words, f"{case.where}.group")
                 labels = (name, "_".join(values.values())) if values else (name,)
-                run = self._run(case, [table, *others], part, words, name, labels)
+                run = self._build_run(case, [table, *others], part, words, name, labels)
             except (ValueError, FileNotFoundError) as error:
                 self._tell(error)
                 continue
             yield Piece(run, labels, group)
 
-    def _run(
+    def _build_run(
         self,
-        case: Case,
+        case: RunFiles,
         tables: Sequence[Table],
         rows: Rows,
         words: Mapping[str, str],
@@ -156,7 +164,7 @@ class RunReader:
         recorded = clocks[0][rows]
         clock = self._clock(entry, table).column or _TIME
         require_increasing(table, rows, recorded, clock)
-        samples = Samples(tables, clocks, rows, recorded)
+        samples = RunSamples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
         whole = samples.with_facts(facts).at(recorded)
         made = {c.name: partial(self._values, c, entry, whole) for c in self.study.channels}
@@ -178,7 +186,7 @@ class RunReader:
         return Run(name, time_s, measured, command, group=name, setup=facts)
 
     def _values(
-        self, stated: ChannelEntry | CommandEntry, entry: RunEntry, samples: Samples
+        self, stated: ChannelEntry | CommandEntry, entry: RunEntry, samples: RunSamples
     ) -> Array:
         """A channel or command in SI units, at all rows of the run."""
         source: Source = stated
@@ -226,7 +234,7 @@ class RunReader:
         return sources[0]
 
     def _check_labels(
-        self, where: str, stated: Any, pieces: Sequence[Piece], cases: Sequence[Case]
+        self, where: str, stated: Any, pieces: Sequence[Piece], cases: Sequence[RunFiles]
     ) -> None:
         """Values of a mapping by run that no run has."""
         if not isinstance(stated, Mapping) or len(pieces) < len(cases):
@@ -253,7 +261,7 @@ def _use_of(stated: str | Mapping[str, Sequence[str]], piece: Piece, where: str)
     return uses[0] if uses else "fit"
 
 
-def _placed(
+def _place_runs(
     piece: Piece, entry: RunEntry, where: str, groups: Mapping[str, str], place: int
 ) -> list[Run]:
     """The run, or the blocks of it, with use, group and place in the order."""

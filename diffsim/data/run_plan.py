@@ -24,7 +24,7 @@ Given: TypeAlias = Collection[Path]
 
 
 @dataclass(frozen=True)
-class Case:
+class RunFiles:
     """Files of one or, with ``split``, several runs.
 
     Attributes:
@@ -50,7 +50,7 @@ def with_defaults(entry: RunEntry, defaults: RunKeys) -> RunEntry:
 
 def cases_of(
     entry: RunEntry, where: str, root: Path, table: Callable[[Path], Table], given: Given = ()
-) -> tuple[list[Case], str]:
+) -> tuple[list[RunFiles], str]:
     """All files that an entry stands for.
 
     Args:
@@ -78,21 +78,22 @@ def cases_of(
     cases = []
     patterns = entry.file or (f"{entry.name}.csv",)
     for words in rows:
-        first, *further = [_known(p, words) for p in patterns]
+        first, *further = [_fill_in_known_words(p, words) for p in patterns]
         for path, found in _files(root, first, where, given):
             all_words = {**words, **found, "file": split_part(path)[0].stem}
             others = [
-                _placed(root, filled(p, all_words, f"{where}.file"), where, given) for p in further
+                _resolve_file(root, filled(p, all_words, f"{where}.file"), where, given)
+                for p in further
             ]
-            cases.append(Case(where, entry, (path, *others), all_words))
+            cases.append(RunFiles(where, entry, (path, *others), all_words))
     return cases, left_out
 
 
-def _known(pattern: str, words: Mapping[str, str]) -> str:
+def _fill_in_known_words(pattern: str, words: Mapping[str, str]) -> str:
     return _FIELD.sub(lambda m: words.get(m.group(1), m.group(0)), pattern)
 
 
-def _placed(root: Path, stated: str, where: str, given: Given) -> Path:
+def _resolve_file(root: Path, stated: str, where: str, given: Given) -> Path:
     if Path(stated) in given:
         return Path(stated)
     return inside(root, stated, f"{where}.file")
@@ -111,7 +112,7 @@ def _files_named(
     root: Path, pattern: str, where: str, given: Given
 ) -> list[tuple[Path, dict[str, str]]]:
     if "*" not in pattern and not _FIELD.search(pattern):
-        return [(_placed(root, pattern, where, given), {})]
+        return [(_resolve_file(root, pattern, where, given), {})]
     inside(root, pattern, f"{where}.file")
     parts = re.split(r"(\*|\{\w+\})", pattern)
     names = [p[1:-1] for p in parts if p.startswith("{")]
@@ -135,10 +136,10 @@ def _files_named(
             f"{where}.file: no file fits {pattern!r}{did_you_mean(pattern, beside)}; "
             f"{root} has {', '.join(beside[:12]) or 'no CSV files'}"
         )
-    return sorted(found, key=lambda f: _natural(f[0].name))
+    return sorted(found, key=lambda f: _split_numbers(f[0].name))
 
 
-def _natural(name: str) -> list[tuple[int, int | str]]:
+def _split_numbers(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(p)) if p.isdigit() else (1, p) for p in re.split(r"(\d+)", name) if p]
 
 

@@ -26,7 +26,7 @@ _SLACK_S = 1e-9  # times such as 0.30000000000000004 are 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class RunSamples:
     """Rows of a run.
 
     Attributes:
@@ -53,19 +53,19 @@ class Samples:
         """The run's own file."""
         return self.tables[0]
 
-    def at(self, time_s: Array) -> Samples:
+    def at(self, time_s: Array) -> RunSamples:
         """The same rows on the clock of the run."""
         return replace(self, time_s=time_s)
 
-    def with_facts(self, facts: Mapping[str, Any]) -> Samples:
+    def with_facts(self, facts: Mapping[str, Any]) -> RunSamples:
         """The same rows with facts that formulas may use."""
         return replace(self, facts=facts)
 
-    def holding(self) -> Samples:
+    def holding(self) -> RunSamples:
         """The same, columns of further files held until their next sample."""
         return replace(self, holds=True)
 
-    def only(self, keep: Rows) -> Samples:
+    def only(self, keep: Rows) -> RunSamples:
         """Some of the rows."""
         cut = self.time_s[keep] if len(self.time_s) else self.time_s
         return replace(self, rows=self.rows[keep], recorded_s=self.recorded_s[keep], time_s=cut)
@@ -78,7 +78,7 @@ class Samples:
                 there = np.isfinite(values)
                 if not there.any():
                     return np.full(len(self.rows), np.nan)
-                between = _held if self.holds else _straight
+                between = _hold_last_sample if self.holds else _interpolate_straight
                 return between(self.recorded_s, clock[there], values[there])
         return self.table.numbers(name)[self.rows]
 
@@ -106,12 +106,12 @@ class Samples:
             raise ValueError(f"{self.table.path}: {error}") from None
 
 
-def _straight(at: Array, clock: Array, values: Array) -> Array:
+def _interpolate_straight(at: Array, clock: Array, values: Array) -> Array:
     """Values on straight lines between samples; NaN beyond them."""
     return np.interp(at, clock, values, left=np.nan, right=np.nan)
 
 
-def _held(at: Array, clock: Array, values: Array) -> Array:
+def _hold_last_sample(at: Array, clock: Array, values: Array) -> Array:
     """The last value that was sampled; NaN before the first."""
     last = np.searchsorted(clock, at, side="right") - 1
     return np.where(last < 0, np.nan, values[np.maximum(last, 0)])
@@ -149,7 +149,7 @@ def _of_run(stated: float | Mapping[str, float] | None, labels: Sequence[str]) -
 
 def zero_of(
     entry: RunEntry,
-    samples: Samples,
+    samples: RunSamples,
     labels: Sequence[str],
     where: str,
     channels: Mapping[str, Callable[[], Array]],
@@ -184,7 +184,7 @@ def _window(entry: RunEntry, recorded_s: Array, labels: Sequence[str]) -> NDArra
     return keep
 
 
-def kept_rows(entry: RunEntry, samples: Samples, labels: Sequence[str], where: str) -> Rows:
+def kept_rows(entry: RunEntry, samples: RunSamples, labels: Sequence[str], where: str) -> Rows:
     """Indices of the samples in the windows of a run; with ``every``, of each n-th of them.
 
     Raises:
@@ -244,7 +244,7 @@ def _mean(values: Array, n: int) -> Array:
 
 
 def facts_of(
-    setup: Mapping[str, Any], samples: Samples, words: Mapping[str, str], where: str
+    setup: Mapping[str, Any], samples: RunSamples, words: Mapping[str, str], where: str
 ) -> dict[str, Any]:
     """Facts of a run, in SI units.
 
@@ -260,7 +260,7 @@ def facts_of(
     return {name: _fact(f"{where}.{name}", name, v, samples, words) for name, v in setup.items()}
 
 
-def _fact(where: str, name: str, stated: Any, samples: Samples, words: Mapping[str, str]) -> Any:
+def _fact(where: str, name: str, stated: Any, samples: RunSamples, words: Mapping[str, str]) -> Any:
     if stated == "column":
         stated = {}
     if isinstance(stated, bool) or stated is None:
@@ -288,7 +288,7 @@ def _fact(where: str, name: str, stated: Any, samples: Samples, words: Mapping[s
         if not samples.table.is_number[column]:
             return _label(where, column, samples)
         values = samples.column(column)
-    return si.factor * _taken(where, values, fact.take) + si.offset
+    return si.factor * _take_number(where, values, fact.take) + si.offset
 
 
 def _as_fact(text: str) -> float | str:
@@ -296,7 +296,7 @@ def _as_fact(text: str) -> float | str:
     return label if isinstance(label, str) else float(label)
 
 
-def _label(where: str, column: str, samples: Samples) -> str:
+def _label(where: str, column: str, samples: RunSamples) -> str:
     cells = samples.table.texts(column)
     found = list(dict.fromkeys(cells[i] for i in samples.rows))
     if len(found) > 1:
@@ -307,7 +307,7 @@ def _label(where: str, column: str, samples: Samples) -> str:
     return found[0]
 
 
-def _taken(where: str, values: np.ndarray, take: str) -> float:
+def _take_number(where: str, values: np.ndarray, take: str) -> float:
     there = values[np.isfinite(values)]
     if not len(there):
         raise ValueError(f"{where}: all cells are empty")

@@ -22,7 +22,7 @@ _SAME = 0.02  # rms over range: commands of repeats agree to this
 
 
 @dataclass
-class Quantity:
+class GuessedQuantity:
     """A channel or command that is guessed."""
 
     name: str
@@ -60,7 +60,7 @@ def facts_of_name(file: str) -> dict[str, Any]:
 
 def find_repeats(
     runs: Sequence[GuessedRun],
-    commands: Sequence[Quantity],
+    commands: Sequence[GuessedQuantity],
     facts: Sequence[Column],
     said: list[str],
 ) -> None:
@@ -83,7 +83,7 @@ def _constant(run: GuessedRun, column: Column) -> str:
     return run.table.texts(column.name)[run.rows[0]]
 
 
-def _same(run: GuessedRun, other: GuessedRun, commands: Sequence[Quantity]) -> bool:
+def _same(run: GuessedRun, other: GuessedRun, commands: Sequence[GuessedQuantity]) -> bool:
     if run.setup != other.setup:
         return False
     for command in commands:

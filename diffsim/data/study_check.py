@@ -88,7 +88,7 @@ def _check_plan(study: Study) -> Iterator[Problem]:
         )
     for sentence in study.todo:
         yield Problem("warning", "study", f"still to be stated: {sentence}")
-    yield from _unfilled("model", study.model)
+    yield from _find_unfilled("model", study.model)
     size = sum(run.measured.size for run in study.runs if run.use != "test")
     if size > MANY_SAMPLES:
         longest = max(study.runs, key=lambda run: len(run.time_s))
@@ -105,14 +105,14 @@ def _check_plan(study: Study) -> Iterator[Problem]:
         )
 
 
-def _unfilled(where: str, stated: Any) -> Iterator[Problem]:
+def _find_unfilled(where: str, stated: Any) -> Iterator[Problem]:
     """Places of a description that still say TODO."""
     if isinstance(stated, Mapping):
         for key, value in stated.items():
-            yield from _unfilled(f"{where}.{key}", value)
+            yield from _find_unfilled(f"{where}.{key}", value)
     elif isinstance(stated, (list, tuple)):
         for i, value in enumerate(stated):
-            yield from _unfilled(f"{where}[{i}]", value)
+            yield from _find_unfilled(f"{where}[{i}]", value)
     elif isinstance(stated, str) and TODO in stated:
         yield Problem("error", where, f"is still to be filled in: {stated}")
 

@@ -82,13 +82,13 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     content = read_yaml_file(path)
     if more_runs and isinstance(content, Mapping):
         content = {**content, "runs": [*content.get("runs", ()), *more_runs]}
-    stated = _parsed(path, content)
+    stated = _parse_study(path, content)
     root = _root(path, stated)
     given = [Path(run["file"]) for run in more_runs if "file" in run]
     reader = RunReader(stated, root, given)
     runs = reader.runs()
     if reader.problems:
-        raise Mistakes(_placed(path, reader.problems), MAX_LINES)
+        raise Mistakes(_prefix_path(path, reader.problems), MAX_LINES)
     return Study(
         name=stated.name,
         system=str((stated.model or {}).get("system") or stated.system),
@@ -106,7 +106,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     )
 
 
-def _parsed(path: Path, content: Any) -> StudyFile:
+def _parse_study(path: Path, content: Any) -> StudyFile:
     if not isinstance(content, Mapping):
         raise ValueError(f"{path}: the study must be a mapping, got {type(content).__name__}")
     stated = read_part(StudyFile, content, f"{path}: ")
@@ -136,20 +136,20 @@ def _root(path: Path, stated: StudyFile) -> Path:
     return found
 
 
-def _placed(path: Path, problems: list[str]) -> list[str]:
+def _prefix_path(path: Path, problems: list[str]) -> list[str]:
     """Problems, a line each; those of an entry begin with the study's path."""
     return [p if p.startswith(("/", str(path.parent))) else f"{path}: {p}" for p in problems]
 
 
 def _channel(entry: ChannelEntry) -> Channel:
     si = to_si(entry.unit)
-    shown = _shown(entry)
+    shown = _choose_shown_unit(entry)
     kind = entry.kind or _KINDS.get(si.unit, "quantity")
     sd = None if entry.sd is None else si.factor * entry.sd
     return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor)
 
 
-def _shown(entry: ChannelEntry | CommandEntry) -> str | None:
+def _choose_shown_unit(entry: ChannelEntry | CommandEntry) -> str | None:
     """Unit in which a user reads it; kelvins for degrees Celsius, whose zero no factor moves."""
     assert entry.unit is not None
     shown = entry.shown_unit or entry.unit
@@ -160,7 +160,7 @@ def _command(entry: CommandEntry) -> Command:
     if entry.unit is None:
         return Command(entry.name, None, entry.lower, entry.upper, entry.rate, entry.is_measured)
     si = to_si(entry.unit)
-    shown = _shown(entry)
+    shown = _choose_shown_unit(entry)
     lower, upper = (
         None if v is None else si.factor * v + si.offset for v in (entry.lower, entry.upper)
     )
@@ -180,7 +180,7 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
         for path in folder.glob(pattern)
         if path not in used and path.name not in mentioned
     )
-    out = [f"files: {_some(files)}"] if files else []
+    out = [f"files: {_list_first(files)}"] if files else []
     unused = Counter(
         name
         for table in reader.tables.values()
@@ -188,7 +188,7 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
         if name and name not in table.used
     )
     if unused:
-        out.append(f"columns: {_some([_in_files(n, k) for n, k in unused.items()])}")
+        out.append(f"columns: {_list_first([_in_files(n, k) for n, k in unused.items()])}")
     return (*out, *reader.left_out)
 
 
@@ -196,5 +196,5 @@ def _in_files(name: str, count: int) -> str:
     return name if count == 1 else f"{name} ({count} files)"
 
 
-def _some(names: list[str], most: int = 8) -> str:
+def _list_first(names: list[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

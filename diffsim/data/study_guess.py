@@ -18,17 +18,17 @@ from diffsim.data.clock_guess import (
     is_counter,
     is_late,
 )
-from diffsim.data.folder_tables import Recording, recordings_in
+from diffsim.data.folder_tables import FolderRecording, recordings_in
 from diffsim.data.runs_guess import (
+    GuessedQuantity,
     GuessedRun,
-    Quantity,
     facts_of_name,
     find_repeats,
     give_uses,
     say,
 )
 from diffsim.data.signal import scatter
-from diffsim.data.table_guess import Column, Layout
+from diffsim.data.table_guess import Column, TableLayout
 
 Array = NDArray[np.float64]
 _COMMAND = re.compile(
@@ -83,11 +83,11 @@ class Guess:
         todo: What the user must say, a sentence each.
     """
 
-    layout: Layout
+    layout: TableLayout
     time: dict[str, Any] | list[dict[str, Any]]
     is_late: bool
-    channels: list[Quantity]
-    commands: list[Quantity]
+    channels: list[GuessedQuantity]
+    commands: list[GuessedQuantity]
     facts: list[Column]
     runs: list[GuessedRun]
     split: tuple[Column, ...]
@@ -150,7 +150,7 @@ def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
 
 
 def _runs(
-    recordings: Sequence[Recording], split: tuple[Column, ...], said: list[str]
+    recordings: Sequence[FolderRecording], split: tuple[Column, ...], said: list[str]
 ) -> list[GuessedRun]:
     runs = []
     for one in recordings:
@@ -185,16 +185,16 @@ def _is_fact(column: Column, runs: Sequence[GuessedRun]) -> bool:
 
 def _sorted_out(
     columns: Sequence[Column], runs: Sequence[GuessedRun], said: list[str], todo: list[str]
-) -> tuple[list[Quantity], list[Quantity]]:
+) -> tuple[list[GuessedQuantity], list[GuessedQuantity]]:
     """Commands and channels; what is held for many samples, or called so, looks commanded."""
-    commands: list[Quantity] = []
-    channels: list[Quantity] = []
+    commands: list[GuessedQuantity] = []
+    channels: list[GuessedQuantity] = []
     unstated: list[str] = []
     samples = {c.name: [r.table.numbers(c.name)[r.rows] for r in runs] for c in columns}
     equal = _equal_in_two(samples)
     for column in columns:
         values = samples[column.name]
-        why = _commanded(column, values) or equal.get(column.name, "")
+        why = _explain_commanded(column, values) or equal.get(column.name, "")
         why = "" if _is_sensed(column) and why != _BY_TOPIC else why
         name = column.name if _keeps_name(column) else column.base
         taken = {q.name for q in (*commands, *channels)}
@@ -207,13 +207,15 @@ def _sorted_out(
             lower = min((float(v.min()) for v in found if len(v)), default=None)
             upper = max((float(v.max()) for v in found if len(v)), default=None)
             is_measured = bool(_MEASURED.search(column.base)) and "held" not in why
-            commands.append(Quantity(name, column, unit, why, None, lower, upper, is_measured))
+            commands.append(
+                GuessedQuantity(name, column, unit, why, None, lower, upper, is_measured)
+            )
         else:
-            channels.append(Quantity(name, column, unit, "", _noise(values)))
+            channels.append(GuessedQuantity(name, column, unit, "", _noise(values)))
     say(todo, "units, which the header does not state", unstated, most=40)
     if not channels and commands:
         last = commands.pop()
-        channels.append(Quantity(last.name, last.column, last.unit, "", None))
+        channels.append(GuessedQuantity(last.name, last.column, last.unit, "", None))
     said += [f"command: {q.name}, {q.why}" for q in commands]
     say(said, "channels: what is left", [q.name for q in channels])
     if len({q.is_measured for q in commands}) == 2:
@@ -252,7 +254,7 @@ def _keeps_name(column: Column) -> bool:
     return column.unit is None or to_si(column.unit)[1:] == (1.0, 0.0)
 
 
-def _commanded(column: Column, values: Sequence[Array]) -> str:
+def _explain_commanded(column: Column, values: Sequence[Array]) -> str:
     """Why a column looks commanded; empty: it does not."""
     if column.is_asked:
         return _BY_TOPIC

@@ -89,7 +89,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
         **({"model": to_plain(dict(study.model or {}))} if described else {"system": study.system}),
         **({"model_folder": str(study.folder.resolve())} if described and study.folder else {}),
         "channels": [
-            _given(c, "sd", "shown_unit", "sensor", name=c.name, unit=c.unit, kind=c.kind)
+            _collect_given(c, "sd", "shown_unit", "sensor", name=c.name, unit=c.unit, kind=c.kind)
             for c in study.channels
         ],
         "commands": [_command(known[name]) if name in known else name for name in commands],
@@ -107,10 +107,10 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
 def _command(command: Command) -> dict[str, Any]:
     keys = ("unit", "lower", "upper", "rate", "shown_unit")
     measured = {"is_measured": True} if command.is_measured else {}
-    return _given(command, *keys, name=command.name) | measured
+    return _collect_given(command, *keys, name=command.name) | measured
 
 
-def _given(of: Channel | Command, *keys: str, **first: Any) -> dict[str, Any]:
+def _collect_given(of: Channel | Command, *keys: str, **first: Any) -> dict[str, Any]:
     """Attributes that are not None, after what comes first."""
     more = {key: to_plain(getattr(of, key)) for key in keys if getattr(of, key) is not None}
     return first | more

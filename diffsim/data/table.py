@@ -77,7 +77,7 @@ def open_table(
         for _ in range(skipped - header_line):
             next(file, "")
         rows = csv.reader(file, delimiter=mark)
-        yield header, _numbered(path, header, rows, skipped, mark != ",")
+        yield header, _number_rows(path, header, rows, skipped, mark != ",")
 
 
 def _header(path: Path, file: TextIO, line: int) -> tuple[list[str], str]:
@@ -116,7 +116,7 @@ def _rows(path: Path, rows: Iterator[list[str]], before: int) -> Iterator[list[s
         yield row
 
 
-def _numbered(
+def _number_rows(
     path: Path, header: list[str], rows: Iterator[list[str]], before: int, comma_is_point: bool
 ) -> Iterator[tuple[int, list[str]]]:
     for row in _rows(path, rows, before):

@@ -67,7 +67,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Where the header of a file is.
 
     Attributes:
@@ -81,7 +81,7 @@ class Layout:
     columns: tuple[Column, ...]
 
 
-def layout_of(path: Path) -> Layout | None:
+def layout_of(path: Path) -> TableLayout | None:
     """Header of a file: the lines of as many cells, without numbers, above the first numbers.
 
     Returns:
@@ -94,20 +94,20 @@ def layout_of(path: Path) -> Layout | None:
     if first is None:
         return None
     # an empty last cell is a missing value, or what follows a delimiter at the end of the line
-    num_cells = {len(rows[first]), len(_trimmed(rows[first]))}
+    num_cells = {len(rows[first]), len(_drop_empty_end(rows[first]))}
     above: list[int] = []
     for i in range(first - 1, -1, -1):
-        head = _trimmed(rows[i])
+        head = _drop_empty_end(rows[i])
         if len(head) not in num_cells or any(_NUMBER.fullmatch(c) for c in head):
             break
         num_cells = {len(head)}
         above.insert(0, i)
     if not above:
         return None
-    names = _trimmed(rows[above[0]])
-    units = _trimmed(rows[above[1]]) if len(above) > 1 else [""] * len(names)
+    names = _drop_empty_end(rows[above[0]])
+    units = _drop_empty_end(rows[above[1]]) if len(above) > 1 else [""] * len(names)
     columns = tuple(column_of(n, u) for n, u in zip(names, units, strict=True))
-    return Layout(above[0] + 1, first + 1, columns)
+    return TableLayout(above[0] + 1, first + 1, columns)
 
 
 def column_of(name: str, unit_cell: str = "") -> Column:
@@ -153,7 +153,7 @@ def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in row]
 
 
-def _trimmed(row: list[str]) -> list[str]:
+def _drop_empty_end(row: list[str]) -> list[str]:
     return row[:-1] if row and not row[-1] else row
 
 

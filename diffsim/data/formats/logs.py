@@ -49,7 +49,7 @@ def read_mcap(path: Path, part: str) -> Columns:
         start = reader.get_summary().statistics.message_start_time
         for schema, channel, message in reader.iter_messages(topics=[part]):
             times.append((message.log_time - start) / 1e9)
-            messages.append(_decoded(schema, channel, message))
+            messages.append(_decode_message(schema, channel, message))
     return {TIME: np.array(times), **of_messages(messages)}
 
 
@@ -66,7 +66,7 @@ def read_rosbag(path: Path, part: str) -> Columns:
         wanted = [c for c in bag.connections if c.topic == part]
         for connection, stamp, raw in bag.messages(connections=wanted):
             times.append((stamp - bag.start_time) / 1e9)
-            messages.append(_plain(bag.deserialize(raw, connection.msgtype)))
+            messages.append(_flatten_message(bag.deserialize(raw, connection.msgtype)))
     return {TIME: np.array(times), **of_messages(messages)}
 
 
@@ -90,13 +90,13 @@ def _mcap() -> Any:
     return optional("mcap.reader", purpose="an MCAP file")
 
 
-def _decoded(schema: Any, channel: Any, message: Any) -> Any:
+def _decode_message(schema: Any, channel: Any, message: Any) -> Any:
     if channel.message_encoding == "json":
         content = json.loads(message.data)
         return content if isinstance(content, dict) else {"value": content}
     if channel.message_encoding == "cdr":
         factory = optional("mcap_ros2.decoder", purpose=f"topic {channel.topic}").DecoderFactory()
-        return _plain(factory.decoder_for("cdr", schema)(message.data))
+        return _flatten_message(factory.decoder_for("cdr", schema)(message.data))
     raise ValueError(
         f"topic {channel.topic} is encoded as {channel.message_encoding!r}; json and cdr (ROS 2) "
         "are read"
@@ -112,11 +112,15 @@ def _rosbag(path: Path) -> Any:
     return highlevel.AnyReader([where], default_typestore=types)
 
 
-def _plain(message: Any) -> Any:
+def _flatten_message(message: Any) -> Any:
     """Fields of a decoded message, nested ones too."""
     names = getattr(message, "__slots__", None) or getattr(message, "__dataclass_fields__", None)
     if names is None or isinstance(message, (str, bytes, int, float)):
         if isinstance(message, (list, tuple)):
-            return [_plain(m) for m in message]
+            return [_flatten_message(m) for m in message]
         return message
-    return {name.lstrip("_"): _plain(getattr(message, name)) for name in names if name[:2] != "__"}
+    return {
+        name.lstrip("_"): _flatten_message(getattr(message, name))
+        for name in names
+        if name[:2] != "__"
+    }

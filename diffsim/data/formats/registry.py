@@ -70,7 +70,7 @@ def parts_of(path: Path) -> list[str]:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read.
     """
-    return _guarded(path, lambda: _READERS[path.suffix.lower()][0](path))
+    return _read_guarded(path, lambda: _READERS[path.suffix.lower()][0](path))
 
 
 def read_columns(path: str | Path) -> Columns:
@@ -95,7 +95,7 @@ def read_columns(path: str | Path) -> Columns:
         shown = ", ".join(f"{file.name}#{p}" for p in parts[:30])
         what = f"has no part {part!r}{did_you_mean(part, parts)}" if part else "holds several parts"
         raise ValueError(f"{file}: {what}; name one as FILE#PART: {shown}")
-    columns = _guarded(file, lambda: _READERS[file.suffix.lower()][1](file, part))
+    columns = _read_guarded(file, lambda: _READERS[file.suffix.lower()][1](file, part))
     lengths = {len(values) for values in columns.values()}
     if not columns or lengths == {0}:
         raise ValueError(f"{path}: no rows")
@@ -147,7 +147,7 @@ def renamed(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, 
     return {name: new for name, new in names.items() if new != name}
 
 
-def _guarded(path: Path, read: Callable[[], Any]) -> Any:
+def _read_guarded(path: Path, read: Callable[[], Any]) -> Any:
     """What a library throws at a damaged file, as one error that names the file."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")

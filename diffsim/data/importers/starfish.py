@@ -35,7 +35,7 @@ def import_starfish(folder: Path) -> Study:
                 name=name,
                 time_s=data["time_s"] - float(entry["command_first_change_s"]),
                 measured=np.column_stack([data[c] for c in columns]),
-                command={COMMAND: _held(data[COMMAND])},
+                command={COMMAND: _fill_before_first(data[COMMAND])},
                 group=GROUPS[name],
                 order=order,
                 use="test" if name == HELD_OUT else "fit",
@@ -66,7 +66,7 @@ def import_starfish(folder: Path) -> Study:
     )
 
 
-def _held(command: np.ndarray) -> np.ndarray:
+def _fill_before_first(command: np.ndarray) -> np.ndarray:
     """The command, with what precedes the first logged value set to that value."""
     first = int(np.argmax(np.isfinite(command)))
     return np.where(np.arange(len(command)) < first, command[first], command)
