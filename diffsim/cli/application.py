@@ -68,7 +68,7 @@ def main(
     if limit == 0:
         if not args.no_pictures:
             _draw(application, {"first guess": begun}, out, f"{size}_first", view)
-        return _printed(application.numbers(application.parameters.first, begun))
+        return _print_numbers(application.numbers(application.parameters.first, begun))
     kept = out / f"{args.solver}_{size}.jsonl"
     drawn = out / f"random_{size}.jsonl"
     if args.fresh:
@@ -85,7 +85,7 @@ def main(
         numbers["random loss"] = random
         if application.oracle is not None:
             numbers["normalized loss"] = normalized(outcome.best.loss, random, application.oracle)
-    _printed(numbers)
+    _print_numbers(numbers)
     print(f"ended: {outcome.message}")
     write_json_atomic(
         out / f"result_{args.solver}_{size}.json",
@@ -102,7 +102,7 @@ def main(
     return numbers
 
 
-def _printed(numbers: Mapping[str, float]) -> dict[str, float]:
+def _print_numbers(numbers: Mapping[str, float]) -> dict[str, float]:
     for name, value in numbers.items():
         print(f"{name:36s} {value:.6g}")
     return dict(numbers)

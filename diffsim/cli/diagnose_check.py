@@ -79,14 +79,14 @@ def require_ready(study: Study, given: str, *, plan: bool = True) -> None:
 
 def _tell(problems: Sequence[Problem], given: str) -> None:
     ordered = sorted(problems, key=lambda p: p.severity != "error")
-    for line in _grouped(ordered):
+    for line in _merge_alike_problems(ordered):
         print(line)
     errors = sum(problem.severity == "error" for problem in ordered)
     if errors:
         raise StudyError(f"{errors} of {len(ordered)} problems keep {given} from a diagnosis")
 
 
-def _grouped(problems: Sequence[Problem]) -> Iterator[str]:
+def _merge_alike_problems(problems: Sequence[Problem]) -> Iterator[str]:
     """A line for each problem; one for all runs that have the same, but for its numbers."""
     alike: dict[tuple[str, ...], list[Problem]] = {}
     for problem in problems:
@@ -97,7 +97,7 @@ def _grouped(problems: Sequence[Problem]) -> Iterator[str]:
     for first, *others in alike.values():
         names = list(dict.fromkeys(p.where for p in others if p.where != first.where))
         names = [name.removeprefix("run ") for name in names]
-        yield f"{first}" + (f" (likewise {_some(names)})" if names else "")
+        yield f"{first}" + (f" (likewise {_list_first(names)})" if names else "")
 
 
 def problems_of(study: Study) -> list[Problem]:
@@ -114,7 +114,7 @@ def problems_of(study: Study) -> list[Problem]:
                 Problem(
                     "warning",
                     f"run {second.name}",
-                    f"{_some(names)} {are} equal to the last digit to run {first.name} (use: "
+                    f"{_list_first(names)} {are} equal to the last digit to run {first.name} (use: "
                     f"{first.use}): if that is one recording in two frames, give both the same use",
                 )
             )
@@ -218,8 +218,8 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     cut = setup.study or study
     told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
     return list(trial_problems(study, setup)), "".join(told) + (
-        f"model: {len(shown)} base parameters ({_some(shown)}{starts}), "
-        f"{len(causes)} candidate causes ({_some(causes)})"
+        f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
+        f"{len(causes)} candidate causes ({_list_first(causes)})"
     )
 
 
@@ -243,10 +243,10 @@ def _summary(study: Study) -> Iterator[str]:
     rows = [_run_row(run) for run in sorted(study.runs, key=lambda r: r.order)]
     yield from _table(["run", "use", "group", "samples", "step", "from .. to", "facts"], rows)
     yield ""
-    yield from _uses(study)
+    yield from _describe_uses(study)
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
-        yield f"repeats: {_some([f'{n} runs of {g}' for g, n in repeats.items()])}"
+        yield f"repeats: {_list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
     yield from not_used(study.left_out)
 
 
@@ -258,17 +258,17 @@ def not_used(sentences: Sequence[str]) -> Iterator[str]:
         yield f"not used: ... and {more} more"
 
 
-def _uses(study: Study) -> Iterator[str]:
+def _describe_uses(study: Study) -> Iterator[str]:
     """Which runs do what."""
     fit, select, test = (study.runs_for(use) for use in ("fit", "select", "test"))
     yield f"fit: {_count(fit, 'run')}; parameters are fitted to these"
     yield (
-        f"select: {_some([r.name for r in select])}; these choose between causes"
+        f"select: {_list_first([r.name for r in select])}; these choose between causes"
         if select
         else "select: none; causes are chosen by leaving out one fit run (or block) at a time"
     )
     yield (
-        f"test: {_some([r.name for r in test])}; touched once, when the answer is frozen"
+        f"test: {_list_first([r.name for r in test])}; touched once, when the answer is frozen"
         if test
         else "test: none; nothing will show what the causes found are worth on unseen runs"
     )
@@ -276,7 +276,7 @@ def _uses(study: Study) -> Iterator[str]:
 
 def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:
     values = np.concatenate([r.measured[:, at] for r in study.runs] or [np.empty(0)])
-    unit, scale = _shown(channel)
+    unit, scale = _choose_shown_unit(channel)
     sd = "from repeats" if channel.sd is None else f"{channel.sd * scale:.3g}"
     missing = float(np.isnan(values).mean()) if len(values) else 0.0
     share = f"{100.0 * missing:.2g} %" if missing else "-"
@@ -285,7 +285,7 @@ def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:
 
 def _command_row(study: Study, name: str, command: Command) -> list[str]:
     values = np.concatenate([r.command[name] for r in study.runs if name in r.command])
-    unit, scale = _shown(command)
+    unit, scale = _choose_shown_unit(command)
     ends = [command.lower, command.upper]
     known = any(v is not None for v in ends)
     limits = " .. ".join("?" if v is None else f"{v * scale:.4g}" for v in ends) if known else "-"
@@ -294,7 +294,7 @@ def _command_row(study: Study, name: str, command: Command) -> list[str]:
     return [name, unit, *_range(values * scale), limits, rate]
 
 
-def _shown(of: Channel | Command) -> tuple[str, float]:
+def _choose_shown_unit(of: Channel | Command) -> tuple[str, float]:
     """Unit in which a user reads a quantity, and how many of it are one of its own."""
     if of.unit is None or of.shown_unit is None:
         return of.unit or "?", 1.0
@@ -311,11 +311,11 @@ def _run_row(run: Run) -> list[str]:
     step = f"{float(np.median(np.diff(t))):.3g} s" if len(t) > 1 else "-"
     facts = [f"{k}={v:.4g}" if isinstance(v, float) else f"{k}={v}" for k, v in run.setup.items()]
     group = run.group if run.group != run.name else "-"
-    ends = f"{_second(t[0])} .. {_second(t[-1])} s" if len(t) else "-"
-    return [run.name, run.use, group, str(len(t)), step, ends, _some(facts, MAX_FACTS)]
+    ends = f"{_format_time(t[0])} .. {_format_time(t[-1])} s" if len(t) else "-"
+    return [run.name, run.use, group, str(len(t)), step, ends, _list_first(facts, MAX_FACTS)]
 
 
-def _second(time_s: float) -> str:
+def _format_time(time_s: float) -> str:
     """A time; of a clock that counts from long ago all seconds are shown."""
     return f"{time_s:.4g}" if abs(time_s) < 1e4 else f"{time_s:.2f}"
 
@@ -333,6 +333,6 @@ def _count(of: Sequence[Any], what: str) -> str:
     return f"{len(of)} {what}{'' if len(of) == 1 else 's'}"
 
 
-def _some(names: Sequence[str], most: int = 8) -> str:
+def _list_first(names: Sequence[str], most: int = 8) -> str:
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more

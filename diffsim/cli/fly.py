@@ -56,7 +56,7 @@ def command(args: argparse.Namespace) -> None:
     from diffsim.copter.simulator.flight_simulator import FlightSimulator
     from diffsim.copter.simulator.pacing import Pacer
 
-    flown = _flown(args.design)
+    flown = _load_design_or_vehicle(args.design)
     simulator = FlightSimulator(
         flown,
         controller=args.controller,
@@ -78,7 +78,7 @@ def command(args: argparse.Namespace) -> None:
             _save(simulator, flown, args.payload, args.out)
 
 
-def _flown(name: str) -> Design | FlyingVehicle:
+def _load_design_or_vehicle(name: str) -> Design | FlyingVehicle:
     """A design of parts, or a vehicle of numbers: they differ by the key ``parts``."""
     from diffsim.copter.design.design_file import load_design
     from diffsim.copter.exchange.vehicle_file import is_vehicle_file, load_vehicle

@@ -105,12 +105,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (DiffsimError, ValueError, ImportError, OSError) as err:
         if args.debug:
             raise
-        print(f"diffsim: {_told(err)}", file=sys.stderr)
+        print(f"diffsim: {_format_error(err)}", file=sys.stderr)
         print("(--debug shows where it came from)", file=sys.stderr)
         return EXIT_MISTAKE
 
 
-def _told(error: Exception) -> str:
+def _format_error(error: Exception) -> str:
     """An error in one line, mistakes that were found together in a line each."""
     lines = str(error).splitlines() if isinstance(error, Mistakes) else [str(error)]
     lines = [" ".join(line.split()) for line in lines]
