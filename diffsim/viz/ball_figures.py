@@ -26,7 +26,7 @@ SEEN = "#e8b800"
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class ShownBall:
     """One row of pictures: a title, outlines and centers of the balls.
 
     Attributes:
@@ -40,7 +40,7 @@ class Shown:
     centers: Array
 
 
-def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> Shown:
+def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> ShownBall:
     """What a model shows at coordinates x, titled with its misfit to ``seen`` (as below)."""
     view = view_of(model, x)
     with torch.no_grad():
@@ -48,7 +48,7 @@ def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> Shown:
     edges = [[outline(view, c, model.balls.radius) for c in pair] for pair in motion]
     centers = view.project(motion)
     off = float(np.sqrt(np.nanmean(((centers - seen) ** 2).sum(-1))))
-    return Shown(f"{name}: {off:.1f} px", np.array(edges), centers)
+    return ShownBall(f"{name}: {off:.1f} px", np.array(edges), centers)
 
 
 def recording(
@@ -75,7 +75,7 @@ def recording(
 
 
 def overlay(
-    rows: Sequence[Shown],
+    rows: Sequence[ShownBall],
     seen: Array,
     size_px: tuple[float, float],
     held_out_from: int,
@@ -108,7 +108,7 @@ def overlay(
 
 
 def strip(
-    rows: Sequence[Shown],
+    rows: Sequence[ShownBall],
     seen: Array,
     size_px: tuple[float, float],
     frames: Sequence[int],
@@ -140,7 +140,7 @@ def strip(
     return figure
 
 
-def misfits(rows: Sequence[Shown], seen: Array, first: int, held_out_from: int) -> Figure:
+def misfits(rows: Sequence[ShownBall], seen: Array, first: int, held_out_from: int) -> Figure:
     """Distance of simulated from tracked centers over the frames; arguments as above."""
     from matplotlib.figure import Figure
 

@@ -96,7 +96,7 @@ def film_balls(
         raise OSError(f"OpenCV cannot write {path}; give a name that ends with .avi")
     rng = np.random.default_rng(seed)
     ground = np.full((view.height_px, view.width_px, 3), FLOOR, np.uint8)
-    cv2.fillPoly(ground, _fixed(view.project(table)), CLOTH, cv2.LINE_AA, _BITS)
+    cv2.fillPoly(ground, _round_to_fixed_point(view.project(table)), CLOTH, cv2.LINE_AA, _BITS)
     try:
         for frame, places in enumerate(centers):
             picture = ground.copy()
@@ -135,8 +135,8 @@ def _draw_ball(
     for share in np.linspace(0.0, 1.0, 8):
         color = tuple(float(c * (0.75 + 0.25 * share)) for c in FELT)
         ring = middle + share * (light - middle) + (1.0 - 0.85 * share) * (edge - middle)
-        cv2.fillPoly(picture, _fixed(ring), color, cv2.LINE_AA, _BITS)
+        cv2.fillPoly(picture, _round_to_fixed_point(ring), color, cv2.LINE_AA, _BITS)
 
 
-def _fixed(points: Array) -> list[NDArray[np.int32]]:
+def _round_to_fixed_point(points: Array) -> list[NDArray[np.int32]]:
     return [np.rint(points * 2**_BITS).astype(np.int32)]

@@ -58,7 +58,7 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
     for k, run in enumerate(runs):
         for row, i in enumerate(shown, start=1):
             signals = _signals(run, i, channels[i], most)
-            left = _left(run, i, channels[i], most)
+            left = _draw_misfits(run, i, channels[i], most)
             for drawn in (*signals, *left):
                 drawn.visible = k == 0
                 drawn.showlegend = row == 1 and drawn in signals
@@ -110,7 +110,7 @@ def _signals(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any
     return lines
 
 
-def _left(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
+def _draw_misfits(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
     """What is left of one channel in one run, before and after."""
     kinds = [("model before", NULL, run.null)]
     if run.extended is not None:
@@ -258,7 +258,7 @@ def confounding_matrix(names: Sequence[str], confounding: Array, bar: str = "cos
     order = grouped + [i for i in range(len(names)) if i not in set(grouped)]
     labels = [names[i] for i in order]
     figure = _heat_map(confounding[np.ix_(order, order)], labels, labels, 1.0, bar)
-    short = [_shortened(label) for label in labels]
+    short = [_shorten_label(label) for label in labels]
     ticks = {"tickmode": "array", "tickvals": list(range(len(labels))), "ticktext": short}
     figure.update_xaxes(**ticks, tickangle=45)
     figure.update_yaxes(**ticks)
@@ -271,7 +271,7 @@ def confounding_matrix(names: Sequence[str], confounding: Array, bar: str = "cos
     return charts.styled(figure, height=260 + _LABEL_PX * len(names))
 
 
-def _shortened(label: str) -> str:
+def _shorten_label(label: str) -> str:
     """A label that leaves room for the matrix: its begin and its end."""
     half = MAX_LABEL // 2
     return label if len(label) <= MAX_LABEL else f"{label[: half - 1]}…{label[-half:]}"
@@ -295,7 +295,7 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Any
         table = np.full((len(rows), max(knots) + 1), np.nan)
         for shape, knot, score in zip(shapes, knots, scores, strict=True):
             table[rows.index(shape), knot] = score
-        drawn = _heat(table, [str(i) for i in range(table.shape[1])], rows, high, "score")
+        drawn = _draw_heat_map(table, [str(i) for i in range(table.shape[1])], rows, high, "score")
         drawn.visible = k == 0
         figure.add_trace(drawn)
     if len(groups) > 1:
@@ -325,10 +325,10 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Any:
 
 
 def _heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
-    return charts.graph_objects().Figure(_heat(table, x, y, high, bar))
+    return charts.graph_objects().Figure(_draw_heat_map(table, x, y, high, bar))
 
 
-def _heat(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
+def _draw_heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
     return charts.graph_objects().Heatmap(
         z=[charts.rounded(row) for row in table],
         x=list(x),
@@ -353,16 +353,16 @@ def _kinds(
     return out
 
 
-def _turning(runs: Sequence[PredictedRun], command: str) -> bool:
+def _is_turning(runs: Sequence[PredictedRun], command: str) -> bool:
     return all(command_phase(r.time_s, r.command[command]) is not None for r in runs)
 
 
 def _phase_title(runs: Sequence[PredictedRun], command: str) -> str:
-    return f"phase of {command} [rad]" if _turning(runs, command) else f"value of {command}"
+    return f"phase of {command} [rad]" if _is_turning(runs, command) else f"value of {command}"
 
 
 def _phase(runs: Sequence[PredictedRun], run: PredictedRun, command: str) -> Array:
     """Phase angle of the command where it turns in all runs; else its value."""
     values = run.command[command]
-    phase = command_phase(run.time_s, values) if _turning(runs, command) else None
+    phase = command_phase(run.time_s, values) if _is_turning(runs, command) else None
     return values if phase is None else phase

@@ -51,14 +51,14 @@ def _shapes(report: Report, run: PredictedRun) -> dict[str, MovingShape]:
     model = report.null.problem.model
     shapes: dict[str, MovingShape | None] = {
         _MEASURED: model.shape_of(run, torch.from_numpy(run.measured)),
-        _BEFORE: _simulated(report.null, run, run.null, run.null_at),
+        _BEFORE: _simulate_shape(report.null, run, run.null, run.null_at),
     }
     if run.extended is not None:
-        shapes[_AFTER] = _simulated(report.best, run, run.extended, run.extended_at)
+        shapes[_AFTER] = _simulate_shape(report.best, run, run.extended, run.extended_at)
     return {name: shape for name, shape in shapes.items() if shape is not None}
 
 
-def _simulated(
+def _simulate_shape(
     fit: Fit, run: PredictedRun, channels: Array, at: Array | None
 ) -> MovingShape | None:
     """By one more simulation where that tells more than channels, else by the predicted ones."""

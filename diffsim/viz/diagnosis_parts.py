@@ -24,7 +24,7 @@ def error_numbers(errors: Sequence[ErrorRow]) -> list[page.Number]:
     for kind in dict.fromkeys((e.kind, e.unit) for e in errors):
         rows = [e for e in errors if (e.kind, e.unit) == kind]
         before, after, noise = (
-            _pooled([getattr(e, which) for e in rows], [e.num_samples for e in rows])
+            _pool_errors([getattr(e, which) for e in rows], [e.num_samples for e in rows])
             for which in ("before", "after", "noise")
         )
         shown.append(
@@ -80,6 +80,6 @@ def runs_section(
     return page.Section(title=title, text=text, content=content)
 
 
-def _pooled(values: Sequence[float], counts: Sequence[int]) -> float:
+def _pool_errors(values: Sequence[float], counts: Sequence[int]) -> float:
     """Root mean square over runs of different length."""
     return float(np.sqrt(np.average(np.square(values), weights=counts)))

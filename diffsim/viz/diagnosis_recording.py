@@ -34,13 +34,13 @@ def write_recording_of(report: Report, path: str | Path) -> Path:
         text = rr.TextDocument(note + "\n\n".join(report.sentences), media_type="text/markdown")
         stream.log("note", text, static=True)
         for run in runs:
-            _run(rr, stream, report, run)
+            _write_run(rr, stream, report, run)
         stream.send_blueprint(_blueprint(report, runs))
 
     return write_recording(path, f"diagnosis of {report.study.name}", log)
 
 
-def _run(rr: Any, stream: Any, report: Report, run: Run) -> None:
+def _write_run(rr: Any, stream: Any, report: Report, run: Run) -> None:
     curves = {
         "measured": (run.measured, INK),
         "null": (predicted(report.null, run), COLORS["published"]),

@@ -249,7 +249,7 @@ def _data_sheet(r: Report) -> page.Section:
     if names := list(dict.fromkeys(stem.replace("_", " ") for stem in stems)):
         whole = {row.name.partition("@")[0].partition("[")[0] for row in told}
         some = ["some of " * (name.replace(" ", "_") in whole) + name for name in names]
-        text.append(f"These runs say nothing of {_listed(some, MAX_LISTED * 2)}.")
+        text.append(f"These runs say nothing of {_list_first(some, MAX_LISTED * 2)}.")
     content = [tables.base(shown)] if shown else []
     return page.Section(title=title, text=text, content=content)
 
@@ -261,7 +261,7 @@ def _confounding(r: Report) -> page.Section:
     blocks = blocks_of(r.confounding)
     words = [_component_of(name) for name in r.confounding_names]
     sets = [" and ".join(words[i] for i in block) for block in blocks]
-    text = [f"These data hardly part {_listed(sets, MAX_LISTED, '; ')}."] if blocks else []
+    text = [f"These data hardly part {_list_first(sets, MAX_LISTED, '; ')}."] if blocks else []
     caption = (
         f"Boxed: sets linked by cosines beyond ±{CONFOUNDED}. Of one set only a set can be "
         "named, not a member."
@@ -277,7 +277,7 @@ def _component_of(name: str) -> str:
     return f"{words} ({component_words(component)})" if component else words
 
 
-def _listed(names: Sequence[str], most: int, between: str = ", ") -> str:
+def _list_first(names: Sequence[str], most: int, between: str = ", ") -> str:
     """The first names, and how many more there are."""
     more = len(names) - most
     return between.join(names[:most]) + (f"{between}and {more} more" if more > 0 else "")
@@ -333,7 +333,7 @@ def _next_run(r: Report) -> page.Section:
 
 
 def _gates(r: Report) -> page.Section:
-    rows = [[g.name, _passed(g), figure(g.value), figure(g.limit), g.note] for g in r.gates]
+    rows = [[g.name, _describe_gate(g), figure(g.value), figure(g.limit), g.note] for g in r.gates]
     table = page.Table(
         columns=["check", "result", "value", "limit", "of what"],
         rows=rows,
@@ -342,7 +342,7 @@ def _gates(r: Report) -> page.Section:
     return page.Section(title="Checks before physics is blamed", content=[table] if rows else [])
 
 
-def _passed(gate: GateResult) -> str:
+def _describe_gate(gate: GateResult) -> str:
     if not gate.applies:
         return "does not apply"
     return "passed" if gate.passed else "FAILED"

@@ -160,10 +160,10 @@ def _sizes(row: CauseRow) -> str:
     """Sizes of a cause that may act, a line for each component."""
     if row.status in (REFUTED, HIDDEN) and not row.helps:
         return "–"
-    return "\n".join(_sized(row, c, size) for c, size in row.size.items()) or "–"
+    return "\n".join(_format_size(row, c, size) for c, size in row.size.items()) or "–"
 
 
-def _sized(row: CauseRow, component: str, size: Interval) -> str:
+def _format_size(row: CauseRow, component: str, size: Interval) -> str:
     label = "" if len(row.size) == 1 else f"{component_words(component)}: "
     numbers = with_interval(size.value, size.low, size.high)
     return f"{label}{numbers} {unit_of(row.unit)}".rstrip().replace(" ", "\u00a0")

@@ -45,8 +45,8 @@ def view(meshes: Mapping[str, trimesh.Trimesh], kinds: Mapping[str, str]) -> Fig
     figure.set_facecolor("none")
     square = width / height  # 3-D axes are drawn in the middle square of theirs
     ax = figure.add_axes((0.0, 0.5 - 0.5 * square, 1.0, square), projection="3d")
-    triangles = [_small(m) * [1.0, -1.0, -1.0] for m in meshes.values()]
-    colors = [_shaded(t, _color(kinds[n])) for n, t in zip(meshes, triangles, strict=True)]
+    triangles = [_cut_small(m) * [1.0, -1.0, -1.0] for m in meshes.values()]
+    colors = [_shade_triangles(t, _color(kinds[n])) for n, t in zip(meshes, triangles, strict=True)]
     _draw_triangles(ax, np.concatenate(triangles), np.concatenate(colors), 32.0, 52.0, 0.9)
     return figure
 
@@ -69,7 +69,7 @@ def wiring(
         flat = 1e3 * triangles[..., [1, 0]]  # right, front
         ax.add_collection(
             collections.PolyCollection(
-                flat, facecolor=_pale(_color(kind)), linewidth=0.3, edgecolor="face", zorder=1
+                flat, facecolor=_make_pale(_color(kind)), linewidth=0.3, edgecolor="face", zorder=1
             )
         )
     hangs = {m.number: _upper_twin(m, motors) for m in motors}
@@ -150,7 +150,7 @@ def printed(parts: Sequence[PrintedPart], columns: int = 4) -> Figure:
         ax = figure.add_subplot(rows, columns, k + 1, projection="3d")
         triangles = part.mesh.triangles
         color = _color("clip") if "clip" in part.file else _PRINTED
-        _draw_triangles(ax, triangles, _shaded(triangles, color), 28.0, -60.0, 1.0)
+        _draw_triangles(ax, triangles, _shade_triangles(triangles, color), 28.0, -60.0, 1.0)
         size = " x ".join(f"{v:.0f}" for v in part.check.size)
         name = part.file.removesuffix(".stl").replace("_", " ")
         ax.set_title(f"{name}\n{len(part.names)} pcs, {size} mm", fontsize=8.5, color=INK, y=1.0)
@@ -158,7 +158,7 @@ def printed(parts: Sequence[PrintedPart], columns: int = 4) -> Figure:
     return figure
 
 
-def _small(mesh: trimesh.Trimesh) -> Array:
+def _cut_small(mesh: trimesh.Trimesh) -> Array:
     """Triangles cut up to sides of 15 mm: they are drawn by the distance of their middles."""
     remesh = optional("trimesh.remesh", purpose="a figure")
     vertices, faces = remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=0.015)
@@ -220,7 +220,7 @@ def _upper_twin(m: MotorPlan, motors: Sequence[MotorPlan]) -> bool:
     )
 
 
-def _pale(color: str) -> Any:
+def _make_pale(color: str) -> Any:
     """A third of a color on white."""
     colors = optional("matplotlib.colors", purpose="a figure")
     return tuple(1.0 - 0.33 * (1.0 - c) for c in colors.to_rgb(color))
@@ -230,7 +230,7 @@ def _color(kind: str) -> str:
     return next((color for key, color in _MATERIALS.items() if key in kind), _PRINTED)
 
 
-def _shaded(triangles: Array, color: str) -> Array:
+def _shade_triangles(triangles: Array, color: str) -> Array:
     """Color by the angle to the light, (num_triangles, 4)."""
     colors = optional("matplotlib.colors", purpose="a figure")
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])

@@ -180,7 +180,10 @@ def view(
         ax.set_proj_type("persp", focal_length=1.6)
         ax.view_init(elevation, azimuth)
         faces = art3d.Poly3DCollection(
-            wall.triangles * scale, facecolors=_shaded(wall.face_normals), linewidths=0, zorder=1
+            wall.triangles * scale,
+            facecolors=_shade_wall(wall.face_normals),
+            linewidths=0,
+            zorder=1,
         )
         ax.add_collection3d(faces)
         pieces = [np.stack([p.points[:-1], p.points[1:]], 1) * scale for p in some]
@@ -328,7 +331,7 @@ def _speed_bar(figure: Figure, image: Any, axes: Any, top: float, pad: float = 0
     bar.outline.set_edgecolor(LINE)
 
 
-def _shaded(normals: Array) -> Array:
+def _shade_wall(normals: Array) -> Array:
     """Gray of a wall in light from above left, translucent."""
     light = np.array([-0.4, -0.5, 0.77])
     shade = 0.62 + 0.3 * np.abs(normals @ light)

@@ -95,10 +95,10 @@ def _log(
     top = float(speeds[fluid].max(initial=0.0))
     pieces, colors = [], []
     for line in lines:
-        points = _lifted(line.points, lift)
+        points = _lift_to_space(line.points, lift)
         for k in range(0, len(points) - 1, 2):  # a strip has one color: short strips
             pieces.append(points[k : k + 3])
-            colors.append(_colored(line.speed[k : k + 3].mean(keepdims=True), top)[0])
+            colors.append(_color_by_speed(line.speed[k : k + 3].mean(keepdims=True), top)[0])
     if pieces:
         strips = rr.LineStrips3D(pieces, colors=np.array(colors), radii=[0.06 * cell])
         stream.log("streamlines", strips, static=True)
@@ -106,9 +106,9 @@ def _log(
     at, v = _arrows(field, case, num_arrows)
     if len(at) and top > 0.0:
         arrows = rr.Arrows3D(
-            origins=_lifted(at, lift),
-            vectors=_lifted(v, 0.0) * (2.0 * cell / top),
-            colors=_colored(np.linalg.norm(v, axis=-1), top),
+            origins=_lift_to_space(at, lift),
+            vectors=_lift_to_space(v, 0.0) * (2.0 * cell / top),
+            colors=_color_by_speed(np.linalg.norm(v, axis=-1), top),
             radii=[0.04 * cell],
         )
         stream.log("arrows", arrows, static=True)
@@ -125,7 +125,7 @@ def _tracers(rr: Any, stream: Any, lines: Sequence[Streamline], lift: float, cel
         ]
         stream.set_time("flow_time", duration=float(t))
         points = rr.Points3D(
-            _lifted(np.array(at), lift), colors=[[194, 87, 26]], radii=[0.2 * cell]
+            _lift_to_space(np.array(at), lift), colors=[[194, 87, 26]], radii=[0.2 * cell]
         )
         stream.log("tracers", points)
 
@@ -141,14 +141,14 @@ def _arrows(field: FlowField, case: int, count: int) -> tuple[Array, Array]:
     return at.numpy(), field.sample(at)[case].detach().numpy()
 
 
-def _lifted(points: Array, lift: float) -> Array:
+def _lift_to_space(points: Array, lift: float) -> Array:
     """Points or vectors in space: (n, 2) get a third component."""
     if points.shape[-1] == 3:
         return points
     return np.concatenate([points, np.full((len(points), 1), lift)], axis=-1)
 
 
-def _colored(speed: Array, top: float) -> NDArray[np.uint8]:
+def _color_by_speed(speed: Array, top: float) -> NDArray[np.uint8]:
     """Colors of speeds, (n, 3)."""
     table = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in SPEED])
     share = np.clip(speed / top if top > 0.0 else 0.0 * speed, 0.0, 1.0) * (len(table) - 1)

@@ -36,13 +36,13 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
     """The page: gain, errors and gain of each run, how far outside, the runs over time."""
     sd = {name: entry["sd"] for name, entry in saved.facts["noise"].items()}
     channels = with_noise(study.channels, sd)
-    runs = _predicted(found, study, extended=bool(saved.components))
+    runs = _collect_predictions(found, study, extended=bool(saved.components))
     gained = [] if found.gain is None or not saved.components else [gain_number(found.gain)]
     sections = [_errors(found), _gains(found, saved)]
     if runs:
         sections += [
             runs_section("Measured and predicted", runs, channels),
-            _left(runs, channels),
+            _build_misfit_section(runs, channels),
         ]
     return page.Report(
         title=f"Judgment of {study.name}",
@@ -60,7 +60,7 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
     )
 
 
-def _predicted(found: Unseen, study: Study, *, extended: bool) -> list[PredictedRun]:
+def _collect_predictions(found: Unseen, study: Study, *, extended: bool) -> list[PredictedRun]:
     by_name = {run.name: run for run in study.runs}
     return [
         PredictedRun(**vars(by_name[name]), null=before, extended=after if extended else None)
@@ -96,7 +96,9 @@ def _gains(found: Unseen, saved: SavedModel) -> page.Section:
     return page.Section(title=title, content=[table] if rows else [])
 
 
-def _left(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> page.Section:
+def _build_misfit_section(
+    runs: Sequence[PredictedRun], channels: Sequence[Channel]
+) -> page.Section:
     caption = (
         "Measured minus predicted over the noise's standard deviation, all these runs and "
         "channels. Grey: 95 % of noise alone."

@@ -82,7 +82,7 @@ def write_loop(
         "commands": loop_figures.commands(result.iterations),
         "strip": _strip(result, model),
     }
-    uris = {name: _saved(figure, folder / name) for name, figure in figures.items()}
+    uris = {name: _save_figure(figure, folder / name) for name, figure in figures.items()}
     content: dict[str, Any] = {
         "hardware": result.hardware,
         "virtual": result.virtual,
@@ -238,12 +238,12 @@ def _fits(result: LoopResult, model: Starfish, fit_s: float) -> list[tuple[str, 
         if after.identified is not None:
             clock = after.identified.values.get(f"clock_offset@{run.name}", 0.0)
         for label, values in (("before", before.values), ("after", after.values)):
-            moved = _simulated(model, values, run.command[COMMAND][:n], clock)
+            moved = _simulate_markers(model, values, run.command[COMMAND][:n], clock)
             pairs.append((f"identification {after.idx}, {label}", measured, moved))
     return pairs
 
 
-def _simulated(
+def _simulate_markers(
     model: Starfish, values: Mapping[str, float], executed: Array, clock: float
 ) -> Array:
     """Displacements (n, 8) of the markers under an executed contraction [m]."""
@@ -315,7 +315,7 @@ def _vertices(model: Starfish, it: Iteration, num_samples: int) -> Array:
     return np.asarray(x - [x[0, model.quarter.nodes, 0].mean(), 0.0, 0.0])
 
 
-def _saved(figure: Figure, stem: Path) -> str:
+def _save_figure(figure: Figure, stem: Path) -> str:
     """PNG and SVG beside the page; the PNG for it."""
     import base64
 

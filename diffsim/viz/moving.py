@@ -132,7 +132,7 @@ class Moving:
             "time": [round(float(t), 5) for t in self.time_s[kept]],
             "low": low.tolist(),
             "high": high.tolist(),
-            "parts": [_packed(part, kept) for part in self.parts],
+            "parts": [_pack_part(part, kept) for part in self.parts],
         }
 
 
@@ -196,32 +196,32 @@ def _box(parts: Sequence[Deforming | Rigid | Line]) -> tuple[Array, Array]:
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-def _packed(part: Deforming | Rigid | Line, kept: Ints) -> dict[str, Any]:
+def _pack_part(part: Deforming | Rigid | Line, kept: Ints) -> dict[str, Any]:
     said: dict[str, Any] = {"name": part.name, "color": part.color}
     if isinstance(part, Line):
-        return said | {"kind": "line", **_quantized(part.points_m)}
+        return said | {"kind": "line", **_quantize_points(part.points_m)}
     size = part.nodes_m.shape[-2]
-    said["triangles"] = _coded(part.triangles.astype("<u2" if size <= _LEVELS else "<u4"))
+    said["triangles"] = _encode_array(part.triangles.astype("<u2" if size <= _LEVELS else "<u4"))
     said["wide"] = size > _LEVELS
     if isinstance(part, Deforming):
         said |= {"opacity": part.opacity, "closed": part.closed}
-        return said | {"kind": "deforming", "nodes": size, **_quantized(part.nodes_m[kept])}
+        return said | {"kind": "deforming", "nodes": size, **_quantize_points(part.nodes_m[kept])}
     poses = np.concatenate([part.turns[kept].reshape(-1, 9), part.places_m[kept]], axis=1)
     return said | {
         "kind": "rigid",
         "nodes": size,
-        "poses": _coded(poses.astype("<f4")),
-        **_quantized(part.nodes_m),
+        "poses": _encode_array(poses.astype("<f4")),
+        **_quantize_points(part.nodes_m),
     }
 
 
-def _quantized(points: Array) -> dict[str, Any]:
+def _quantize_points(points: Array) -> dict[str, Any]:
     flat = points.reshape(-1, 3).astype(np.float64)
     low, high = flat.min(0), flat.max(0)
     size = np.maximum(high - low, 1e-12)
     levels = np.round((flat - low) / size * _LEVELS).astype("<u2")
-    return {"from": low.tolist(), "size": size.tolist(), "levels": _coded(levels)}
+    return {"from": low.tolist(), "size": size.tolist(), "levels": _encode_array(levels)}
 
 
-def _coded(array: NDArray[Any]) -> str:
+def _encode_array(array: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")

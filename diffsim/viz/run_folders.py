@@ -111,7 +111,7 @@ def _flight(files: dict[str, Path]) -> tuple[str, str]:
     return "", "finished" if "flight.yaml" in files else "going on, or interrupted"
 
 
-def _finished(files: dict[str, Path]) -> tuple[str, str]:
+def _describe_finished(files: dict[str, Path]) -> tuple[str, str]:
     return "", "finished"
 
 
@@ -132,9 +132,9 @@ _TOLD: dict[str, Callable[[dict[str, Path]], tuple[str, str]]] = {
     "training": _training,
     "device": _device,
     "flight": _flight,
-    "demo": _finished,
-    "fabrication": _finished,
-    "site": _finished,
+    "demo": _describe_finished,
+    "fabrication": _describe_finished,
+    "site": _describe_finished,
 }
 
 

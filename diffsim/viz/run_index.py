@@ -34,7 +34,7 @@ def render_index(root: Path, runs: Sequence[RunFolder], viewer: str | None, base
     )
     return environment.from_string(source).render(
         root=str(root),
-        runs=[_shown(run, viewer, base) for run in runs],
+        runs=[_describe_run(run, viewer, base) for run in runs],
         is_going_on=any(run.progress != "finished" for run in runs),
         has_viewer=viewer is not None,
         viewer_advice=advice(["rerun"]),
@@ -58,7 +58,7 @@ def make_server(root: Path, port: int, viewer: str | None = None) -> ThreadingHT
     return ThreadingHTTPServer((LOCAL, port), partial(_Handler, root=root.resolve(), viewer=viewer))
 
 
-def _shown(run: RunFolder, viewer: str | None, base: str) -> dict[str, Any]:
+def _describe_run(run: RunFolder, viewer: str | None, base: str) -> dict[str, Any]:
     folder = "" if run.path == "." else f"{quote(run.path)}/"
 
     def links(endings: tuple[str, ...], through: str | None = None) -> list[dict[str, str]]:

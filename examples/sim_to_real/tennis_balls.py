@@ -43,7 +43,7 @@ from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_stud
 from diffsim.identify import Jacobian, Problem, WhiteNoise, descend, fit, random_starts
 from diffsim.systems.balls import MOTION, SoftBallModel
 from diffsim.systems.balls.fits import setup, soft_model
-from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
+from diffsim.viz.ball_figures import ShownBall, misfits, overlay, recording, simulated, strip
 from diffsim.viz.ball_video import view_of
 
 Array = NDArray[np.float64]
@@ -211,7 +211,7 @@ def write_pictures(study: Study, model: SoftBallModel, found: Found, out: Path) 
     first = FIRST_FRAME.get(study.name, 0)
     columns = [round(share * (len(seen) - 1)) for share in (0.0, 0.2, 0.33, 0.45, 0.65, 1.0)]
     pictures = {
-        "overlay": overlay([*rows, Shown("as tracked", None, seen)], seen, size_px, cut),
+        "overlay": overlay([*rows, ShownBall("as tracked", None, seen)], seen, size_px, cut),
         "strip": strip(rows, seen, size_px, columns, first),
         "errors": misfits(rows, seen, first, cut),
     }

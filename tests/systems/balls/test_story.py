@@ -8,7 +8,7 @@ import torch
 
 from diffsim.core.paths import data_folder
 from diffsim.data import Run, Study, ball_tracks_study
-from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
+from diffsim.viz.ball_figures import ShownBall, misfits, overlay, recording, simulated, strip
 from tests.examples.stories import load_story
 
 FOLDER = data_folder()
@@ -58,7 +58,7 @@ def test_pictures_show_motion_and_misfit(tmp_path):
     assert row.title == "off: 5.0 px"
     middle = row.outlines.mean(2)  # of a sphere seen in perspective: nearly the center's image
     np.testing.assert_allclose(middle, row.centers, atol=1.0)
-    rows, size = [row, Shown("tracked", None, seen)], (1280.0, 720.0)
+    rows, size = [row, ShownBall("tracked", None, seen)], (1280.0, 720.0)
     errors = misfits([row], seen, 7, 3)
     figures = (overlay(rows, seen, size, 3), strip(rows, seen, size, [0, 4], 7), errors)
     for k, figure in enumerate(figures):
