@@ -69,7 +69,7 @@ class StokesContext:
 
     def system(self, phi: Tensor, num_threads: int) -> Any:
         """The factorized system of a level set, from the cache where phi is equal."""
-        known = self._known(phi)
+        known = self._find_system(phi)
         if known is not None:
             return known
         # Before the new one is made, and with no name left for it: two factors never share memory.
@@ -98,7 +98,7 @@ class StokesContext:
         self._systems.append((phi, system))
         return system
 
-    def _known(self, phi: Tensor) -> Any:
+    def _find_system(self, phi: Tensor) -> Any:
         """The kept system of an equal level set, now the latest, or None."""
         for i, (kept, system) in enumerate(self._systems):
             if torch.equal(kept, phi):

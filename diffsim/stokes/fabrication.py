@@ -107,7 +107,7 @@ def fabrication_mesh(
                     side,
                     [_SKIN * cell, *step * np.arange(1, layers + 1)],
                 )
-    coords, values = _extruded(coords, values, cell)
+    coords, values = _extrude_grid(coords, values, cell)
     level = values
     if shell:
         level = _shell(coords, values, margin)
@@ -147,7 +147,7 @@ def channel_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> tri
     if not (values > 0.0).any():
         raise ValueError("phi must be positive somewhere: the box is solid everywhere")
     height = _check_height(grid, height, 0.0, 0.0)
-    coords, values = _extruded(_coords(grid), values, height)
+    coords, values = _extrude_grid(_coords(grid), values, height)
     vertices, faces = negative_part(coords, -values)
     return trimesh.Trimesh(vertices, faces, process=False)
 
@@ -159,7 +159,7 @@ def wall_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> trimes
     phi = require("phi", phi.detach() if isinstance(phi, Tensor) else phi, grid.node_shape)
     values = phi.numpy()
     height = _check_height(grid, height, 0.0, 0.0)
-    coords, values = _extruded(_coords(grid), values, height)
+    coords, values = _extrude_grid(_coords(grid), values, height)
     vertices, faces = wall(coords, values)
     return trimesh.Trimesh(vertices, faces, process=False)
 
@@ -169,7 +169,7 @@ def _coords(grid: Grid) -> list[Array]:
     return [o + h * np.arange(n, dtype=np.float64) for o, h, n in axes]
 
 
-def _extruded(coords: list[Array], values: Array, height: float) -> tuple[list[Array], Array]:
+def _extrude_grid(coords: list[Array], values: Array, height: float) -> tuple[list[Array], Array]:
     """Three axes: those of a 2D grid get z from 0 to ``height``."""
     if len(coords) == 3:
         return coords, values

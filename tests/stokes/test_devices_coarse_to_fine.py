@@ -13,7 +13,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.optim import Log
 from diffsim.stokes import devices
 from diffsim.stokes.devices.coarse_to_fine import unit_on_fine_grid
-from diffsim.stokes.devices.sampling import Samples, values
+from diffsim.stokes.devices.sampling import DesignSamples, values
 from tests.stokes.test_devices_optimize import Interrupted
 
 F64 = torch.float64
@@ -24,7 +24,7 @@ def amplifiers():
 
 
 def samples_of(losses):
-    return Samples(torch.zeros(len(losses), 5, dtype=F64), losses, 0)
+    return DesignSamples(torch.zeros(len(losses), 5, dtype=F64), losses, 0)
 
 
 def test_amplifier_by_way_of_a_coarser_grid():

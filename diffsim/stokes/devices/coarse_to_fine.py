@@ -17,8 +17,8 @@ from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
 from diffsim.stokes.devices.optimize import check_counts, search_settings
 from diffsim.stokes.devices.optimum import CoarseStage, Optimum, as_optimum
-from diffsim.stokes.devices.sampling import Samples, draw, values
-from diffsim.stokes.devices.search import Descent, descend
+from diffsim.stokes.devices.sampling import DesignSamples, draw, values
+from diffsim.stokes.devices.search import DesignDescent, descend
 
 
 def coarse_to_fine(
@@ -87,7 +87,9 @@ def coarse_to_fine(
     unit = float(samples.losses.mean())
     improve = partial(descend, unit=unit, ftol=ftol, progress=progress and executor is None)
     coarsely = partial(improve, max_evaluations=max_coarse_evaluations)
-    descents = tuple(_each(coarsely, coarse, list(samples.best(num_starts)), log, executor))
+    descents = tuple(
+        _descend_from_each(coarsely, coarse, list(samples.best(num_starts)), log, executor)
+    )
     improved_designs = [d.x for d in descents]
     rate = partial(values, device, log, progress=progress, executor=executor)
     fine = rate("improved", improved_designs)
@@ -101,34 +103,34 @@ def coarse_to_fine(
     return as_optimum(samples, start, descent, fine_unit, stage)
 
 
-def _each(
-    improve: Callable[..., Descent],
+def _descend_from_each(
+    improve: Callable[..., DesignDescent],
     coarse: Device,
     starts: Sequence[Tensor],
     log: Log,
     executor: Executor | None,
-) -> list[Descent]:
+) -> list[DesignDescent]:
     """A descent from each start; in a worker it has a log of its own, which is taken at its end."""
     named = [(f"coarse {k + 1}", x) for k, x in enumerate(starts)]
     if executor is None:
         return [improve(coarse, x, log, name) for name, x in named]
 
-    def keep(k: int, answer: tuple[Descent, Log]) -> None:
+    def keep(k: int, answer: tuple[DesignDescent, Log]) -> None:
         log.take(named[k][0], answer[1])
 
     asked = [(name, x, log.part(name)) for name, x in named]
-    answers = run_each(partial(_improved, improve, coarse), asked, executor, done=keep)
+    answers = run_each(partial(_improve_start, improve, coarse), asked, executor, done=keep)
     return [descent for descent, _ in answers]
 
 
-def _improved(
-    improve: Callable[..., Descent], coarse: Device, asked: tuple[str, Tensor, Log]
-) -> tuple[Descent, Log]:
+def _improve_start(
+    improve: Callable[..., DesignDescent], coarse: Device, asked: tuple[str, Tensor, Log]
+) -> tuple[DesignDescent, Log]:
     name, x, log = asked
     return improve(coarse, x, log, name), log
 
 
-def unit_on_fine_grid(samples: Samples, fine: Tensor) -> tuple[float, float]:
+def unit_on_fine_grid(samples: DesignSamples, fine: Tensor) -> tuple[float, float]:
     """Mean loss of all samples on the fine grid, and its standard error, from the first few.
 
     The ratio estimator: designs that are bad on one grid are bad on the other, so that their ratio

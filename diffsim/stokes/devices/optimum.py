@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from diffsim.stokes.devices.sampling import Samples
-from diffsim.stokes.devices.search import Descent
+from diffsim.stokes.devices.sampling import DesignSamples
+from diffsim.stokes.devices.search import DesignDescent
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class CoarseStage:
             flow.
     """
 
-    descents: tuple[Descent, ...]
+    descents: tuple[DesignDescent, ...]
     fine_losses: Tensor
     unit_loss: float
     unit_error: float
@@ -69,9 +69,9 @@ class Optimum:
 
 
 def as_optimum(
-    samples: Samples,
+    samples: DesignSamples,
     start: Tensor,
-    descent: Descent,
+    descent: DesignDescent,
     unit: float,
     coarse: CoarseStage | None = None,
 ) -> Optimum:

@@ -22,7 +22,7 @@ _MAX_REJECTED = 50  # per accepted sample
 
 
 @dataclass(frozen=True)
-class Samples:
+class DesignSamples:
     """Random designs that let fluid through.
 
     Attributes:
@@ -48,7 +48,7 @@ def draw(
     *,
     progress: bool,
     executor: Executor | None = None,
-) -> Samples:
+) -> DesignSamples:
     """Random designs, those without flow drawn again; the log's are repeated, not their flows.
 
     Designs are drawn one after another and accepted in that order, whoever computes their flows.
@@ -61,19 +61,19 @@ def draw(
     with show_progress(
         desc="random designs", total=count, initial=len(kept), disable=not progress
     ) as bar:
-        accepted = _Accepted(device.name, log, kept, bar.update)
+        accepted = _AcceptedSamples(device.name, log, kept, bar.update)
         while (lacking := count - len(kept)) > 0:
             designs = [device.sample(generator) for _ in range(lacking)]
             accepted.begin(designs)
-            run_each(partial(_tried, device), designs, executor, done=accepted.take)
-    return Samples(
+            run_each(partial(_try_design, device), designs, executor, done=accepted.take)
+    return DesignSamples(
         torch.tensor([s["x"] for s in kept], dtype=torch.float64),
         torch.tensor([s["loss"] for s in kept], dtype=torch.float64),
         sum(s["rejected"] for s in kept),
     )
 
 
-class _Accepted:
+class _AcceptedSamples:
     """Designs that let fluid through, kept in the order in which they were drawn."""
 
     def __init__(
@@ -109,7 +109,7 @@ class _Accepted:
         self.count()
 
 
-def _tried(device: Device, x: Tensor) -> float | str:
+def _try_design(device: Device, x: Tensor) -> float | str:
     """The loss of a design, or why it has no flow."""
     with quiet():
         try:

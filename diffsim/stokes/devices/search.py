@@ -16,7 +16,7 @@ _WALL = optim.Wall(height=1e3, over_first=0.0, over_best=10.0, failures=FAILURES
 
 
 @dataclass(frozen=True)
-class Descent:
+class DesignDescent:
     """Evaluations of L-BFGS from one start.
 
     Attributes:
@@ -52,7 +52,7 @@ def descend(
     max_evaluations: int,
     ftol: float = 1e-9,
     progress: bool = True,
-) -> Descent:
+) -> DesignDescent:
     """Improve a design; what the log's list ``name`` holds is replayed, not computed again.
 
     Args:
@@ -92,7 +92,7 @@ def descend(
             callback=bar,
         )
     timed = [e.cpu_s for e in found.history if not e.failure]
-    return Descent(
+    return DesignDescent(
         designs=torch.tensor(np.array([e.x for e in found.history])),
         losses=torch.tensor([e.value for e in found.history], dtype=torch.float64),
         seconds=float(np.mean(timed)),

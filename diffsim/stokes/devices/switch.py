@@ -65,7 +65,7 @@ def switch(resolution: float = 1.0, *, profile: str = "paths") -> Device:
     along = torch.tensor([speed, 0.0, 0.0], dtype=torch.float64)
     band = 4.0 * max(grid.spacing)
     states = tuple(
-        State(name, _turned(24 + k, band), inlet, _towards(mask[..., None] * along))
+        State(name, _build_turned_shape(24 + k, band), inlet, _towards(mask[..., None] * along))
         for k, (name, mask) in enumerate((("on", on), ("off", ~on)))
     )
     radii = [
@@ -92,7 +92,7 @@ def _towards(target: Tensor) -> Callable[[FlowField], Tensor]:
     return lambda field: squared_difference(field, ["x+"], target)
 
 
-def _turned(angle: int, band: float) -> Callable[[Tensor], Shape]:
+def _build_turned_shape(angle: int, band: float) -> Callable[[Tensor], Shape]:
     """Walls and obstacle; the obstacle's angle is x[angle]."""
 
     def shape(x: Tensor) -> Shape:

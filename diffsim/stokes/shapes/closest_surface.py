@@ -25,7 +25,7 @@ _CHUNK = 16384  # points at a time, so that temporaries stay in the cache
 
 
 @dataclass(frozen=True)
-class Patch:
+class SurfacePatch:
     """A surface without gradient.
 
     Attributes:
@@ -83,10 +83,10 @@ class Patch:
         return [s, su, sv, suu, suv, svv]
 
 
-class Samples:
+class SurfaceSamples:
     """Points of a surface on a grid of parameters, in a search tree."""
 
-    def __init__(self, patch: Patch, per_span: tuple[int, int], reach: float):
+    def __init__(self, patch: SurfacePatch, per_span: tuple[int, int], reach: float):
         u, v = (b.samples(n, reach) for b, n in zip(patch.bases, per_span, strict=True))
         u = u[(u >= patch.low[0]) & (u <= patch.high[0])]
         v = v[(v >= patch.low[1]) & (v <= patch.high[1])]
@@ -124,7 +124,9 @@ class Samples:
         return apart.any(1), index.gather(1, column)[:, 0]
 
 
-def closest(patch: Patch, samples: Samples, p: Tensor, band: float | None) -> tuple[Tensor, Tensor]:
+def closest(
+    patch: SurfacePatch, samples: SurfaceSamples, p: Tensor, band: float | None
+) -> tuple[Tensor, Tensor]:
     """Parameters (N, 2) of the points closest to p (N, 3).
 
     Farther than ``band`` [m] (if not None) the nearest sample stands for it.
@@ -140,11 +142,13 @@ def closest(patch: Patch, samples: Samples, p: Tensor, band: float | None) -> tu
     wanted = torch.ones_like(close_by) if band is None else d <= band + samples.gap
     for group, num in zip((wanted & close_by, wanted & ~close_by), _NEIGHBORS, strict=True):
         for some in torch.nonzero(group)[:, 0].split(_CHUNK):
-            uv[some], slope[some] = _refined(patch, samples, p[some], num)
+            uv[some], slope[some] = _refine_samples(patch, samples, p[some], num)
     return uv, slope
 
 
-def _refined(patch: Patch, samples: Samples, p: Tensor, num: int) -> tuple[Tensor, Tensor]:
+def _refine_samples(
+    patch: SurfacePatch, samples: SurfaceSamples, p: Tensor, num: int
+) -> tuple[Tensor, Tensor]:
     _, index = samples.nearest(p, min(num, len(samples.points)))
     uv, f, slope = _descend_over(patch, samples, samples.uv[index[:, 0]], p)
     seen = [index[:, 0]]
@@ -162,7 +166,7 @@ def _refined(patch: Patch, samples: Samples, p: Tensor, num: int) -> tuple[Tenso
 
 
 def _descend_over(
-    patch: Patch, samples: Samples, uv: Tensor, p: Tensor
+    patch: SurfacePatch, samples: SurfaceSamples, uv: Tensor, p: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """:func:`_descend` that goes on beyond a kink at which it was held."""
     if not any(basis.kinks for basis in patch.bases):
@@ -195,7 +199,7 @@ def _descend_over(
 
 
 def _descend(
-    patch: Patch, samples: Samples, uv: Tensor, p: Tensor
+    patch: SurfacePatch, samples: SurfaceSamples, uv: Tensor, p: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Local minimum of f from each start (N, 2): parameters, f and slope as in :func:`closest`."""
     uv, f_out = uv.clone(), torch.zeros(len(p), dtype=torch.float64)

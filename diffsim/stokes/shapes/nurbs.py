@@ -12,7 +12,7 @@ from diffsim.core.check import require, require_choice, require_number, require_
 from diffsim.core.errors import ConvergenceWarning
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
-from diffsim.stokes.shapes.closest_surface import Patch, Samples, closest
+from diffsim.stokes.shapes.closest_surface import SurfacePatch, SurfaceSamples, closest
 from diffsim.stokes.shapes.envelope import signed_distance
 from diffsim.stokes.shapes.spline_basis import SplineBasis
 
@@ -117,7 +117,7 @@ class NurbsSurface(Shape):
 
     def level(self, points: Tensor) -> Tensor:
         p, patch = points.detach(), self._patch()
-        samples = Samples(patch, self.samples, _REACH)
+        samples = SurfaceSamples(patch, self.samples, _REACH)
         uv, slope = closest(patch, samples, p, self.band)
         foot = self.point(uv)
         normal = self._normal(patch, uv, p - foot.detach(), slope)
@@ -129,7 +129,7 @@ class NurbsSurface(Shape):
         w = self.weights[:, :, None]
         return torch.cat([w * self.control_points, w], 2)
 
-    def _patch(self) -> Patch:
+    def _patch(self) -> SurfacePatch:
         x = require("control_points", self.control_points.detach(), ("nu", "nv", 3))
         extent = float((x.amax((0, 1)) - x.amin((0, 1))).max())
         if not extent > 1e-12 * float(x.abs().max()):
@@ -138,7 +138,7 @@ class NurbsSurface(Shape):
         w = require_range("weights", w.detach(), above=0.0)[:, :, None]
         range_ = [self._range(w, k) for k in (0, 1)]
         low, high = (torch.tensor(r, dtype=torch.float64) for r in zip(*range_, strict=True))
-        return Patch(torch.cat([w * x, w], 2), self.bases, low, high, extent)
+        return SurfacePatch(torch.cat([w * x, w], 2), self.bases, low, high, extent)
 
     def _range(self, w: Tensor, axis: int) -> tuple[float, float]:
         """Parameters allowed; beyond an end only as far as the weights stay well above zero."""
@@ -153,7 +153,7 @@ class NurbsSurface(Shape):
         low, high = (0.5 / falls.clamp(min=1e-300).amax(1)).clamp(max=_REACH).tolist()
         return -low, 1.0 + high
 
-    def _side(self, patch: Patch) -> float:
+    def _side(self, patch: SurfacePatch) -> float:
         """1 where the fluid is in front (the side of S_u x S_v)."""
         if self.fluid in ("front", "back"):
             return 1.0 if self.fluid == "front" else -1.0
@@ -169,7 +169,7 @@ class NurbsSurface(Shape):
         front_is_outside = float(flux.sum()) > 0
         return 1.0 if front_is_outside == (self.fluid == "outside") else -1.0
 
-    def _normal(self, patch: Patch, uv: Tensor, away: Tensor, slope: Tensor) -> Tensor:
+    def _normal(self, patch: SurfacePatch, uv: Tensor, away: Tensor, slope: Tensor) -> Tensor:
         """Unit normals (N, 3) on the front, such that away.normal is the signed distance."""
         _, su, sv = patch.derivatives(uv, 1)
         front = torch.linalg.cross(su, sv)
@@ -190,7 +190,7 @@ class NurbsSurface(Shape):
         return torch.where(far[:, None], straight, front)
 
     @staticmethod
-    def _between(patch: Patch, uv: Tensor) -> Tensor:
+    def _between(patch: SurfacePatch, uv: Tensor) -> Tensor:
         """Mean normal (N, 3) of the surface around an edge, pole or end."""
         total = torch.zeros(len(uv), 3, dtype=torch.float64)
         pole = patch.derivatives(uv, 1)[1].norm(dim=1)
@@ -230,7 +230,7 @@ class BSplineSurface(NurbsSurface):
         super().__init__(control_points, **options)
 
 
-def _unit_normal(patch: Patch, uv: Tensor) -> Tensor:
+def _unit_normal(patch: SurfacePatch, uv: Tensor) -> Tensor:
     _, su, sv = patch.derivatives(uv, 1)
     front = torch.linalg.cross(su, sv)
     return front / front.norm(dim=1, keepdim=True).clamp(min=1e-300)

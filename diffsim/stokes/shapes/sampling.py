@@ -76,7 +76,7 @@ def interface(phi: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     x, a, b = nodes.reshape(-1, d), phi[edges[:, :1]], phi[edges[:, 1:]]
     points = (b * x[edges[:, 0]] - a * x[edges[:, 1]]) / (b - a)
     elements = which.reshape(-1, d)
-    return points, _turned(points.detach(), elements, pieces, x.detach(), phi.detach())
+    return points, _turn_to_fluid(points.detach(), elements, pieces, x.detach(), phi.detach())
 
 
 def _simplices(shape: Sequence[int]) -> Tensor:
@@ -118,7 +118,9 @@ def _cut(fluid: Tensor, simplices: Tensor) -> Tensor:
     return torch.cat(out)
 
 
-def _turned(points: Tensor, elements: Tensor, pieces: Tensor, x: Tensor, phi: Tensor) -> Tensor:
+def _turn_to_fluid(
+    points: Tensor, elements: Tensor, pieces: Tensor, x: Tensor, phi: Tensor
+) -> Tensor:
     """Elements turned so that their fronts (left sides) face the fluid."""
     ends = pieces[:, 0]
     swap = phi[ends[:, 0]] < 0  # from solid to fluid

@@ -96,19 +96,19 @@ def _clamped_knots(num: int, degree: int, knots: Sequence[float] | None) -> tupl
     if knots is None:
         inner = np.linspace(0.0, 1.0, num - degree + 1)
         return np.concatenate([np.zeros(degree), inner, np.ones(degree)]), degree
-    full = _checked(knots, num + degree + 1)
+    full = _check_knots(knots, num + degree + 1)
     if full[degree] != 0.0 or full[-degree - 1] != 1.0:
         raise ValueError(f"the first and last {degree + 1} knots must be equal (clamped)")
     return full, degree
 
 
 def _periodic_knots(num: int, degree: int, knots: Sequence[float] | None) -> tuple[np.ndarray, int]:
-    period = np.linspace(0.0, 1.0, num + 1) if knots is None else _checked(knots, num + 1)
+    period = np.linspace(0.0, 1.0, num + 1) if knots is None else _check_knots(knots, num + 1)
     index = np.arange(-degree, num + degree + 1)
     return period[index % num] + index // num, degree
 
 
-def _checked(knots: Sequence[float], num: int) -> np.ndarray:
+def _check_knots(knots: Sequence[float], num: int) -> np.ndarray:
     full = np.asarray(knots, dtype=np.float64)
     if full.shape != (num,) or not np.isfinite(full).all():
         raise ValueError(f"knots must be {num} finite numbers, got shape {full.shape}")
