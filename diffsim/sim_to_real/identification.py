@@ -119,7 +119,7 @@ def identify(
         gradient="autograd",
         max_evaluations=settings.max_evaluations,
     )
-    return _identified(found, before, settings.sd_m)
+    return _summarize_fit(found, before, settings.sd_m)
 
 
 def loss_of(model: Starfish, run: Run, values: Mapping[str, float], duration_s: float) -> float:
@@ -132,7 +132,7 @@ def loss_of(model: Starfish, run: Run, values: Mapping[str, float], duration_s: 
     return float(residual @ residual)
 
 
-def _identified(found: Fit, before: Array, sd_m: float) -> Identified:
+def _summarize_fit(found: Fit, before: Array, sd_m: float) -> Identified:
     spread = max(1.0, found.chi2 / found.num_samples * correlation_length(found.residual))
     n = len(found.x)
     covariance = linalg.inv(found.jacobian.T @ found.jacobian / spread + np.eye(n))

@@ -91,8 +91,8 @@ class VirtualLaboratory:
         time = np.arange(len(wish)) / RATE_HZ
         seen = self._camera(robot, places, _origin(rng))
         seen = np.stack([np.interp(time + offset, time, channel) for channel in seen.T], 1)
-        seen, gone = self._tracked(seen, rng)
-        return _recorded(order, time, np.where(gone, np.nan, seen), quantized)
+        seen, gone = self._track_markers(seen, rng)
+        return _build_run(order, time, np.where(gone, np.nan, seen), quantized)
 
     def steer(self, policy: Policy, *, order: int) -> Run:
         """Execute what a controller asks for, sample by sample, from rest, and record.
@@ -118,7 +118,7 @@ class VirtualLaboratory:
         places, asked, last = [], [], None
         for t in time:
             seen = self._camera(robot, now.at[None], origin)[0]
-            seen, gone = self._tracked(seen[None], rng)
+            seen, gone = self._track_markers(seen[None], rng)
             places.append(np.where(gone, np.nan, seen)[0])
             last = seen[0] if last is None else np.where(gone[0], last, seen[0])
             wish = float(policy(float(t), last))
@@ -129,7 +129,7 @@ class VirtualLaboratory:
                 )
             asked.append(wish)
             robot.follow(now, servo.follow(np.full(STEPS_PER_SAMPLE, self._whole_steps(wish))))
-        return _recorded(order, time, np.array(places), self._whole_steps(np.array(asked)))
+        return _build_run(order, time, np.array(places), self._whole_steps(np.array(asked)))
 
     def _trial(self, order: int) -> tuple[np.random.Generator, RodSwimmer, float]:
         """What scatters between repeats: the robot, the clocks' offset [s]; the noise's source."""
@@ -147,7 +147,7 @@ class VirtualLaboratory:
     def _whole_steps(self, wish: Array | float) -> Array:
         return np.asarray(np.round(np.asarray(wish) / self.rig.step_m) * self.rig.step_m)
 
-    def _tracked(self, seen: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def _track_markers(self, seen: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Places (num_samples, 8) with noise and pixels, and which of them are lost."""
         seen = seen + self.rig.noise_m * rng.standard_normal(seen.shape)
         seen = np.round(seen / self.rig.pixel_m) * self.rig.pixel_m
@@ -187,7 +187,7 @@ def _origin(rng: np.random.Generator) -> Array:
     return np.array([0.35, -0.11]) + 0.01 * rng.standard_normal(2)
 
 
-def _recorded(order: int, time: Array, measured: Array, command: Array) -> Run:
+def _build_run(order: int, time: Array, measured: Array, command: Array) -> Run:
     return Run(
         name=f"run_{order}",
         time_s=time,

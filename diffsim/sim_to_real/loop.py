@@ -20,9 +20,9 @@ from diffsim.sim_to_real.identification import Identified, identify, loss_of
 from diffsim.sim_to_real.model import Starfish
 from diffsim.sim_to_real.records import (
     Iteration,
+    IterationPlan,
     LoopResult,
     LoopSettings,
-    Planned,
     load_plan,
     open_loop,
     save_plan,
@@ -71,7 +71,7 @@ def sim_to_real(
             else:
                 planned = load_plan(place) or _plan(place, model, hardware, settings, done)
             bar.set_description(f"iteration {k}: execute")
-            run = _executed(place, hardware, planned.command, k)
+            run = _execute_or_read(place, hardware, planned.command, k)
             done.append(_row(place, model, hardware, settings, planned, run, k))
             bar.update()
             bar.set_postfix_str(f"v_r = {1e2 * done[-1].speed_measured:.3f} cm/s")
@@ -86,13 +86,15 @@ def sim_to_real(
     )
 
 
-def _baseline(place: Path, model: Starfish, command: Command, settings: LoopSettings) -> Planned:
+def _baseline(
+    place: Path, model: Starfish, command: Command, settings: LoopSettings
+) -> IterationPlan:
     """bl-ctrl: first guesses of Table 5.1 and the hand-made command."""
     values = {p.name: p.value for p in model.parameters}
     with torch.no_grad():
         period = torch.from_numpy(command.contraction_m)
         loss = float(travel_loss(model, values, period, settings.trajectory.periods))
-    return save_plan(place, Planned(values, command, None, loss, loss))
+    return save_plan(place, IterationPlan(values, command, None, loss, loss))
 
 
 def _plan(
@@ -101,16 +103,18 @@ def _plan(
     hardware: Hardware,
     settings: LoopSettings,
     done: list[Iteration],
-) -> Planned:
+) -> IterationPlan:
     """Identify on the latest recordings, then optimize the command."""
-    found = _identified(place, model, settings, done)
+    found = _identify_or_read(place, model, settings, done)
     shared = [p.name for p in model.parameters]
     values = {name: found.values[name] for name in shared}
     best = optimize(model, values, done[-1].command, hardware.limits, settings.trajectory)
-    return save_plan(place, Planned(values, best.command, found, best.loss_after, best.loss_before))
+    return save_plan(
+        place, IterationPlan(values, best.command, found, best.loss_after, best.loss_before)
+    )
 
 
-def _identified(
+def _identify_or_read(
     place: Path, model: Starfish, settings: LoopSettings, done: list[Iteration]
 ) -> Identified:
     file = place / "identified.json"
@@ -124,7 +128,7 @@ def _identified(
     return found
 
 
-def _executed(place: Path, hardware: Hardware, command: Command, k: int) -> Run:
+def _execute_or_read(place: Path, hardware: Hardware, command: Command, k: int) -> Run:
     """The recording of an iteration, made only where there is none yet."""
     study = place / "recording" / STUDY_FILE
     if not study.exists():
@@ -138,7 +142,7 @@ def _row(
     model: Starfish,
     hardware: Hardware,
     settings: LoopSettings,
-    planned: Planned,
+    planned: IterationPlan,
     run: Run,
     k: int,
 ) -> Iteration:

@@ -47,7 +47,7 @@ def on_real_recording(study: Study, model: Starfish, settings: FitSettings) -> d
             {
                 "run": name,
                 "use": "fit" if name == FIT_RUN else "held out",
-                "rms_still_m": _rms(float(np.nansum(_moved(runs[name]) ** 2)), runs[name]),
+                "rms_still_m": _rms(float(np.nansum(_subtract_rest(runs[name]) ** 2)), runs[name]),
                 "rms_before_m": best_clock(model, runs[name], guesses, settings.duration_s),
                 "rms_after_m": best_clock(model, runs[name], shared, settings.duration_s),
             }
@@ -96,7 +96,7 @@ def best_clock(model: Starfish, run: Run, values: Mapping[str, float], duration_
     return _rms(min(losses), run)
 
 
-def _moved(run: Run) -> np.ndarray:
+def _subtract_rest(run: Run) -> np.ndarray:
     return run.measured - np.nanmean(run.measured[:6], axis=0)
 
 

@@ -30,7 +30,7 @@ MAX_FORCE_N = 0.5  # of water on a node; swimming makes hundredths
 _ONE = torch.ones((), dtype=torch.float64)
 
 
-def _shortened(contraction: Tensor) -> Tensor:
+def _compute_activation(contraction: Tensor) -> Tensor:
     """Activation of both tendons: length over full length."""
     return (1.0 - contraction / TENDON).expand(*contraction.shape[:-1], 2)
 
@@ -149,7 +149,7 @@ class Starfish:
             },
             command=torch.cat([ramp * contraction[0], contraction])[:, None],
             command_dt=dt,
-            actuate=_shortened,
+            actuate=_compute_activation,
             water=water_of(made.body.mesh, drag, thrust),
             clock_offset=torch.zeros((), dtype=torch.float64)
             if clock_offset is None

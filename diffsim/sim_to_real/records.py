@@ -111,7 +111,7 @@ class LoopResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class IterationPlan:
     """What is known before the experiment."""
 
     values: dict[str, float]
@@ -155,14 +155,14 @@ def open_loop(
         )
 
 
-def load_plan(place: Path) -> Planned | None:
+def load_plan(place: Path) -> IterationPlan | None:
     """The saved plan of an iteration, None where there is none."""
     file = place / "plan.json"
     if not file.exists():
         return None
     saved: dict[str, Any] = json.loads(file.read_text())
     found = saved["identified"]
-    return Planned(
+    return IterationPlan(
         saved["values"],
         Command(np.array(saved["contraction_m"])),
         None if found is None else Identified.from_plain(found),
@@ -171,7 +171,7 @@ def load_plan(place: Path) -> Planned | None:
     )
 
 
-def save_plan(place: Path, planned: Planned) -> Planned:
+def save_plan(place: Path, planned: IterationPlan) -> IterationPlan:
     """Keep it on disk, and hand it on."""
     found = planned.identified
     write_json_atomic(

@@ -43,7 +43,7 @@ class TrajectorySettings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Optimized:
+class OptimizedCommand:
     """A command with what the simulation promises.
 
     Attributes:
@@ -87,7 +87,7 @@ def optimize(
     start: Command,
     limits: Limits,
     settings: TrajectorySettings,
-) -> Optimized:
+) -> OptimizedCommand:
     """Minimize L_a over the knots of a period by L-BFGS-B; theta stays fixed.
 
     Bounds of the knots are the solver's; what is too fast for the servo is turned into what it can
@@ -123,7 +123,7 @@ def optimize(
             wall=_WALL,
         ),
     )
-    return Optimized(
+    return OptimizedCommand(
         command=Command(found.best.notes["period"]),
         loss_before=found.history[0].value * _UNIT_M,
         loss_after=found.value * _UNIT_M,
