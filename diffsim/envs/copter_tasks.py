@@ -108,7 +108,7 @@ class CopterHover(Task):
         body_drag = BodyDrag(linear=linear, quadratic=torch.zeros(3, dtype=torch.float64))
         self.sag = None if battery is None else sag_of(battery, design)
         self._effects = FlightEffects(motor_lag=lag, body_drag=body_drag, battery=self.sag)
-        self._packed: _Kept[PreparedFlight] | None = None
+        self._packed: _ValueOfTensors[PreparedFlight] | None = None
         self.actions = tuple(Entry(f"thrust of rotor {i}", -1.0, 1.0) for i in range(n))
         self.observations = tuple(self._entries())
 
@@ -215,7 +215,7 @@ class CopterHover(Task):
         vehicles, effects = with_factors(self.vehicle, self._effects, factors)
         flights = prepare_flight(vehicles, dt=self.dt, effects=effects)
         if not any(t.requires_grad for t in tensors):
-            self._packed = _Kept(flights, tensors)
+            self._packed = _ValueOfTensors(flights, tensors)
         return flights
 
     def _reference(self, state: TaskState) -> tuple[Tensor, Tensor]:
@@ -270,7 +270,7 @@ class CopterTrack(CopterHover):
     ):
         self.size = require_number("size", size, above=0.0)
         self.period = require_number("period", period, above=0.0)
-        self._asked: _Kept[tuple[Tensor, Tensor]] | None = None
+        self._asked: _ValueOfTensors[tuple[Tensor, Tensor]] | None = None
         super().__init__(design, **options)  # type: ignore[arg-type]
 
     def _reference(self, state: TaskState) -> tuple[Tensor, Tensor]:
@@ -282,7 +282,7 @@ class CopterTrack(CopterHover):
         slope = self.size * _WIDTHS * _LOOPS * torch.cos(turns)
         asked = self.size * _WIDTHS * torch.sin(turns), 2.0 * math.pi / self.period * slope
         if not asked[0].requires_grad:
-            self._asked = _Kept(asked, of)
+            self._asked = _ValueOfTensors(asked, of)
         return asked
 
     def _places(self, state: TaskState, ahead: Sequence[float]) -> Tensor:
@@ -296,7 +296,7 @@ class CopterTrack(CopterHover):
         return along[..., None] * _LOOPS
 
 
-class _Kept(Generic[T]):
+class _ValueOfTensors(Generic[T]):
     """A value and the tensors that it was made of, as they were then."""
 
     def __init__(self, value: T, tensors: list[Tensor]):

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import require_choice
-from diffsim.envs.sensing import Sensing
+from diffsim.envs.sensing import ObservationNoise
 from diffsim.envs.starts import with_options
 from diffsim.envs.task import Entry, Task, TaskState, detached
-from diffsim.envs.window import Window
+from diffsim.envs.window import PictureWindow
 
 RENDER_MODES = ("rgb_array", "human")
 
@@ -45,11 +45,11 @@ class TaskEnv(gymnasium.Env):
             require_choice("render_mode", render_mode, RENDER_MODES)
         self.task, self.render_mode = task, render_mode
         self.metadata = {**type(self).metadata, "render_fps": frame_rate(task)}
-        self.sensing = Sensing(sensor_noise, task.num_observations)
+        self.sensing = ObservationNoise(sensor_noise, task.num_observations)
         self.action_space, self.observation_space = spaces_of(task)
         self.state: TaskState | None = None
         self._has_ended = False
-        self.window = Window(task.name, frame_rate(task)) if render_mode == "human" else None
+        self.window = PictureWindow(task.name, frame_rate(task)) if render_mode == "human" else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -73,7 +73,7 @@ class TaskEnv(gymnasium.Env):
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One control step."""
-        state = self._started()
+        state = self._require_started()
         if self._has_ended:
             raise gymnasium.error.ResetNeeded(
                 f"{self.task.name}: the episode has ended after {int(state['step'][0])} steps; "
@@ -99,7 +99,7 @@ class TaskEnv(gymnasium.Env):
             return None
         if self.render_mode == "human":  # every step shows itself
             return None
-        return self.task.picture(self._started(), 0)
+        return self.task.picture(self._require_started(), 0)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -114,20 +114,20 @@ class TaskEnv(gymnasium.Env):
 
     def differentiable_state(self) -> TaskState:
         """A copy of the present state, from which ``differentiable_step`` can go on."""
-        return {k: v.clone() for k, v in detached(self._started()).items()}
+        return {k: v.clone() for k, v in detached(self._require_started()).items()}
 
     def _show(self) -> None:
         if self.window is not None:
-            self.window.show(self.task.picture(self._started(), 0))
+            self.window.show(self.task.picture(self._require_started(), 0))
 
-    def _started(self) -> TaskState:
+    def _require_started(self) -> TaskState:
         if self.state is None:
             raise gymnasium.error.ResetNeeded(f"{self.task.name}: call reset() before step()")
         return self.state
 
     def _observation(self) -> NDArray[np.float32]:
         with torch.no_grad():
-            plain = self.task.observe(self._started())[0].numpy()
+            plain = self.task.observe(self._require_started())[0].numpy()
         return self.sensing(plain, self.np_random)
 
 

@@ -24,7 +24,7 @@ from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
 
 
-class Named(NamedTuple):
+class NamedTask(NamedTuple):
     """What is registered of a task.
 
     Attributes:
@@ -41,20 +41,20 @@ class Named(NamedTuple):
 
 _COPTER, _SOFT = "diffsim.envs.copter_tasks", "diffsim.envs.soft_named"
 _TASKS = {
-    "CopterHover": Named(_COPTER, 200, 180.0),
-    "CopterTrack": Named(_COPTER, 200, 150.0),
-    "StarfishSwim": Named(_SOFT, 200, 80.0),
-    "SharkSwim": Named(_SOFT, 200, 90.0),
-    "QuadrupedWalk": Named(_SOFT, 100),
-    "CowWalk": Named(_SOFT, 60),
-    "TorusRoll": Named(_SOFT, 100),
-    "TendonReach": Named(_SOFT, 100),
-    "SoftJumper": Named(_SOFT, 300),
+    "CopterHover": NamedTask(_COPTER, 200, 180.0),
+    "CopterTrack": NamedTask(_COPTER, 200, 150.0),
+    "StarfishSwim": NamedTask(_SOFT, 200, 80.0),
+    "SharkSwim": NamedTask(_SOFT, 200, 90.0),
+    "QuadrupedWalk": NamedTask(_SOFT, 100),
+    "CowWalk": NamedTask(_SOFT, 60),
+    "TorusRoll": NamedTask(_SOFT, 100),
+    "TendonReach": NamedTask(_SOFT, 100),
+    "SoftJumper": NamedTask(_SOFT, 300),
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 
 
-def known_tasks() -> Mapping[str, Named]:
+def known_tasks() -> Mapping[str, NamedTask]:
     """All tasks by name, those of other packages among them.
 
     Raises:
@@ -66,7 +66,7 @@ def known_tasks() -> Mapping[str, Named]:
             f"{ENVIRONMENTS}: {taken[0]!r} is a task of diffsim already; give "
             f"{added[taken[0]].value} another name"
         )
-    return {**_TASKS, **dict.fromkeys(added, Named())}
+    return {**_TASKS, **dict.fromkeys(added, NamedTask())}
 
 
 def short_name(name: str) -> str:

@@ -68,7 +68,7 @@ class Sb3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Attribute of the vector environment, once per member."""
-        return [getattr(self.env, attr_name)] * len(self._chosen(indices))
+        return [getattr(self.env, attr_name)] * len(self._list_indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Members share everything: an attribute is set for all of them."""
@@ -79,15 +79,15 @@ class Sb3VecEnv(VecEnv):
     ) -> list[Any]:
         """Call a method of the vector environment, once for all."""
         result = getattr(self.env, method_name)(*args, **kwargs)
-        return [result] * len(self._chosen(indices))
+        return [result] * len(self._list_indices(indices))
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Members are not wrapped."""
-        return [False] * len(self._chosen(indices))
+        return [False] * len(self._list_indices(indices))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Pictures of all members."""
         return self.env.render() or [None] * self.num_envs
 
-    def _chosen(self, indices: int | Iterable[int] | None) -> list[int]:
+    def _list_indices(self, indices: int | Iterable[int] | None) -> list[int]:
         return list(self._get_indices(indices))

@@ -10,7 +10,7 @@ from diffsim.core.check import require_number
 Array32 = NDArray[np.float32]
 
 
-class Sensing:
+class ObservationNoise:
     """White noise on observations.
 
     Args:

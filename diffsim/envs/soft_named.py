@@ -12,7 +12,7 @@ from diffsim.systems import robots
 from diffsim.systems.robots import SoftRobot
 
 
-def _made(make: Callable[..., SoftRobot], options: Mapping[str, Any] | None) -> SoftRobot:
+def _make_robot(make: Callable[..., SoftRobot], options: Mapping[str, Any] | None) -> SoftRobot:
     """A robot from options; one that it does not have is refused with the closest names."""
     require_options(f"robot {make.__name__}", options or {}, make)
     return make(**(options or {}))
@@ -31,7 +31,7 @@ class StarfishSwim(Advance):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        body = _made(robots.starfish, robot)
+        body = _make_robot(robots.starfish, robot)
         super().__init__(body, num_steps, start_speed=start_speed, **options)
 
 
@@ -48,7 +48,7 @@ class SharkSwim(Advance):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        body = _made(robots.shark, robot)
+        body = _make_robot(robots.shark, robot)
         super().__init__(body, num_steps, start_speed=start_speed, **options)
 
 
@@ -60,7 +60,7 @@ class QuadrupedWalk(Advance):
     def __init__(
         self, *, num_steps: int = 100, robot: dict[str, Any] | None = None, **options: Any
     ):
-        super().__init__(_made(robots.quadruped, robot), num_steps, **options)
+        super().__init__(_make_robot(robots.quadruped, robot), num_steps, **options)
 
 
 class CowWalk(Advance):
@@ -78,7 +78,7 @@ class CowWalk(Advance):
         **options: Any,
     ):
         super().__init__(
-            _made(robots.cow, robot),
+            _make_robot(robots.cow, robot),
             num_steps,
             substeps=substeps,
             rise_weight=rise_weight,
@@ -99,7 +99,7 @@ class TorusRoll(Advance):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        super().__init__(_made(robots.torus, robot), num_steps, substeps=substeps, **options)
+        super().__init__(_make_robot(robots.torus, robot), num_steps, substeps=substeps, **options)
 
 
 class TendonReach(Reach):
@@ -117,7 +117,7 @@ class TendonReach(Reach):
         **options: Any,
     ):
         super().__init__(
-            _made(robots.tendon_arm, robot),
+            _make_robot(robots.tendon_arm, robot),
             num_steps,
             goal_low=goal_low,
             goal_high=goal_high,
@@ -138,4 +138,6 @@ class SoftJumper(Jump):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        super().__init__(_made(robots.soft_jumper, robot), num_steps, substeps=substeps, **options)
+        super().__init__(
+            _make_robot(robots.soft_jumper, robot), num_steps, substeps=substeps, **options
+        )

@@ -101,9 +101,9 @@ class Task(ABC):
 
     def __init__(self, *, action_delay: int = 0, randomization: Randomizing = None):
         self.action_delay = require_count("action_delay", action_delay)
-        self.randomization = self._randomized(randomization)
+        self.randomization = self._check_randomization(randomization)
 
-    def _randomized(self, given: Randomizing) -> Randomization | None:
+    def _check_randomization(self, given: Randomizing) -> Randomization | None:
         if given is None:
             return None
         factors = given.factors if isinstance(given, Randomization) else given

@@ -15,10 +15,10 @@ from torch import Tensor
 from diffsim.core.check import require_choice
 from diffsim.core.check_options import require_count
 from diffsim.envs.env import RENDER_MODES, action_rows, frame_rate, spaces_of
-from diffsim.envs.sensing import Sensing
+from diffsim.envs.sensing import ObservationNoise
 from diffsim.envs.starts import RESET_MASK, Generators, checked_mask, with_options
 from diffsim.envs.task import Task, TaskState
-from diffsim.envs.window import Window, side_by_side
+from diffsim.envs.window import PictureWindow, side_by_side
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -68,12 +68,12 @@ class TaskVectorEnv(VectorEnv):
             "render_fps": frame_rate(task),
             "autoreset_mode": self.autoreset_mode,
         }
-        self.sensing = Sensing(sensor_noise, task.num_observations)
+        self.sensing = ObservationNoise(sensor_noise, task.num_observations)
         self.single_action_space, self.single_observation_space = spaces_of(task)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.state: TaskState | None = None
-        self.window = Window(task.name, frame_rate(task)) if render_mode == "human" else None
+        self.window = PictureWindow(task.name, frame_rate(task)) if render_mode == "human" else None
         self._generators = Generators(self.num_envs)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._seen = np.zeros((self.num_envs, task.num_observations), dtype=np.float32)

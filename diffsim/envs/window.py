@@ -36,7 +36,7 @@ def _interactive() -> str | None:
     return None
 
 
-class Window:
+class PictureWindow:
     """Shows pictures one after the other, at most as fast as they happened.
 
     Args:
