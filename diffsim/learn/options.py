@@ -121,10 +121,10 @@ def main_training(
     if launched_together() and learner is not GradientLearner:
         parser.error("torchrun: of all methods rl/train_gradient.py alone shares its episodes")
     with process_group():
-        return _trained(method, learner, options, quick, args)
+        return _train_from_arguments(method, learner, options, quick, args)
 
 
-def _trained(
+def _train_from_arguments(
     method: str, learner: type, options: type, quick: dict[str, Any], args: argparse.Namespace
 ) -> Run:
     """The run that arguments ask for, from its first update to its last."""

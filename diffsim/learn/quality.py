@@ -79,7 +79,9 @@ def gradient_quality(
     draws = torch.from_numpy(rng.standard_normal((len(flat), directions)))
     basis = torch.linalg.qr(draws).Q.mT  # (directions, parameters)
     length = spread * float(flat.norm())
-    all_sampled = _sampled(task, controller, parameters, basis, length, horizons, episodes, seed)
+    all_sampled = _sample_gradients(
+        task, controller, parameters, basis, length, horizons, episodes, seed
+    )
     rows = []
     for horizon, sampled in zip(horizons, all_sampled, strict=True):
         analytic = _per_episode(task, controller, parameters, horizon, episodes, seed)
@@ -133,7 +135,7 @@ def _per_episode(
     return torch.cat([g.flatten(1) for g in grads], 1)
 
 
-def _sampled(
+def _sample_gradients(
     task: Task,
     controller: nn.Module,
     parameters: Parameters,

@@ -54,7 +54,7 @@ class WindowOptions:
 
 
 @dataclass
-class Window:
+class WindowRecord:
     """What one window saw, without gradient: (steps, batch, ...)."""
 
     normalized: Tensor
@@ -137,7 +137,7 @@ class ShortHorizonLearner:
         }
         return Update(steps, steps, scalars | self.explorer.scalars())
 
-    def _window(self) -> tuple[Tensor, Window]:
+    def _window(self) -> tuple[Tensor, WindowRecord]:
         """Roll all episodes on; minus the mean of their discounted rewards and values after."""
         o = self.options
         state, total = detached(self.state), torch.zeros(o.batch, dtype=torch.float64)
@@ -165,7 +165,7 @@ class ShortHorizonLearner:
             normalized = self.normalizer(rows)
         self.normalizer.update(rows)
         columns = [torch.stack(list(c)) for c in zip(*record, strict=True)]
-        return -total.mean() / o.window, Window(normalized, *columns)
+        return -total.mean() / o.window, WindowRecord(normalized, *columns)
 
     def _restart(self, state: TaskState, weight: Tensor, ended: Tensor) -> tuple[TaskState, Tensor]:
         """Ended episodes start anew; their later rewards count in full."""
@@ -174,7 +174,7 @@ class ShortHorizonLearner:
         fresh = self.task.start(len(ended), self.rng)
         return where(ended, fresh, state), torch.where(ended, torch.ones_like(weight), weight)
 
-    def _learn(self, window: Window) -> None:
+    def _learn(self, window: WindowRecord) -> None:
         o = self.options
         goals = self._goals(window)  # with the bonus that the window was played for
         if self.windows >= o.warm_up:
@@ -191,7 +191,7 @@ class ShortHorizonLearner:
         )
         self.critics.follow(o.target_keep)
 
-    def _goals(self, window: Window) -> Tensor:
+    def _goals(self, window: WindowRecord) -> Tensor:
         """Targets of the critics, (steps, batch)."""
         return td_lambda_targets(
             window.rewards + self.explorer.bonus(window.entropy),

@@ -25,7 +25,7 @@ from diffsim.learn.sapo import (
     scaled_entropy,
 )
 from diffsim.learn.setup import Setup, evaluate, first_controller
-from diffsim.learn.short_horizon import Window
+from diffsim.learn.short_horizon import WindowRecord
 from tests.optional import needs
 
 needs("tensorboard", reason="training writes a TensorBoard log")
@@ -166,7 +166,7 @@ def test_the_price_brings_the_entropy_to_the_wanted_one() -> None:
 def test_soft_targets_agree_with_a_hand_computed_case() -> None:
     learner = made(trace=0.5, temperature=0.4)
     # entropies above, at and below the wanted -2 are worth 0.1, 0 and -0.1
-    window = Window(
+    window = WindowRecord(
         normalized=torch.zeros(2, 2, 22).double(),
         rewards=torch.tensor([[1.0, 1.0], [2.0, 2.0]]).double(),
         entropy=torch.tensor([[-1.0, -3.0], [-2.0, -1.0]]).double(),
