@@ -72,7 +72,7 @@ def gait(
             "drift mm": 1e3 * float(moved[1]),
             "rise mm": 1e3 * float(moved[2]),
             "largest tilt degrees": math.degrees(math.acos(float(upright.min()))),
-            "turned degrees": _turned(robot.attitude(x)),
+            "turned degrees": _measure_turn(robot.attitude(x)),
         }
 
     return Application(
@@ -170,7 +170,7 @@ def lines_between_knots(num_knots: int, num_steps: int) -> Commands:
     return lambda values: hats @ values.reshape(num_knots, -1)
 
 
-def _turned(attitude: Tensor) -> float:
+def _measure_turn(attitude: Tensor) -> float:
     """How far the x-z plane has turned, from +z towards +x, over (num_steps + 1, 3, 3) [degrees].
 
     Counted on over full turns; a step must turn by less than half of one.

@@ -36,7 +36,7 @@ REFINED = "refinement.json"  # the same: what ``python -m benchmarks.refinement`
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class GalleryEntry:
     """One result of the gallery.
 
     Attributes:
@@ -71,7 +71,7 @@ class Entry:
         return Path(self.image).stem
 
 
-def entries(path: Path = FOLDER / "gallery.yaml") -> list[Entry]:
+def entries(path: Path = FOLDER / "gallery.yaml") -> list[GalleryEntry]:
     """What the file lists.
 
     Raises:
@@ -81,7 +81,9 @@ def entries(path: Path = FOLDER / "gallery.yaml") -> list[Entry]:
     found = []
     for raw in read_yaml_file(path):
         try:
-            entry = Entry(**{**raw, "options": tuple(str(o) for o in raw.get("options", ()))})
+            entry = GalleryEntry(
+                **{**raw, "options": tuple(str(o) for o in raw.get("options", ()))}
+            )
         except TypeError as err:
             raise ValueError(f"{path.name}, entry {raw.get('title', raw)!r}: {err}") from err
         if not (entry.page and entry.command):
@@ -110,9 +112,9 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
         for entry in bar:
             bar.set_postfix_str(entry.key)
             if entry.example:
-                _run(entry, out / entry.key)
-    shown = {} if docs is None else _recorded(docs / RECORD)
-    made = {e.key: r for e in listed if (r := _kept(e, out / e.key)) is not None}
+                _run_entry(entry, out / entry.key)
+    shown = {} if docs is None else _read_results(docs / RECORD)
+    made = {e.key: r for e in listed if (r := _read_kept_result(e, out / e.key)) is not None}
     shown = {e.key: (shown | made)[e.key] for e in listed if e.key in shown | made}
     images = Path("images") if docs is not None else None
     page = markdown([e for e in listed if e.key in shown], shown, images)
@@ -127,18 +129,18 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
     return list(shown.values())
 
 
-def _recorded(path: Path) -> dict[str, dict[str, Any]]:
+def _read_results(path: Path) -> dict[str, dict[str, Any]]:
     if not path.is_file():
         return {}
     return {result["key"]: result for result in json.loads(path.read_text())}
 
 
-def _fingerprint(entry: Entry) -> str:
+def _fingerprint(entry: GalleryEntry) -> str:
     text = examples()[entry.example].path.read_text(encoding="utf-8")
     return hashlib.sha256(f"{entry.options}{text}".encode()).hexdigest()
 
 
-def _kept(entry: Entry, folder: Path) -> dict[str, Any] | None:
+def _read_kept_result(entry: GalleryEntry, folder: Path) -> dict[str, Any] | None:
     """The result on file; its number is read anew, so that a changed pattern needs no new run."""
     if entry.page:
         return _from_page(entry)
@@ -154,11 +156,11 @@ def _kept(entry: Entry, folder: Path) -> dict[str, Any] | None:
     elif not (folder / entry.picture).is_file():
         result["failure"] = f"it left no {entry.picture}"
     else:
-        result["number"] = entry.number.format(*(_short(g) for g in match.groups()))
+        result["number"] = entry.number.format(*(_shorten_numbers(g) for g in match.groups()))
     return result
 
 
-def _from_page(entry: Entry) -> dict[str, Any]:
+def _from_page(entry: GalleryEntry) -> dict[str, Any]:
     match = re.search(entry.pattern, (DOCS / entry.page).read_text(encoding="utf-8"))
     if match is None:
         failure = f"docs/{entry.page} has no line like {entry.pattern!r}"
@@ -167,9 +169,9 @@ def _from_page(entry: Entry) -> dict[str, Any]:
     return {"key": entry.key, "seconds": 0.0, "failure": "", "number": number}
 
 
-def _run(entry: Entry, folder: Path) -> None:
+def _run_entry(entry: GalleryEntry, folder: Path) -> None:
     mark = _fingerprint(entry)
-    kept = _kept(entry, folder)
+    kept = _read_kept_result(entry, folder)
     if kept is not None and kept["fingerprint"] == mark and not kept["failure"]:
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -199,7 +201,7 @@ def _run(entry: Entry, folder: Path) -> None:
     )
 
 
-def _short(text: str) -> str:
+def _shorten_numbers(text: str) -> str:
     """Numbers with at most three digits, other text as it is."""
     try:
         return f"{float(text.replace(',', '')):.3g}"
@@ -208,7 +210,7 @@ def _short(text: str) -> str:
 
 
 def markdown(
-    shown: Sequence[Entry], results: dict[str, dict[str, Any]], images: Path | None
+    shown: Sequence[GalleryEntry], results: dict[str, dict[str, Any]], images: Path | None
 ) -> str:
     """The page: by group, a picture with its number, the thesis's, and the command."""
     lines = [
@@ -259,13 +261,13 @@ def _under_refinement(path: Path) -> list[str]:
     return lines
 
 
-def _place(entry: Entry) -> str:
+def _place(entry: GalleryEntry) -> str:
     if entry.page:
         return str(DOCS / "images" / entry.image)
     return f"{entry.key}/{entry.picture}"
 
 
-def _command(entry: Entry) -> str:
+def _command(entry: GalleryEntry) -> str:
     if entry.command:
         return entry.command
     options = " ".join(entry.options).replace("{out}", f"runs/{entry.key}")

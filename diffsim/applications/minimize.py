@@ -158,7 +158,7 @@ def minimize(
             application, parameters=replace(application.parameters, first=begin_at)
         )
     parameters, log = application.parameters, log_of(application, record)
-    tried = _tried(application, log, seed, progress)
+    tried = _try_random_starts(application, log, seed, progress)
     first = parameters.first
     if tried:
         first = np.array(min(tried, key=lambda e: e.loss).values)
@@ -213,14 +213,16 @@ def losses_of(
 
     def loss(values: Array) -> optim.Sample:
         made = _successful(evaluate(application, values, gradient=False))
-        return optim.Sample(made.loss, None, _times(made))
+        return optim.Sample(made.loss, None, _collect_times(made))
 
     with optim.progress_bar(label, len(points), show=progress, leave=False) as bar:
         found = optim.screen(loss, points, log=log, name=name, callback=bar)
     return [_as_evaluation(e, e.x) for e in found]
 
 
-def _tried(application: Application, log: optim.Log, seed: int, progress: bool) -> list[Evaluation]:
+def _try_random_starts(
+    application: Application, log: optim.Log, seed: int, progress: bool
+) -> list[Evaluation]:
     """Tries of random starts; none for a single start."""
     if application.num_starts <= 1:
         return []
@@ -234,7 +236,7 @@ def _sample(application: Application, scaled: Array) -> optim.Sample:
     parameters = application.parameters
     made = _successful(evaluate(application, parameters.values(scaled)))
     slope = np.array(made.gradient) * (parameters.upper - parameters.lower)
-    return optim.Sample(made.loss, slope, {"slope": made.gradient, **_times(made)})
+    return optim.Sample(made.loss, slope, {"slope": made.gradient, **_collect_times(made)})
 
 
 def _successful(made: Evaluation) -> Evaluation:
@@ -243,7 +245,7 @@ def _successful(made: Evaluation) -> Evaluation:
     return made
 
 
-def _times(made: Evaluation) -> dict[str, Any]:
+def _collect_times(made: Evaluation) -> dict[str, Any]:
     return {name: getattr(made, name) for name in _TIMES}
 
 

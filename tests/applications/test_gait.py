@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from diffsim.applications import Evaluation, Parameters, minimize, random_losses, solver_options
-from diffsim.applications.gait import _turned, gait, lines_between_knots, sinusoid
+from diffsim.applications.gait import _measure_turn, gait, lines_between_knots, sinusoid
 from diffsim.systems import robots
 from tests.applications.test_applications import made
 
@@ -33,8 +33,8 @@ def test_turns_are_counted_beyond_a_full_one():
     angle = torch.linspace(0.0, 3.5 * math.pi, 50, dtype=torch.float64)
     attitude = torch.zeros(50, 3, 3, dtype=torch.float64)
     attitude[:, 0, 2], attitude[:, 2, 2] = torch.sin(angle), torch.cos(angle)
-    assert _turned(attitude) == pytest.approx(630.0)
-    assert _turned(attitude.flip(0)) == pytest.approx(-630.0)
+    assert _measure_turn(attitude) == pytest.approx(630.0)
+    assert _measure_turn(attitude.flip(0)) == pytest.approx(-630.0)
 
 
 def test_scale_sets_the_first_step():
