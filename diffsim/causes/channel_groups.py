@@ -128,8 +128,8 @@ def clock_problems(channels: Sequence[Channel], clocks: Iterable[str]) -> Iterat
 def _by_sensor(channels: Sequence[Channel]) -> list[ChannelGroup]:
     """One clock for each sensor; what has a unit for each of its kinds."""
     out = []
-    for sensor, own in _grouped(channels, [c.sensor or c.kind for c in channels]).items():
-        kinds = _grouped(own, [c.kind for c in own])
+    for sensor, own in _group_by_name(channels, [c.sensor or c.kind for c in channels]).items():
+        kinds = _group_by_name(own, [c.kind for c in own])
         if len(kinds) == 1:
             out.append(ChannelGroup(sensor, _names(own)))
             continue
@@ -143,7 +143,7 @@ def _by_sensor(channels: Sequence[Channel]) -> list[ChannelGroup]:
 
 def _by_kind(channels: Sequence[Channel]) -> list[ChannelGroup]:
     """Every kind; where it has few channels, each of them as well."""
-    kinds = _grouped(channels, [c.kind for c in channels])
+    kinds = _group_by_name(channels, [c.kind for c in channels])
     out = [ChannelGroup(kind, _names(own)) for kind, own in kinds.items()]
     for own in kinds.values():
         if 1 < len(own) <= FEW:
@@ -153,7 +153,7 @@ def _by_kind(channels: Sequence[Channel]) -> list[ChannelGroup]:
     return out
 
 
-def _grouped(channels: Sequence[Channel], names: Sequence[str]) -> dict[str, list[Channel]]:
+def _group_by_name(channels: Sequence[Channel], names: Sequence[str]) -> dict[str, list[Channel]]:
     out: dict[str, list[Channel]] = {}
     for channel, name in zip(channels, names, strict=True):
         out.setdefault(name, []).append(channel)

@@ -84,7 +84,7 @@ def own_causes(rows: Sequence[OwnRow], ports: Ports, study: Study) -> tuple[Effe
     return tuple(_effect(row, ports, study) for row in rows)
 
 
-def _offered(row: OwnRow, ports: Ports) -> Sequence[str]:
+def _list_offered_names(row: OwnRow, ports: Ports) -> Sequence[str]:
     """Names that a row's ``of``, ``add`` or ``scale`` may use."""
     return {
         "command": tuple(ports.commands),
@@ -96,7 +96,7 @@ def _offered(row: OwnRow, ports: Ports) -> Sequence[str]:
 
 
 def _mistakes(where: str, row: OwnRow, ports: Ports) -> Iterator[str]:
-    known = _offered(row, ports)
+    known = _list_offered_names(row, ports)
     if not known:
         yield f"{where}.at: this system has no {row.at} for causes of your own"
         return

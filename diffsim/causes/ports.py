@@ -266,15 +266,15 @@ def _change_numbers(
     each = len(names) // size.shape[-1]
     for i, name in enumerate(names):
         own = size[..., i // each]
-        scene = scene.with_number(name, partial(_scaled if is_factor else _larger, size=own))
+        scene = scene.with_number(name, partial(_scale_by if is_factor else _add_to, size=own))
     return scene
 
 
-def _larger(value: Tensor, size: Tensor) -> Tensor:
+def _add_to(value: Tensor, size: Tensor) -> Tensor:
     return value + size
 
 
-def _scaled(value: Tensor, size: Tensor) -> Tensor:
+def _scale_by(value: Tensor, size: Tensor) -> Tensor:
     return value * (1.0 + size)
 
 

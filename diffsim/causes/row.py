@@ -19,7 +19,7 @@ from diffsim.identify.effect import Apply, Effect
 Port = Literal["command", "reading", "clock", "number", "force", "law", "store", "scene"]
 
 
-def _listed(given: Any) -> Any:
+def _wrap_in_tuple(given: Any) -> Any:
     return (given,) if isinstance(given, str) else given
 
 
@@ -28,7 +28,7 @@ def _for_any(given: Any) -> Any:
 
 
 ANY = "any"  # kind of system, where a row says nothing of one
-Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_wrap_in_tuple)]
 #: What a row says of any kind of system, and of those where it is something else.
 NamesBySystem = Annotated[dict[str, Names], BeforeValidator(_for_any)]
 SizeBySystem = Annotated[dict[str, float | str], BeforeValidator(_for_any)]

@@ -60,7 +60,7 @@ class Grid:
     @classmethod
     def even(cls, num_times: int, dt: float) -> Grid:
         """Samples every ``dt`` [s] and nothing in between."""
-        return _even(num_times, dt)
+        return _space_evenly(num_times, dt)
 
     @property
     def since_start(self) -> Tensor:
@@ -76,7 +76,7 @@ class Grid:
 
 
 @lru_cache(maxsize=64)
-def _even(num_times: int, dt: float) -> Grid:
+def _space_evenly(num_times: int, dt: float) -> Grid:
     seconds = dt * np.arange(num_times, dtype=np.float64)
     return Grid(torch.from_numpy(seconds), torch.arange(num_times), seconds)
 
@@ -124,8 +124,8 @@ def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
     h = t.diff()[left]
     s = (place - t[left]) / h
     slopes = _monotone_slopes(u, t)
-    y0, y1 = _at(u, left), _at(u, left + 1)
-    d0, d1 = _at(slopes, left), _at(slopes, left + 1)
+    y0, y1 = _take_at(u, left), _take_at(u, left + 1)
+    d0, d1 = _take_at(slopes, left), _take_at(slopes, left + 1)
     d0, d1, rise = d0 * h, d1 * h, y1 - y0
     return y0 + s * (d0 + s * (3.0 * rise - 2.0 * d0 - d1 + s * (d0 + d1 - 2.0 * rise)))
 
@@ -153,7 +153,7 @@ def _held_late(u: Tensor, grid: Grid, delay: Tensor, signed: bool) -> Tensor:
     t = torch.cat([t, 2.0 * t[-1:] - t[-2:-1]])  # the last sample is held for a step, too
     steps = t.diff()
     area = torch.cat([torch.zeros_like(u[..., :1]), (u * steps).cumsum(-1)], -1)
-    far = _beyond(t)
+    far = _measure_beyond(t)
     ends = -far * u[..., :1], area[..., -1:] + far * u[..., -1:]
     area = torch.cat([ends[0], area, ends[1]], -1)
     whole = _read_at(area, t, t - delay[..., None], both_sides=signed)
@@ -210,7 +210,7 @@ def in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
     way to the time before to half way to the next. So what comes before it has its true slope,
     though that of the rounding is zero almost everywhere.
     """
-    return _rounded(u, step, lambda s: _mean_rounding(u, grid, s))
+    return _add_rounding_error(u, step, lambda s: _mean_rounding(u, grid, s))
 
 
 def held_in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
@@ -224,10 +224,10 @@ def held_in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
         slope = _mean_rounding(u, grid, s)
         return (_rounding(u, s).detach() - slope.detach()) + slope
 
-    return _rounded(u, step, error)
+    return _add_rounding_error(u, step, error)
 
 
-def _rounded(u: Tensor, step: Tensor, error: Callable[[Tensor], Tensor]) -> Tensor:
+def _add_rounding_error(u: Tensor, step: Tensor, error: Callable[[Tensor], Tensor]) -> Tensor:
     wide = step[..., None]
     return torch.where(wide > 0.0, u + error(torch.where(wide > 0.0, wide, 1.0)), u)
 
@@ -267,7 +267,7 @@ def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
 def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
     most = (grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)).movedim(-1, 0)
-    return _walked(u, most, lambda now, target, d: _clip(target, now - d, now + d))
+    return _step_through_times(u, most, lambda now, target, d: _clip(target, now - d, now + d))
 
 
 def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = None) -> Tensor:
@@ -281,7 +281,9 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
     """
     gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
     away = None if start is None else start * half_gap
-    return _walked(u, gaps, lambda now, target, g: _clip(now, target - g, target + g), away)
+    return _step_through_times(
+        u, gaps, lambda now, target, g: _clip(now, target - g, target + g), away
+    )
 
 
 def affine_scan(factor: Tensor, term: Tensor) -> Tensor:
@@ -305,13 +307,13 @@ def decayed(factor: Tensor, term: Tensor) -> Tensor:
         term: (..., num_times).
     """
     if not (factor.requires_grad or term.requires_grad):
-        return _filtered(factor, term)
+        return _filter_rows(factor, term)
     first = torch.cat([torch.zeros_like(term[..., :1]), term], -1)
     factors = factor.expand(term.shape[-1], *factor.shape)
-    return _walked(first, factors, lambda now, more, f: now * f + more)[..., 1:]
+    return _step_through_times(first, factors, lambda now, more, f: now * f + more)[..., 1:]
 
 
-def _filtered(factor: Tensor, term: Tensor) -> Tensor:
+def _filter_rows(factor: Tensor, term: Tensor) -> Tensor:
     """``decayed`` by compiled code: one call for all rows of a factor."""
     lead = np.broadcast_shapes(factor.shape, term.shape[:-1])
     rows = term.expand(*lead, term.shape[-1]).numpy()
@@ -338,7 +340,7 @@ def _clip(value: Any, low: Any, high: Any) -> Any:
     return np.minimum(np.maximum(value, low), high)
 
 
-def _walked(
+def _step_through_times(
     u: Tensor, numbers: Tensor, rule: Callable[..., Tensor], away: Tensor | None = None
 ) -> Tensor:
     """State after each time, ``away`` from the signal at first; in numpy where nobody
@@ -367,7 +369,7 @@ def _left_of(times: Tensor, place: Tensor, of_equal: str = "right") -> Tensor:
     return (found - 1).clamp(0, len(times) - 2)
 
 
-def _at(values: Tensor, index: Tensor) -> Tensor:
+def _take_at(values: Tensor, index: Tensor) -> Tensor:
     """values[..., index] with broadcast leading axes."""
     if index.ndim == 1:
         return values[..., index]
@@ -376,30 +378,30 @@ def _at(values: Tensor, index: Tensor) -> Tensor:
     return values.expand(*lead, values.shape[-1]).gather(-1, index)
 
 
-def _beyond(times: Tensor) -> float:
+def _measure_beyond(times: Tensor) -> float:
     """How far a signal is continued beyond its ends [s]."""
     return 10.0 * float(times[-1] - times[0])
 
 
 def _read_at(values: Tensor, times: Tensor, place: Tensor, *, both_sides: bool = True) -> Tensor:
-    """Straight lines through values that begin and end ``_beyond`` the times.
+    """Straight lines through values that begin and end ``_measure_beyond`` the times.
 
     At a time of the grid the slope is the mean of both sides, as it is for central differences, or
     that of the side before.
     """
-    far = _beyond(times)
+    far = _measure_beyond(times)
     wide = torch.cat([times[:1] - far, times, times[-1:] + far])
     place = place.clamp(float(wide[0]), float(wide[-1]))
-    below = _straight(values, wide, place, _left_of(wide, place, "left"))
+    below = _interpolate_straight(values, wide, place, _left_of(wide, place, "left"))
     if not both_sides:
         return below
-    return 0.5 * (below + _straight(values, wide, place, _left_of(wide, place)))
+    return 0.5 * (below + _interpolate_straight(values, wide, place, _left_of(wide, place)))
 
 
-def _straight(values: Tensor, times: Tensor, place: Tensor, left: Tensor) -> Tensor:
+def _interpolate_straight(values: Tensor, times: Tensor, place: Tensor, left: Tensor) -> Tensor:
     share = (place - times[left]) / (times[left + 1] - times[left])
-    y0 = _at(values, left)
-    return y0 + share * (_at(values, left + 1) - y0)
+    y0 = _take_at(values, left)
+    return y0 + share * (_take_at(values, left + 1) - y0)
 
 
 def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:
