@@ -60,7 +60,7 @@ class HeightField(Shape):
 
     def _solid(self, x: Tensor) -> Pair:
         p = x.reshape(-1, 3) - self.origin
-        padded = _padded(self.heights)
+        padded = _pad_by_extrapolation(self.heights)
         with torch.no_grad():
             if torch.compiler.is_compiling():
                 xy = closest_in_graph(padded.detach(), p.detach(), handle=self.handle)
@@ -180,7 +180,7 @@ def _weights(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return first, value + beyond * first_derivative, first_derivative, within * second
 
 
-def _padded(h: Tensor) -> Tensor:
+def _pad_by_extrapolation(h: Tensor) -> Tensor:
     """One more row and column on every side, by quadratic extrapolation."""
     for _ in range(2):
         low = 3.0 * h[:1] - 3.0 * h[1:2] + h[2:3]

@@ -248,8 +248,8 @@ class Custom(Shape):
         keep = torch.is_grad_enabled()
         with torch.enable_grad():
             # evaluated twice: a kink that spoils the normal's gradient must not spoil that of phi
-            phi = self._distance(_guarded(flat))
-            leaf = _guarded(flat)
+            phi = self._distance(_stop_infinite_gradients(flat))
+            leaf = _stop_infinite_gradients(flat)
             (slope,) = torch.autograd.grad(self._distance(leaf).sum(), leaf, create_graph=keep)
         normal = direction(slope, _Z, tiny=1e-12)[1]
         if not keep:
@@ -264,12 +264,12 @@ class Custom(Shape):
         return phi
 
 
-def _guarded(x: Tensor) -> Tensor:
+def _stop_infinite_gradients(x: Tensor) -> Tensor:
     """A copy of x, part of its graph, to which gradients that are not finite flow back as zero."""
     copy = x.clone() if x.requires_grad else x.detach().requires_grad_()
-    copy.register_hook(_finite)
+    copy.register_hook(_zero_infinite)
     return copy
 
 
-def _finite(grad: Tensor | None) -> Tensor | None:
+def _zero_infinite(grad: Tensor | None) -> Tensor | None:
     return None if grad is None else torch.nan_to_num(grad, nan=0.0, posinf=0.0, neginf=0.0)

@@ -40,7 +40,7 @@ def svd3(F: Tensor, *, num_threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     everywhere, U diag(dL/ds) V^T; at repeated values it is right for losses symmetric in them.
     For the rotation U V^T use ``polar3``, which repeated values do not trouble.
     """
-    F, num_threads = _checked(F, num_threads)
+    F, num_threads = _check_matrices(F, num_threads)
     return _ops_svd.svd3_layer(F, num_threads)
 
 
@@ -66,10 +66,10 @@ def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
     for inverted matrices. It grows as 1 / (s1 + s2) and is NaN where s1 + s2 = 0 (to 1e-15 s0),
     unless dL/dR has exactly no part that turns R.
     """
-    F, num_threads = _checked(F, num_threads)
+    F, num_threads = _check_matrices(F, num_threads)
     return _ops_svd.polar3_layer(F, num_threads)
 
 
-def _checked(F: Tensor, num_threads: int) -> tuple[Tensor, int]:
+def _check_matrices(F: Tensor, num_threads: int) -> tuple[Tensor, int]:
     F = require("F", F, ("...", 3, 3), torch.float64, finite=False)
     return F, require_threads(num_threads)

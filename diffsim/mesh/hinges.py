@@ -53,8 +53,8 @@ def hinged_elements(elements: IntArray) -> np.ndarray:
         (elements, faces),
         (ends[..., 0] * size + ends[..., 1], face_edges),
     ):
-        a = _aligned(keys, face_parts, first, first_face)
-        b = _aligned(keys, face_parts, second, second_face)
+        a = _sort_by_key(keys, face_parts, first, first_face)
+        b = _sort_by_key(keys, face_parts, second, second_face)
         fan = connected_parts(keys.size, a.reshape(-1), b.reshape(-1))
         drop |= _smaller_fans(keys.reshape(-1), fan).reshape(keys.shape).any(axis=1)
     return drop
@@ -70,7 +70,9 @@ def _neighbors(elements: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArr
     return a // len(faces), b // len(faces), a % len(faces), b % len(faces)
 
 
-def _aligned(keys: IntArray, face_parts: IntArray, element: IntArray, face: IntArray) -> IntArray:
+def _sort_by_key(
+    keys: IntArray, face_parts: IntArray, element: IntArray, face: IntArray
+) -> IntArray:
     """Flat indices into ``keys`` of the nodes or edges of faces, ascending by key in each face."""
     local = face_parts[face]
     order = np.argsort(keys[element[:, None], local], axis=1)

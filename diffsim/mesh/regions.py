@@ -100,17 +100,17 @@ def load_regions(path: str | Path, scale: float = 1.0, key: str | None = None) -
     """
     path = Path(path)
     content = read_volume(path, scale)
-    names, index = _chosen(path, content, key)
+    names, index = _choose_labels(path, content, key)
     mesh = mesh_of(path, torch.from_numpy(content.x), torch.from_numpy(content.elements))
     return RegionMesh(
         mesh,
         names,
         torch.from_numpy(index),
-        {name: torch.from_numpy(_plain(v)) for name, v in content.element_data.items()},
+        {name: torch.from_numpy(_to_library_types(v)) for name, v in content.element_data.items()},
     )
 
 
-def _chosen(path: Path, content: VolumeFile, key: str | None) -> _Labels:
+def _choose_labels(path: Path, content: VolumeFile, key: str | None) -> _Labels:
     data = content.element_data
     known = [*([SETS] if content.groups else []), *data]
     if key is not None:
@@ -168,7 +168,7 @@ def _of_sets(path: Path, content: VolumeFile) -> _Labels:
     return tuple(names), index
 
 
-def _plain(values: Any) -> np.ndarray:
+def _to_library_types(values: Any) -> np.ndarray:
     """As int64 or float64, the library's types."""
     whole = np.issubdtype(values.dtype, np.integer)
     return np.ascontiguousarray(values, np.int64 if whole else np.float64)

@@ -69,14 +69,14 @@ def read_meshio(path: Path, file_format: str) -> VolumeFile:
     except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
         raise MeshError(f"{path} could not be read as {file_format}: {error}") from error
     kind, chosen = _one_kind(path, content.cells)
-    elements = _joined([content.cells[b].data for b in chosen]).astype(np.int64)
+    elements = _join_blocks([content.cells[b].data for b in chosen]).astype(np.int64)
     if kind == "hexahedron":
         elements = elements[:, HEX_FROM_VTK]
     x = np.asarray(content.points, np.float64)
     if x.ndim != 2 or x.shape[1] != 3:
         raise MeshError(f"{path} must hold points in three dimensions, got shape {x.shape}")
     data = {
-        key: _joined([np.asarray(blocks[b]) for b in chosen])
+        key: _join_blocks([np.asarray(blocks[b]) for b in chosen])
         for key, blocks in content.cell_data.items()
     }
     sizes = [len(content.cells[b].data) for b in chosen]
@@ -117,8 +117,8 @@ def _members(blocks: Sequence[Any], sizes: Sequence[int]) -> NDArray[np.int64]:
         for start, block in zip(starts, blocks, strict=True)
         if block is not None
     ]
-    return _joined(parts) if parts else np.zeros(0, np.int64)
+    return _join_blocks(parts) if parts else np.zeros(0, np.int64)
 
 
-def _joined(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def _join_blocks(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)

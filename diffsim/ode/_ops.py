@@ -180,14 +180,14 @@ def _setup(ctx: Any, args: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> No
     ctx.save_for_backward(*given.values(), output[1])
 
 
-def _saved(ctx: Any) -> dict[str, Any]:
+def _read_saved(ctx: Any) -> dict[str, Any]:
     """Arguments of the op by name, with the states."""
     names = [*(name for name in _FORWARD if name not in ctx.options), "states"]
     return dict(zip(names, ctx.saved_tensors, strict=True)) | ctx.options
 
 
 def _backward(ctx: Any, grad_readings: Tensor, grad_states: Tensor) -> tuple[Any, ...]:
-    given = _saved(ctx)
+    given = _read_saved(ctx)
     del given["start"]
     grads = ode_integrate_vjp_layer(
         **given, grad_readings=grad_readings.contiguous(), grad_states=grad_states.contiguous()
@@ -199,7 +199,7 @@ def _backward(ctx: Any, grad_readings: Tensor, grad_states: Tensor) -> tuple[Any
 
 
 def _tangent(ctx: Any, *moved: Any) -> tuple[Tensor, Tensor]:
-    given = _saved(ctx)
+    given = _read_saved(ctx)
     del given["states"]
     moving = {name: given[name] for name in _FORWARD[-3:]}
     return ode_integrate_jvp_layer(**given, **directions_of(moving, moved[-3:]))

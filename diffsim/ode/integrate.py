@@ -65,10 +65,16 @@ class Ode:
     def tapes(self) -> Tapes:
         """Formulas as the kernel reads them."""
         return make_tapes(
-            self.names, [self._parsed("rate", self.rates), self._parsed("reading", self.readings)]
+            self.names,
+            [
+                self._parse_formulas("rate", self.rates),
+                self._parse_formulas("reading", self.readings),
+            ],
         )
 
-    def _parsed(self, what: str, formulas: Mapping[str, str | Expression]) -> list[Expression]:
+    def _parse_formulas(
+        self, what: str, formulas: Mapping[str, str | Expression]
+    ) -> list[Expression]:
         out = []
         for name, given in formulas.items():
             if isinstance(given, Expression):

@@ -113,7 +113,7 @@ class Log:
         self._has_header = True
 
     def _check_header(self, path: Path, content: bytes, lines: Sequence[bytes]) -> None:
-        head = _parsed(lines[0]) if lines else None
+        head = _parse_line(lines[0]) if lines else None
         again = "delete it, or choose another path"
         if head is None or head.get("format") != FORMAT:
             what = "is no log of evaluations"
@@ -169,7 +169,7 @@ def _append(path: Path, text: str) -> None:
         os.fsync(file.fileno())
 
 
-def _parsed(text: bytes) -> dict[str, Any] | None:
+def _parse_line(text: bytes) -> dict[str, Any] | None:
     try:
         value = json.loads(text)
     except ValueError:
@@ -181,5 +181,5 @@ def _of_an_older_version(content: bytes, head: Mapping[str, Any] | None) -> bool
     """Devices kept one JSON document, applications lines without a header."""
     if head is not None:
         return "with_gradient" in head
-    document = _parsed(content)
+    document = _parse_line(content)
     return document is not None and "settings" in document

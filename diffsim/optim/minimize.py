@@ -61,7 +61,7 @@ def minimize(
         Exception: what the objective raised at the start, or what does not count as a failure.
     """
     options = Options() if options is None else options
-    start, bounds = _checked(start, bounds)
+    start, bounds = _check_start(start, bounds)
     search = _Search(objective, options, log, name, callback)
     accepted = [start]
     tolerances, budget = options.tolerances, options.budget
@@ -140,14 +140,14 @@ class _Search:
     def _evaluation(self, x: Array) -> tuple[Evaluation, bool]:
         """The evaluation at x, and whether the log had it."""
         kept = None if self.log is None else self.log.find(self.name, x)
-        if kept is not None and self._usable(kept["failure"]):
+        if kept is not None and self._is_usable(kept["failure"]):
             return evaluation_of(kept), True
         made = self._evaluate(x)
         if self.log is not None:
             made = evaluation_of(self.log.append(self.name, entry_of(made)))
         return made, False
 
-    def _usable(self, failure: str) -> bool:
+    def _is_usable(self, failure: str) -> bool:
         """A failure is tried again where it would end the search: its exception is not kept."""
         return not failure or (bool(self.history) and self.options.wall is not None)
 
@@ -167,7 +167,7 @@ def _failures(wall: Wall | None) -> tuple[type[Exception], ...]:
     return () if wall is None else (*wall.failures, NotFiniteError)
 
 
-def _checked(start: Array, bounds: Bounds | None) -> tuple[Array, Bounds | None]:
+def _check_start(start: Array, bounds: Bounds | None) -> tuple[Array, Bounds | None]:
     start = np.array(start, dtype=np.float64)
     if start.ndim != 1 or not len(start) or not np.isfinite(start).all():
         raise ValueError(f"start must be a vector of finite numbers, got {start}")

@@ -106,7 +106,7 @@ def screen(
         for k, entry in enumerate(kept):
             if entry is not None:
                 ended(k, evaluation_of(entry), True)
-        run_each(partial(_tried, value, caught), [xs[k] for k in missing], executor, done=keep)
+        run_each(partial(_try_point, value, caught), [xs[k] for k in missing], executor, done=keep)
     except _Enough:
         pass
     return tuple(made[k] for k in sorted(made))
@@ -116,7 +116,7 @@ class _Enough(Exception):
     """A callback ended the screening."""
 
 
-def _tried(value: ValueOnly, caught: tuple[type[Exception], ...], x: Array) -> Evaluation:
+def _try_point(value: ValueOnly, caught: tuple[type[Exception], ...], x: Array) -> Evaluation:
     try:
         return evaluate(value, x)
     except caught as error:
@@ -189,12 +189,12 @@ def multi_start(
         log.take(named[k][0], answer[1])
 
     asked = [(name, x, log.part(name)) for name, x in named]
-    work = partial(_descended, objective, bounds, options)
+    work = partial(_descend_from, objective, bounds, options)
     answers = run_each(work, asked, executor, done=taken)
     return MultiStart(starts=starts, descents=tuple(result for result, _ in answers))
 
 
-def _descended(
+def _descend_from(
     objective: Objective, bounds: Bounds, options: Options, asked: tuple[str, Array, Log]
 ) -> tuple[Result, Log]:
     """A descent in a worker, and its evaluations."""

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffsim import contact, mesh
-from diffsim.contact.height_field import _padded
+from diffsim.contact.height_field import _pad_by_extrapolation
 from diffsim.core.errors import MeshError
 from diffsim.stokes import shapes
 from tests.contact.cases import SHAPES, points, tensor, uniform, unit, waves
@@ -186,7 +186,7 @@ def test_height_field_distance_is_that_of_the_closest_sample():
     phi, _ = field.distance_normal(x)
     u, v = torch.linspace(-0.5, 2.5, 301).double(), torch.linspace(-0.5, 2.1, 261).double()
     grid = torch.cartesian_prod(u, v)
-    height = field._value(_padded(field.heights), grid)
+    height = field._value(_pad_by_extrapolation(field.heights), grid)
     surface = torch.cat([grid, height[:, None]], 1)
     nearest = torch.cdist(x, surface, compute_mode="donot_use_mm_for_euclid_dist").min(1).values
     assert (phi.abs() <= nearest + 1e-12).all()
