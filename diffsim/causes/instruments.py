@@ -119,7 +119,7 @@ def instrument_causes(
 
     Args:
         channels: Channels of the study.
-        scales: Usual magnitudes.
+        scales: Usual magnitudes of commands and readings.
         late_record: Whether a record that is late as a whole shows as no late command does.
         without: Names of rows that are left out.
         system: Kind of system.
