@@ -36,14 +36,14 @@ def setup(study: Study) -> DiagnosisSetup:
     Args:
         study: Study as imported, which holds clicks beside the balls.
     """
-    described = RigidBodyDescription.model_validate(_described(study))
+    described = RigidBodyDescription.model_validate(_build_description(study))
     model = described.balls().model(study, {r.name: _corners(r) for r in study.runs})
     settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
     causes = described.balls().causes(study, described.scales(study))
     return DiagnosisSetup(model, causes, settings=settings)
 
 
-def _described(study: Study) -> dict[str, Any]:
+def _build_description(study: Study) -> dict[str, Any]:
     rotation, camera = camera_prior(study)
     shift = [{"value": p.value, "sd": p.sd} for p in camera[-3:]]
 

@@ -69,7 +69,7 @@ class FlowNetworkDescription(Description):
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
     @model_validator(mode="after")
-    def _joined(self) -> FlowNetworkDescription:
+    def _check_joints(self) -> FlowNetworkDescription:
         layout_of(self.channels, self.sources, self.meters)
         return self
 

@@ -124,7 +124,7 @@ class FlowDeviceDescription(Description):
         if found := self.problems(study):
             raise ValueError("\n".join(str(p) for p in found))
         device = self._device()
-        shown = self._shown()
+        shown = self._list_shown_channels()
         columns = tuple(shown.index(c.name) for c in study.channels)
         base = tuple(self._base(device, [r.name for r in study.runs]))
         library: tuple[Effect, ...]
@@ -216,7 +216,7 @@ class FlowDeviceDescription(Description):
             density=self.density,
         )
 
-    def _shown(self) -> list[str | None]:
+    def _list_shown_channels(self) -> list[str | None]:
         """The study's channels in the order in which the model makes readings."""
         taps = len(self.drives) if self.manifold is not None else 2
         flows = self.flows or (None,) * len(self._outlets)
@@ -249,7 +249,10 @@ class FlowDeviceDescription(Description):
             yield from (Parameter(f"pump_gain@{run}", 1.0, keys.pump_gain) for run in runs)
 
     def _problems(self, study: Study) -> Iterator[Problem]:
-        channels, shown = [c.name for c in study.channels], [n for n in self._shown() if n]
+        channels, shown = (
+            [c.name for c in study.channels],
+            [n for n in self._list_shown_channels() if n],
+        )
         for name in shown:
             if name not in channels:
                 said = f"no channel {name!r}{did_you_mean(name, channels)}"

@@ -83,7 +83,7 @@ class LumpedNetwork:
         )
 
     @property
-    def _given(self) -> list[str | float | None]:
+    def _source_values(self) -> list[str | float | None]:
         """Command or constant of each pump, then of each pressure."""
         flows = [s.flow for s in self.sources if s.flow is not None]
         return [*flows, *(s.pressure for s in self.sources if s.flow is None)]
@@ -91,7 +91,7 @@ class LumpedNetwork:
     @property
     def commands(self) -> tuple[str, ...]:
         """Command of each pump, then of each pressure; empty where it is constant."""
-        return tuple(given if isinstance(given, str) else "" for given in self._given)
+        return tuple(given if isinstance(given, str) else "" for given in self._source_values)
 
     @property
     def narrowest(self) -> float | None:
@@ -131,7 +131,7 @@ class LumpedNetwork:
         """Different levels of pumps and of pressures, and which holds at each sample."""
         count, pumps = len(run.time_s), self.layout.pumps
         columns = []
-        for given in self._given:
+        for given in self._source_values:
             value = run.command[given] if isinstance(given, str) else np.full(count, given)
             columns.append(np.asarray(value, dtype=np.float64))
         levels, level = np.unique(np.stack(columns, -1), axis=0, return_inverse=True)

@@ -108,7 +108,7 @@ class StokesScene(SteadyScene):
         change, phi, loads = float("inf"), flow.phi, dict[str, Tensor]()
         for sweep in range(MAX_SWEEPS):
             if sweep < WALL_SWEEPS:
-                phi = self._moved(flow)
+                phi = self._move_walls(flow)
             loads = self._loads(flow, phi, loads.get("wall_velocity"))
             before, flow = flow, self._solve(drive, flow, phi, loads)
             with torch.no_grad():
@@ -160,7 +160,7 @@ class StokesScene(SteadyScene):
             inlet, traction = None, rig.traction(drive, self.outlet_pressure)
         return rig.solver(phi, inlet, viscosity=self.viscosity, traction=traction, **(loads or {}))
 
-    def _moved(self, before: FlowField) -> Tensor:
+    def _move_walls(self, before: FlowField) -> Tensor:
         """The level set of walls that give way to the pressure."""
         if self.compliance is None:
             return self._rigid

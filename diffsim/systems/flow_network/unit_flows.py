@@ -111,7 +111,7 @@ class UnitFlowTable:
             if sum(float(w.detach()) == 0.0 for _, w in corner) > 1:
                 continue
             weight = reduce(lambda a, b: a * b, (w for _, w in corner))
-            parts.append((weight, self._solved(tuple(k for k, _ in corner))))
+            parts.append((weight, self._solve_flow(tuple(k for k, _ in corner))))
         if len(parts) == 1 and not parts[0][0].requires_grad:
             return parts[0][1]
         return UnitFlows(
@@ -163,7 +163,7 @@ class UnitFlowTable:
             (4.0 * fine_tap / tap - 1.0) / 3.0,
         )
 
-    def _solved(self, key: tuple[int, ...]) -> UnitFlows:
+    def _solve_flow(self, key: tuple[int, ...]) -> UnitFlows:
         wall, slip, narrowing = self.steps
         return self._kept(
             key,

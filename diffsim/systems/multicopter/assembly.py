@@ -44,7 +44,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         of: Description of the multicopter.
         study: Study whose channels and commands the description names.
     """
-    design, rotor = _designed(of, study), _rotor(of)
+    design, rotor = _load_vehicle(of, study), _rotor(of)
     frames = Frames(of.frames.world, of.frames.body)
     parameters = BaseParameters(dict(_quantities(of, design, rotor)), study.runs)
     law = ThrustLaw(commands=of.commands, thrust=of.thrust, rotor=rotor, battery=of.battery)
@@ -318,7 +318,7 @@ def _rotor(of: MulticopterKeys) -> RotorModel | None:
     return None if of.rotor_model is None else rotor_model(of.rotor_model)
 
 
-def _designed(of: MulticopterKeys, study: Study) -> Multicopter | None:
+def _load_vehicle(of: MulticopterKeys, study: Study) -> Multicopter | None:
     """The vehicle of the design file, beside study.yaml or shipped."""
     if of.design is None:
         return None

@@ -41,7 +41,7 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
     out = []
     for name, flying, path, load in wanted:
         try:
-            out.append(_flown(name, flights, flying, path, runs[0], load))
+            out.append(_fly_path(name, flights, flying, path, runs[0], load))
         except DiffsimError:  # nothing to record there, and no reason to stop
             continue
     return tuple(out)
@@ -65,7 +65,7 @@ def _vehicle(flights: DescribedFlights) -> Multicopter:
     return Multicopter(**values, max_thrusts=top)
 
 
-def _flown(
+def _fly_path(
     name: str,
     flights: DescribedFlights,
     vehicle: Multicopter,

@@ -69,7 +69,7 @@ class BlindEstimator:
         start = blind._swinging(velocity[0, :1], acceleration[:1], frequency)[:, 0]
         # the record shows the sum of velocity and error: what drives is less by the error
         shown = (drag, gains[:, 0] + drag, gains)
-        return cls(drag, gains, _followed(velocity, force[:, :-1], start, shown, dt))
+        return cls(drag, gains, _follow_errors(velocity, force[:, :-1], start, shown, dt))
 
     def by_state_alone(self, states: Tensor, force: Tensor, share: float = 1.0) -> BlindEstimator:
         """With errors that follow from each sample by itself, whatever was before.
@@ -103,7 +103,7 @@ class BlindEstimator:
         """
         start = self.errors[:, rows]
         drag, gains = self.drag[:, None], self.gains[:, None]
-        errors = _followed(velocity, force, start, (drag, gains[..., 0], gains), dt)
+        errors = _follow_errors(velocity, force, start, (drag, gains[..., 0], gains), dt)
         return errors[..., 0, :], errors[..., 1, :]
 
     def _swinging(self, velocity: Tensor, acceleration: Tensor, frequency: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ def force_of(states: Tensor, push: Tensor) -> Tensor:
     return -push[..., None] * matrix_from_rpy(states[:, 3:6])[..., 2]
 
 
-def _followed(
+def _follow_errors(
     velocity: Tensor,
     force: Tensor,
     start: Tensor,
@@ -159,11 +159,11 @@ def _followed(
     drag, decay, gains = rates
     turning = torch.stack([gains[..., 1], gains[..., 1], gains[..., 2]], -1)
     pull = dt * drag[..., None, None] * _flat(velocity)[..., : force.shape[-2], :]
-    follow = _stepped if force.shape[-2] <= _FEW_STEPS else _chained
+    follow = _step_errors if force.shape[-2] <= _FEW_STEPS else _chain_errors
     return follow(pull, force, start, dt * decay, dt * turning, dt)
 
 
-def _stepped(
+def _step_errors(
     pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
 ) -> Tensor:
     """Step after step."""
@@ -178,7 +178,7 @@ def _stepped(
     return torch.stack(torch.broadcast_tensors(*out), -3)
 
 
-def _chained(
+def _chain_errors(
     pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
 ) -> Tensor:
     """All steps at once: they are linear in the errors, and are chained in pairs."""

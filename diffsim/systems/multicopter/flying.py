@@ -60,10 +60,10 @@ class Flyer:
         windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
         # no rotor pulls backwards; what a gain or a cause makes of its thrust may lie beyond limits
-        thrusts = self._delivered(start[:, 0, RIGID:]).clamp(min=0.0)
+        thrusts = self._deliver_thrusts(start[:, 0, RIGID:]).clamp(min=0.0)
         return self.fly_thrusts(start[..., :RIGID], windowed(thrusts, windows, length))
 
-    def _delivered(self, past: Tensor) -> Tensor:
+    def _deliver_thrusts(self, past: Tensor) -> Tensor:
         """Thrusts as of ``CopterFlight.delivered``; those of equal starts once."""
         if not self.is_one or self.points == 1:
             return self.scene.delivered(past)
@@ -87,7 +87,7 @@ class Flyer:
             record = self._fly(start, flown, air if air.dim() > 1 else None)
             motion = record.motion(scene.vehicle, flown, thrusts, scene.dt)
             before, air_before = flown, air
-            flown, air = self._scheduled(motion, thrusts), self._air(motion)
+            flown, air = self._schedule_thrusts(motion, thrusts), self._air(motion)
             with torch.no_grad():
                 change = float(max((flown - before).abs().max(), (air - air_before).abs().max()))
             still += change < _SETTLED
@@ -103,7 +103,7 @@ class Flyer:
             num_iters=_MAX_PASSES,
         )
 
-    def _scheduled(self, motion: Motion, thrusts: Tensor) -> Tensor:
+    def _schedule_thrusts(self, motion: Motion, thrusts: Tensor) -> Tensor:
         for change in self.scene.schedules:
             thrusts = change(motion, thrusts)
         return thrusts

@@ -56,7 +56,11 @@ class Frames:
 
     def quaternion(self, quaternion: Tensor) -> Tensor:
         """World from body (w, x, y, z), (..., 4), of the model as the recording writes it."""
-        return quaternion if self == Frames() else quaternion @ _turned(self.world, self.body)
+        return (
+            quaternion
+            if self == Frames()
+            else quaternion @ _make_turn_matrix(self.world, self.body)
+        )
 
     def inertia(self, inertia: Tensor) -> Tensor:
         """Inertia (..., 3, 3) about body axes of the recording in those of the model."""
@@ -70,7 +74,7 @@ def _turn(name: str) -> Tensor:
 
 
 @cache
-def _turned(world: str, body: str) -> Tensor:
+def _make_turn_matrix(world: str, body: str) -> Tensor:
     """(4, 4): products with the turns of both frames are linear in the quaternion between them."""
     units = quaternion_product(_turn(world), torch.eye(4, dtype=torch.float64))
     return quaternion_product(units, quaternion_conjugate(_turn(body)))

@@ -52,7 +52,7 @@ class InertiaKeys(Part):
     @model_validator(mode="before")
     @classmethod
     def _from_list(cls, given: Any) -> Any:
-        return _named("inertia", given, ("xx", "yy", "zz", "xy", "xz", "yz"), (3, 6))
+        return _map_by_name("inertia", given, ("xx", "yy", "zz", "xy", "xz", "yz"), (3, 6))
 
 
 class PlaceKeys(Part):
@@ -65,7 +65,7 @@ class PlaceKeys(Part):
     @model_validator(mode="before")
     @classmethod
     def _from_list(cls, given: Any) -> Any:
-        return _named("a place", given, ("x", "y", "z"), (3,))
+        return _map_by_name("a place", given, ("x", "y", "z"), (3,))
 
 
 class RotorKeys(Part):
@@ -262,7 +262,7 @@ class EstimatorKeys(Part):
     )
 
 
-def _named(what: str, given: Any, names: Sequence[str], counts: Sequence[int]) -> Any:
+def _map_by_name(what: str, given: Any, names: Sequence[str], counts: Sequence[int]) -> Any:
     """A list of numbers as a mapping."""
     if not isinstance(given, (list, tuple)):
         return given

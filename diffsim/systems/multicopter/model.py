@@ -87,8 +87,8 @@ class CopterModel(SimModel):
         it is known again: sizes come from two formulas that differ in the last one."""
         if may_be_differentiated():
             return super().scene(run, q, sizes, numerics)
-        q = _rounded(q)
-        there = {e: _rounded(s) for e, s in (sizes or {}).items() if s.any()}
+        q = _round_values(q)
+        there = {e: _round_values(s) for e, s in (sizes or {}).items() if s.any()}
         made = super().scene(run, q, there, numerics)
         assert isinstance(made, CopterScene)
         digits = ((e, s.numpy().tobytes()) for e, s in there.items())
@@ -164,7 +164,7 @@ class CopterModel(SimModel):
         return scene
 
 
-def _rounded(values: Tensor) -> Tensor:
+def _round_values(values: Tensor) -> Tensor:
     """Values to 13 digits."""
     bits = values.contiguous().view(torch.int64)
     return ((bits + (1 << 7)) >> 8 << 8).view(torch.float64)

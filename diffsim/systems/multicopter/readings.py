@@ -168,10 +168,10 @@ class _Shown:
         """Place of the marker in the recording's world."""
         scene = self.scene
         seen = self.position + turned(self.rotation, _wide(scene.marker))
-        scale = scene.position_scale[:, None] * self._ground()
+        scale = scene.position_scale[:, None] * self._make_axis_scale()
         return scene.frames.in_world(_wide(scale) * seen)
 
-    def _ground(self) -> Tensor:
+    def _make_axis_scale(self) -> Tensor:
         """Scale of the three axes by what holds along the ground alone, (points, 3)."""
         along = self.scene.ground_scale[:, None]
         return torch.cat([along, along, torch.ones_like(along)], -1)
@@ -184,14 +184,14 @@ class _Shown:
         """Roll, pitch, yaw; whole turns as in the record."""
         rpy = rpy_from_matrix(self.scene.frames.rotation(self.rotation))
         rpy = rpy + _wide(self.scene.attitude_offset)
-        measured = self._measured("attitude")
+        measured = self._pick_measured("attitude")
         return rpy + _CIRCLE * ((measured - rpy) / _CIRCLE).nan_to_num(0.0).round().detach()
 
     def shown_quaternion(self) -> Tensor:
         """Quaternion of the recorded sign and length: neither says anything of the attitude."""
         back = quaternion_from_rotation_vector(_wide(self.scene.attitude_offset))
         shown = quaternion_product(self.scene.frames.quaternion(self.quaternion), back)
-        measured = self._measured("quaternion")
+        measured = self._pick_measured("quaternion")
         sign = (measured * shown.detach()).nan_to_num(0.0).sum(-1, keepdim=True)
         length = measured.norm(dim=-1, keepdim=True)
         length = torch.where(torch.isfinite(length) & (length > 0.0), length, 1.0)
@@ -221,7 +221,7 @@ class _Shown:
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         return self.shown_specific_force_in_world() + self.scene.frames.in_world(gravity)
 
-    def _measured(self, group: str) -> Tensor:
+    def _pick_measured(self, group: str) -> Tensor:
         """Readings of a group in the record, (num_windows, length, width); NaN where none."""
         scene = self.scene
         start = sum(len(SENSORS[g]) for g in scene.sensors[: scene.sensors.index(group)])

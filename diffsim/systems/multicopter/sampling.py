@@ -45,7 +45,7 @@ def _even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
     time = run.time_s[0] + dt * np.arange(count)
     limit = _GAP * max(dt, usual)
     columns = [
-        _shown(run.time_s, values, time, dt, limit, is_mean=bool(m))
+        _resample_channel(run.time_s, values, time, dt, limit, is_mean=bool(m))
         for values, m in zip(run.measured.T, means, strict=True)
     ]
     command = {
@@ -57,7 +57,7 @@ def _even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
     return replace(run, time_s=time, measured=np.stack(columns, 1), command=command)
 
 
-def _shown(
+def _resample_channel(
     old: Array, values: Array, time: Array, dt: float, limit: float, *, is_mean: bool
 ) -> Array:
     """One channel at new times; NaN where no reading is near."""

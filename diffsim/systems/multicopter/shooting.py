@@ -164,7 +164,7 @@ class Windows:
                 starts.insert(0, self._at_zero(near, near[0, RIGID:] == 0.0))
             for windows, states in starts:
                 for _ in range(_MAX_FREED):
-                    shooting, size, states = windows._bounded(predict, states, max_steps)
+                    shooting, size, states = windows._take_bounded_steps(predict, states, max_steps)
                     if size >= _SETTLED:
                         break
                     wanted = shooting.windows._wants_thrust(predict, states)
@@ -183,7 +183,7 @@ class Windows:
             num_iters=max_steps,
         )
 
-    def _bounded(
+    def _take_bounded_steps(
         self, predict: Predict, states: Tensor, max_steps: int
     ) -> tuple[Shooting, float, Tensor]:
         """Steps with new tangents each, as long as ``Secants`` says. A thrust that a step takes
@@ -203,7 +203,7 @@ class Windows:
                 break
             last = change, step
             if max_steps >= MAX_STEPS:
-                step = windows._shortened(predict, change, secants.ahead(step))
+                step = windows._shorten_step(predict, change, secants.ahead(step))
             else:
                 step = step / max(1.0, size)
             states = states + step
@@ -230,7 +230,7 @@ class Windows:
         """The same windows with the thrusts before the record as guessed."""
         return replace(self, held=torch.ones_like(self.held), is_at_zero=False)
 
-    def _shortened(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
+    def _shorten_step(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
         """A step as long as it may be: beyond the spread only in windows that it makes better."""
         sizes = (step / self.spread).abs().amax(1)
         if float(sizes.max()) <= 1.0:

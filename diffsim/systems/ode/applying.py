@@ -26,10 +26,10 @@ def by_formulas(change: Change, *symbols: str) -> Apply:
         change: Formulas in which the sizes are called ``symbols``.
         symbols: One for each component, in order.
     """
-    return partial(_changed, change=change, symbols=symbols)
+    return partial(_apply_change, change=change, symbols=symbols)
 
 
-def _changed(
+def _apply_change(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
 ) -> OdeScene:
     return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})

@@ -82,7 +82,7 @@ class Described:
         self._reader, self._given = reader, inputs
         open_ = (i for i in inputs if i.held is None)
         moving = {i.name for i in open_ if moves_on(study.runs, self._commands_of(i))}
-        self.input_held = self._held(moving)
+        self.input_held = self._find_held_inputs(moving)
         self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
         taken = {name for name, held in self.input_held.items() if held}
         self.assumed = self.unsure & taken & moving
@@ -96,8 +96,8 @@ class Described:
         self.known = (TIME, *motion.states, *self.input_held, *between, *numbers)
         self.starts = {s: self._start(s, v, numbers) for s, v in motion.states.items()}
         self.inputs = self._inputs(numbers)
-        rates = self._parsed("rates", motion.rates)
-        readings = self._parsed("readings", keys.readings)
+        rates = self._parse_formulas("rates", motion.rates)
+        readings = self._parse_formulas("readings", keys.readings)
         if motion != Motion():
             self._check_places()
             self._check_events()
@@ -108,7 +108,7 @@ class Described:
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
         self.parts = self._parts()
 
-    def _parsed(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
+    def _parse_formulas(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
 
     def _check_names(self, facts: Iterable[str]) -> None:
@@ -143,7 +143,7 @@ class Described:
         return self._reader.parse(f"states.{state}", given, (*numbers, *self.input_held))
 
     def _definitions(self) -> dict[str, Expression]:
-        made = self._parsed("define", self.keys.define)
+        made = self._parse_formulas("define", self.keys.define)
         for name, table in self.keys.tables.items():
             made[name] = piecewise(
                 self._reader.parse(f"tables.{name}.of", table.of, self.known),
@@ -162,7 +162,7 @@ class Described:
         words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
         return sorted(words & {c for run in self.study.runs for c in run.command})
 
-    def _held(self, moving: Collection[str]) -> dict[str, bool]:
+    def _find_held_inputs(self, moving: Collection[str]) -> dict[str, bool]:
         """Inputs, with whether they keep their value until the next sample.
 
         Args:

@@ -97,14 +97,14 @@ class OdeDescription(FormulaKeys):
         if self.function is not None:
             return [Problem("warning", f"{where_of(study)}.function", self._not_run())]
         reader = Reader(study)
-        self._described(study, reader)
+        self._read_model(study, reader)
         return [*reader.problems, *reader.notes]
 
     def _not_run(self) -> str:
         file = str(self.function).partition(":")[0]
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
-    def _described(self, study: Study, reader: Reader) -> Described:
+    def _read_model(self, study: Study, reader: Reader) -> Described:
         motion = Motion(
             states=self.states,
             rates=self.rates,
@@ -125,7 +125,7 @@ class OdeDescription(FormulaKeys):
         if self.function is not None:
             raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
         reader = Reader(study)
-        read = self._described(study, reader)
+        read = self._read_model(study, reader)
         reader.finish()
         model = read.model()
         scales = scales_of(study, model, read.network, read.known, self.places, self.stores)

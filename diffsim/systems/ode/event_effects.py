@@ -202,8 +202,8 @@ def _effect(events: Events, way: _Way, form: str, course: Effect, knots: Array) 
         unit=way.unit,
         typical=way.typical,
         also_looks_like=("anything else of that course in time",),
-        apply=partial(_acted, events=events, form=form, names=names, add=add),
-        says=partial(_said, form=form, names=names, way=way),
+        apply=partial(_apply_event, events=events, form=form, names=names, add=add),
+        says=partial(_say_event, form=form, names=names, way=way),
         locate=Locator(
             course=course,
             times=knots,
@@ -213,7 +213,7 @@ def _effect(events: Events, way: _Way, form: str, course: Effect, knots: Array) 
     )
 
 
-def _acted(
+def _apply_event(
     scene: OdeScene,
     size: Tensor,
     run: Run,
@@ -240,12 +240,14 @@ def _proposals(
     ]
 
 
-def _said(
+def _say_event(
     size: float, values: Mapping[str, float], *, form: str, names: Mapping[str, str], way: _Way
 ) -> str:
     """In words: how large, where, of what form, from when to when."""
     ways = [(way.name, way.unit, 1.0), *way.alike]
-    much = " or ".join(f"{size * factor:.4g}{_shown(u)} at {name}" for name, u, factor in ways)
+    much = " or ".join(
+        f"{size * factor:.4g}{_format_unit(u)} at {name}" for name, u, factor in ways
+    )
     at = {timing: values.get(name, math.nan) for timing, name in names.items()}
     since = f"from {at[ONSET]:.3f} s"
     if form == "step":
@@ -258,7 +260,7 @@ def _said(
     return f"a {form.replace('_', ' ')} of {much} {until}"
 
 
-def _shown(unit: str) -> str:
+def _format_unit(unit: str) -> str:
     return "" if unit in ("-", "command") else f" {unit}"
 
 
@@ -273,11 +275,11 @@ def _course(events: Events, way: _Way, knots: Array) -> Effect:
         unit=way.unit,
         typical=way.typical,
         components=tuple(f"knot_{k}" for k in range(len(knots))),
-        apply=partial(_drawn, add=way.entry(name), first=first, step=step),
+        apply=partial(_apply_curve, add=way.entry(name), first=first, step=step),
     )
 
 
-def _drawn(
+def _apply_curve(
     scene: OdeScene, size: Tensor, run: Run, *, add: Entry, first: float, step: float
 ) -> OdeScene:
     place = ((scene.grid.times - first) / step).clamp(0.0, size.shape[-1] - 1.0)

@@ -92,7 +92,7 @@ def placed(form: str, course: Course, usual: float) -> list[tuple[float, dict[st
         return []
     found: list[tuple[float, Array]] = []
     for start in starts:
-        best = _refined(form, course, start, step)
+        best = _refine_place(form, course, start, step)
         if all(np.abs(best[1] - other).max() > 2.0 * step for _, other in found):
             found.append(best)
     names = TIMINGS[form]
@@ -173,7 +173,7 @@ def _trains(course: Course, usual: float, step: float) -> Array:
     away = force - weights @ force
     span = float(np.ptp(t))
     periods = np.geomspace(6.0 * step, 0.6 * span, COARSE_PERIODS)
-    best = [_folded(t, weights, away, p, step) for p in periods]
+    best = [_score_folded(t, weights, away, p, step) for p in periods]
     order = np.argsort([-b[0] for b in best])
     out: list[tuple[float, float, float]] = []
     for k in order:
@@ -185,7 +185,7 @@ def _trains(course: Course, usual: float, step: float) -> Array:
     return np.array(out)
 
 
-def _folded(
+def _score_folded(
     t: Array, weights: Array, away: Array, period: float, step: float
 ) -> tuple[float, float, float]:
     """Score of the best pulse in a course folded by a period; its phase and width."""
@@ -204,7 +204,7 @@ def _folded(
     return float(scores[i, j]), float(i / bins * period), width
 
 
-def _refined(form: str, course: Course, start: Array, step: float) -> tuple[float, Array]:
+def _refine_place(form: str, course: Course, start: Array, step: float) -> tuple[float, Array]:
     """Pattern search from a place: gain and place at its end."""
     at, t = start.astype(float), course.times
     gain = float(course.gains(_shapes(form, t, at[None], step))[0])

@@ -22,7 +22,7 @@ from diffsim.identify.effect import KINDS
 from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Part, Quantity
 
 
-def _checked(text: str) -> str:
+def _check_formula(text: str) -> str:
     try:
         parse_expression(text)
     except ValueError as error:
@@ -32,7 +32,7 @@ def _checked(text: str) -> str:
 
 
 #: A formula: its spelling is checked here, its names where the study is known.
-Formula = Annotated[str, BeforeValidator(str), AfterValidator(_checked)]
+Formula = Annotated[str, BeforeValidator(str), AfterValidator(_check_formula)]
 
 
 def _quantity(given: Any) -> Any:

@@ -91,14 +91,14 @@ class Network:
         """The integrator of the formulas as changed; made once for each set of changes."""
         with self._lock:
             if changes not in self._made:
-                self._made[changes] = self._compiled(changes)
+                self._made[changes] = self._compile_solver(changes)
             return self._made[changes]
 
     def with_readings(self, readings: Mapping[str, Expression]) -> Network:
         """The same system, read otherwise."""
         return Network(self.rates, readings, self.definitions, self.inputs, self.limits)
 
-    def _compiled(self, changes: tuple[Change, ...]) -> Solver:
+    def _compile_solver(self, changes: tuple[Change, ...]) -> Solver:
         rates = {s: e.root for s, e in self.rates.items()}
         readings = {c: e.root for c, e in self.readings.items()}
         bodies = {n: e.root for n, e in self.definitions.items()}
@@ -118,9 +118,11 @@ class Network:
                 old = _Resolved(bodies)
                 parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
                 circular = {n: e for n, e in parts.items() if name in _needed_by(n, bodies)}
-                bodies[name] = _substituted(formula.root, {**circular, name: before}, {})
+                bodies[name] = _substitute_names(formula.root, {**circular, name: before}, {})
             for channel, formula in change.readings.items():
-                readings[channel] = _substituted(formula.root, {READING: readings[channel]}, {})
+                readings[channel] = _substitute_names(
+                    formula.root, {READING: readings[channel]}, {}
+                )
         raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
         resolved = _Resolved(bodies)
         own_rates = {s: _expression(resolved(n)) for s, n in rates.items()}
@@ -180,7 +182,7 @@ class _Resolved:
         return self._done[node.name]
 
 
-def _substituted(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> Node:
+def _substitute_names(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> Node:
     """A formula with names replaced, their replacements left as they are."""
     if isinstance(node, Name):
         return new.get(node.name, node)
@@ -188,7 +190,7 @@ def _substituted(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> 
         return node
     if id(node) not in memo:
         memo[id(node)] = Apply(
-            node.operation, tuple(_substituted(part, new, memo) for part in node.parts)
+            node.operation, tuple(_substitute_names(part, new, memo) for part in node.parts)
         )
     return memo[id(node)]
 
@@ -216,7 +218,7 @@ def named(name: str) -> Expression:
 
 def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
     """A formula with names of it replaced by formulas."""
-    return _expression(_substituted(formula.root, {k: e.root for k, e in parts.items()}, {}))
+    return _expression(_substitute_names(formula.root, {k: e.root for k, e in parts.items()}, {}))
 
 
 def product(a: Expression, b: Expression) -> Expression:

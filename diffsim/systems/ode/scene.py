@@ -125,9 +125,9 @@ class OdeScene:
         own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
         return solver.ode.solve(
             self.grid.times,
-            _stacked(starts, lead),
+            _stack_values(starts, lead),
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
-            _stacked(parameters, lead),
+            _stack_values(parameters, lead),
         )
 
     def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:
@@ -145,7 +145,7 @@ def at_start(state: str) -> str:
     return f"{state} at start"
 
 
-def _stacked(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
+def _stack_values(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
     if not values:
         return torch.zeros((*lead, 0), dtype=torch.float64)
     return torch.stack([v.expand(lead) for v in values], -1)

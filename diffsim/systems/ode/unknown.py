@@ -71,13 +71,13 @@ def _smooth(
         typical=typical,
         also_looks_like=("anything",),
         components=tuple(f"knot_{k}" for k in range(count)),
-        apply=partial(_pushed, name=name, change=change, spacing=spacing),
+        apply=partial(_apply_knots, name=name, change=change, spacing=spacing),
     )
     knots = np.linspace(0.0, longest, count)
     return UnknownForce(effect, smooth_covariance(knots, 2.0 * spacing), said)
 
 
-def _pushed(
+def _apply_knots(
     scene: OdeScene, size: Tensor, run: Run, *, name: str, change: Change, spacing: float
 ) -> OdeScene:
     place = (scene.grid.times - scene.grid.times[0]) / spacing

@@ -143,7 +143,7 @@ class OutsideDescription(Description):
         reading = Environment(**self.environment.model_dump())
         options = dict(self._options(study.folder))
         if self.simulator == MJCF:
-            options.setdefault("held", self._held(study))
+            options.setdefault("held", self._are_commands_held(study))
         return Source(self.simulator, study.folder, options, reading)
 
     def problems(self, study: Study) -> list[Problem]:
@@ -169,7 +169,7 @@ class OutsideDescription(Description):
         if count and count != len(study.channels):
             message = f"environment.observation has {count} entries for {len(study.channels)} "
             out.append(Problem("error", "model", message + "channels"))
-        if self.commands_are is None and self._held(study):
+        if self.commands_are is None and self._are_commands_held(study):
             message = "the commands rest and jump, so they are held between samples; "
             message += "give `commands_are: straight` if they are not"
             out.append(Problem("note", "model.commands_are", message))
@@ -187,7 +187,7 @@ class OutsideDescription(Description):
             ],
             commands=self.hooks.command,
             outputs=self.hooks.output,
-            held=self._held(study),
+            held=self._are_commands_held(study),
             clocks=self.clocks,
             workers=self.workers,
         )
@@ -200,7 +200,7 @@ class OutsideDescription(Description):
 
     def _ports(self, study: Study) -> Ports:
         """What the simulator offers to causes of a user."""
-        between: Between = "held" if self._held(study) else "smooth"
+        between: Between = "held" if self._are_commands_held(study) else "smooth"
         return Ports(
             scales=Scales.kept_in(study) or Scales.of_runs(study),
             commands={name: between for run in study.runs for name in run.command},
@@ -217,7 +217,7 @@ class OutsideDescription(Description):
             },
         )
 
-    def _held(self, study: Study) -> bool:
+    def _are_commands_held(self, study: Study) -> bool:
         if self.commands_are is not None:
             return self.commands_are == "held"
         return looks_held(study.runs, list(dict.fromkeys(c for r in study.runs for c in r.command)))

@@ -98,16 +98,16 @@ class Mjcf:
             else:
                 data.qvel[self.model.joint(name).dofadr[0]] = value
         if force is None or not force.acts:
-            return self._stepped(data, run, time_step)
+            return self._step_model(data, run, time_step)
         # called at every stage of an integrator, so that forces are as exact as the step
         before = self.mujoco.get_mjcb_passive()
         self.mujoco.set_mjcb_passive(self._pushing(force))
         try:
-            return self._stepped(data, run, time_step)
+            return self._step_model(data, run, time_step)
         finally:
             self.mujoco.set_mjcb_passive(before)
 
-    def _stepped(self, data: Any, run: Run, time_step: float) -> Array:
+    def _step_model(self, data: Any, run: Run, time_step: float) -> Array:
         model, mj_step = self.model, self.mujoco.mj_step
         controls = self._controls(run)
         readers = self._readers(run)
@@ -143,7 +143,7 @@ class Mjcf:
         out = []
         for name in self.channels.values():
             entry = _ENTRY.fullmatch(name)
-            sensor = self._named("sensor", entry[1] if entry else name, "options.channels")
+            sensor = self._find_index("sensor", entry[1] if entry else name, "options.channels")
             out.append(int(self.model.sensor_adr[sensor]) + (int(entry[2]) if entry else 0))
         return out
 
@@ -156,12 +156,14 @@ class Mjcf:
         for command in run.command:
             name = command if given is None else given.get(command)
             if name is not None:
-                out[:, self._named("actuator", name, "options.commands")] = run.command[command]
+                out[:, self._find_index("actuator", name, "options.commands")] = run.command[
+                    command
+                ]
         return out
 
     def _pushing(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
-        joints = [self._named("joint", name, "hooks.force") for name in force.places]
+        joints = [self._find_index("joint", name, "hooks.force") for name in force.places]
         rates = [int(self.model.jnt_dofadr[j]) for j in joints]
         places = [int(self.model.jnt_qposadr[j]) for j in joints]
 
@@ -188,13 +190,13 @@ class Mjcf:
         elif kind in ("density", "viscosity") and not rest:
             setattr(m.opt, kind, value)
         elif kind == "body" and len(rest) == 2 and rest[1] == "mass":
-            i = self._named("body", rest[0], "parameters")
+            i = self._find_index("body", rest[0], "parameters")
             m.body_inertia[i] = self.plain.body_inertia[i] * value / self.plain.body_mass[i]
             m.body_mass[i] = value
         elif kind == "joint" and len(rest) == 2:
-            return self._put_joint(self._named("joint", rest[0], "parameters"), rest[1], value)
+            return self._put_joint(self._find_index("joint", rest[0], "parameters"), rest[1], value)
         elif kind == "actuator" and len(rest) == 2 and rest[1] == "gain":
-            m.actuator_gainprm[self._named("actuator", rest[0], "parameters"), 0] = value
+            m.actuator_gainprm[self._find_index("actuator", rest[0], "parameters"), 0] = value
         else:
             raise ValueError(
                 f"parameter {path!r} is none of body.NAME.mass, joint.NAME.damping (armature, "
@@ -216,7 +218,7 @@ class Mjcf:
             raise ValueError(f"a joint has no {what!r}{did_you_mean(what, known)}")
         return "model"
 
-    def _named(self, kind: str, name: str, where: str) -> int:
+    def _find_index(self, kind: str, name: str, where: str) -> int:
         objects: Callable[[int], Any] = getattr(self.model, kind)
         count = {"body": "nbody", "joint": "njnt", "sensor": "nsensor", "actuator": "nu"}[kind]
         known = [objects(i).name for i in range(getattr(self.model, count))]

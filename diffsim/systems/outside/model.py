@@ -73,10 +73,10 @@ def call(predict: Predict, label: str, job: Job) -> Array:
             f"simulator {label} failed in run {job.run.name} at {at}: "
             f"{type(error).__name__}: {error}"
         ) from error
-    return _shaped(given, label, job)
+    return _shape_channels(given, label, job)
 
 
-def _shaped(given: Any, label: str, job: Job) -> Array:
+def _shape_channels(given: Any, label: str, job: Job) -> Array:
     """What was returned as an array, refused where it cannot be the channels."""
     where = f"simulator {label} returned"
     names, count = job.channels, len(job.run.time_s)

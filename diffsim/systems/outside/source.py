@@ -80,23 +80,23 @@ class Source:
         """
         if problem := self.problem():
             raise ValueError(problem)
-        made = self._made()
+        made = self._make_simulator()
         if predict := getattr(made, "predict", None):
-            return self._checked(predict)
+            return self._check_predict(predict)
         if hasattr(made, "reset") and hasattr(made, "step"):
             return Stepped(made, self.environment).predict
         if callable(made):
-            return self._checked(made)
+            return self._check_predict(made)
         raise ValueError(
             f"simulator {self.place} must be a function predict(parameters, run), or an object "
             f"with predict, or with reset and step; got {type(made).__name__}"
         )
 
-    def _made(self) -> Any:
+    def _make_simulator(self) -> Any:
         if self.given is not None:
             return self.given
         if self.place.startswith("gym:"):
-            return _registered(self.place[4:], self.options)
+            return _make_gym_environment(self.place[4:], self.options)
         where, _, name = self.place.rpartition(":")
         module = self._module(where)
         found = getattr(module, name, None)
@@ -132,7 +132,7 @@ class Source:
     def _path(self, where: str) -> Path:
         return inside(self.folder or Path(), where, "simulator")
 
-    def _checked(self, predict: Callable[..., Any]) -> Predict:
+    def _check_predict(self, predict: Callable[..., Any]) -> Predict:
         """The function, after a look at its signature."""
         try:
             inspect.signature(predict).bind({}, None, **dict.fromkeys(offers_of(predict)))
@@ -151,7 +151,7 @@ def offers_of(predict: Callable[..., Any]) -> frozenset[str]:
     return frozenset(p.name for p in known) & frozenset(OFFERS)
 
 
-def _registered(name: str, options: Mapping[str, Any]) -> Any:
+def _make_gym_environment(name: str, options: Mapping[str, Any]) -> Any:
     try:
         import gymnasium
 

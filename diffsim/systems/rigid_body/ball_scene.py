@@ -204,17 +204,17 @@ class BallScene:
     def _pixels(self, time: Tensor, paths: Paths, b: int) -> Tensor:
         """(K, T, 2) of one ball; each row of the picture is read a little later."""
         assert self.stage.eye is not None
-        first = self._seen(paths)[b]
+        first = self._project_centers(paths)[b]
         if not bool((self.values["readout"] != 0.0).any()) and not self._needs_grad("readout"):
             return first
         # one fixed-point step is ample
         late = self._of("readout") * first[..., 1] / self.stage.eye.height_px
-        return self._seen(self.paths(time + late))[b]
+        return self._project_centers(self.paths(time + late))[b]
 
     def _needs_grad(self, name: str) -> bool:
         return self.values[name].requires_grad
 
-    def _seen(self, paths: Paths) -> list[Tensor]:
+    def _project_centers(self, paths: Paths) -> list[Tensor]:
         """(K, T, 2) pixels of the centers as tracked."""
         eye, pair = self.stage.eye, self.stage.pair
         assert eye is not None
@@ -243,7 +243,7 @@ class BallScene:
     def paths(self, time: Tensor) -> Paths:
         """Centers of all balls at times (K, T) [s]."""
         pair = self.stage.pair
-        met = {} if pair is None else self._met(pair, time)
+        met = {} if pair is None else self._meet_pair(pair, time)
         both = [
             met[b] if b in met else self._alone(body, time)
             for b, body in enumerate(self.stage.bodies)
@@ -257,7 +257,7 @@ class BallScene:
         lands = body.restitution is not None
         ball = self._start(body)
         if body.begins != "flying":
-            return self._rolled(ball, laws, level, time)
+            return self._roll_ball(ball, laws, level, time)
         up = torch.stack([v[f"{body.name}_z"], v[f"{body.name}_vz"]], -1)
         ground = Bounces(
             laws,
@@ -275,7 +275,7 @@ class BallScene:
         )
         return bounced(thrown, time, ground)
 
-    def _met(self, pair: Pair, time: Tensor) -> dict[int, tuple[Tensor, Tensor]]:
+    def _meet_pair(self, pair: Pair, time: Tensor) -> dict[int, tuple[Tensor, Tensor]]:
         """Two balls on the ground before and after their one impact."""
         v = self.values
         bodies = [self.stage.bodies[b] for b in pair.bodies]
@@ -296,7 +296,7 @@ class BallScene:
         )
         since = (time - start[:, None]).clamp(min=0.0)
         # a blow of constant force: first half of it with the old velocity, then with the new one
-        after = _eased(since, self._of("contact_time"))
+        after = _ease_time(since, self._of("contact_time"))
         before = torch.minimum(time, start[:, None].expand_as(time)) + since - after
         is_after = (since > 0.0)[..., None]
         up = (lift + v["hop"])[:, None]
@@ -312,8 +312,8 @@ class BallScene:
             strict=True,
         ):
             level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
-            one, speed = self._rolled(later, law_of, level, after)
-            two, slower = self._rolled(first, law_of, level, before)
+            one, speed = self._roll_ball(later, law_of, level, after)
+            two, slower = self._roll_ball(first, law_of, level, before)
             met = torch.cat([later.place, level[:, None]], -1)[:, None]
             place = torch.where(is_after, one + two - met, two)
             lifted = torch.zeros_like(place)
@@ -321,7 +321,9 @@ class BallScene:
             out[b] = (place + lifted, torch.where(is_after, speed, slower))
         return out
 
-    def _rolled(self, ball: Ball, laws: Laws, level: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+    def _roll_ball(
+        self, ball: Ball, laws: Laws, level: Tensor, time: Tensor
+    ) -> tuple[Tensor, Tensor]:
         wide = Ball(*(y[:, None] for y in (ball.place, ball.velocity, ball.rolling)))
         law = Laws(*(getattr(laws, n)[:, None] for n in Laws.__dataclass_fields__))
         end = on_ground.moved(wide, time, law)
@@ -360,7 +362,7 @@ class BallScene:
         return self.values[name][:, None]
 
 
-def _eased(since: Tensor, duration: Tensor) -> Tensor:
+def _ease_time(since: Tensor, duration: Tensor) -> Tensor:
     """Time that counts as after a blow which takes its time: the integral of a ramp (K, T) [s]."""
     length = duration.clamp(min=1e-9)
     return torch.where(since > length, since - 0.5 * length, since**2 / (2.0 * length))

@@ -114,7 +114,7 @@ class Balls:
             self.bodies,
             self.starts,
             runs,
-            lambda run, body: self._seen(run, body, study, eye, camera),
+            lambda run, body: self._find_places(run, body, study, eye, camera),
             self.gravity.value,
             frozenset(m.body for m in self.measures if m.pixels),
         )
@@ -303,7 +303,7 @@ class Balls:
         named = {"focal": focal} | {f"turn_{a}": turn for a in "xyz"}
         return eye, named | {f"shift_{a}": q for a, q in zip("xyz", shift, strict=True)}
 
-    def _seen(
+    def _find_places(
         self,
         run: Run,
         body: Body,

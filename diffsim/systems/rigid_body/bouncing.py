@@ -90,7 +90,7 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
         if not ground.lands:
             return place, velocity
         landing = flight.landing(ground.level, fall)
-        ball = _unless(settled, ball, _rebounded(flight, landing, ball.rolling, ground))
+        ball = _unless(settled, ball, _rebound_from_ground(flight, landing, ball.rolling, ground))
         begun = torch.where(settled, begun, begun + landing)
         settled = settled | (ball.velocity[:, 2] < SETTLES)
         if bool((settled | (begun > end)).all()):
@@ -98,7 +98,9 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
     return _on_ground(ball, time - begun[:, None], settled, ground, (place, velocity))
 
 
-def _rebounded(flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces) -> Thrown:
+def _rebound_from_ground(
+    flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces
+) -> Thrown:
     """The ball after an impact with the ground: restitution, and Coulomb friction or sticking."""
     place, velocity = (y[:, 0] for y in flight.at(landing[:, None]))
     approach = (-velocity[:, 2]).clamp(min=0.0)

@@ -130,7 +130,7 @@ class RigidBodyDescription(Description):
             raise ValueError("\n".join(f"{p.where}: {p.message}" for p in wrong))
         if all(b.is_ball for b in self.bodies):
             return self._setup_of_balls(study)
-        return self.setup_of_cut(self._tossed().cut_study(study))
+        return self.setup_of_cut(self._build_tossed().cut_study(study))
 
     def balls(self) -> Balls:
         """The balls with all that is around them."""
@@ -167,7 +167,7 @@ class RigidBodyDescription(Description):
         if all(b.is_ball for b in self.bodies):
             numbers = self.balls().numbers()
         else:
-            numbers = self._tossed().numbers()
+            numbers = self._build_tossed().numbers()
         return Ports(
             scales=self.scales(study),
             channels=tuple(c.name for c in study.channels),
@@ -184,7 +184,7 @@ class RigidBodyDescription(Description):
 
     def setup_of_cut(self, study: Study) -> DiagnosisSetup:
         """Setup of tosses that are cut already."""
-        tossed = self._tossed()
+        tossed = self._build_tossed()
         scales = self.scales(study)
         model = tossed.model(study)
         model.frame = {SCALES: scales.saved()}
@@ -195,7 +195,7 @@ class RigidBodyDescription(Description):
             study=study,
         )
 
-    def _tossed(self) -> Tossed:
+    def _build_tossed(self) -> Tossed:
         body = self.bodies[0]
         ground = [c for c in self.contacts if GROUND in c.between]
         return Tossed(
@@ -228,7 +228,7 @@ class RigidBodyDescription(Description):
             out.append(Problem("error", "model.bodies", "several bodies must all be balls"))
         if self.camera is not None:
             out.append(Problem("error", "model.camera", "a camera shows balls; give positions"))
-        if any(q.per for q in self._tossed()._quantities().values()):
+        if any(q.per for q in self._build_tossed()._quantities().values()):
             out.append(Problem("error", "model", "per: tosses share all quantities; leave it out"))
         if not any(c.between for c in self.contacts if GROUND in c.between) and self.window:
             out.append(Problem("error", "model.window", "a window needs a contact with the ground"))

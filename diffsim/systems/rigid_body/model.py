@@ -74,10 +74,12 @@ class Table:
         if any(v.requires_grad for v in given) or not instruments.is_empty:
             return self._predict_alone(run, values, terms, instruments)
         key = (*map(str.encode, terms), *(v.numpy().tobytes() for v in given))
-        every = self.latest(key, lambda: self._profiled(self.tosses, self.shooting, values, terms))
+        every = self.latest(
+            key, lambda: self._profile_starts(self.tosses, self.shooting, values, terms)
+        )
         return every[:, index]
 
-    def _profiled(
+    def _profile_starts(
         self,
         tosses: Tosses,
         shooting: Shooting,
@@ -182,7 +184,7 @@ class TossModel(SimModel):
         self.runs, self.channels, self.thrown = tuple(runs), tuple(channels), thrown
         start = at or {p.name: torch.tensor(p.value, dtype=torch.float64) for p in base}
         known = thrown.parameters.in_run(start, self.runs[0])
-        table = _prepared(self.runs, self.channels, thrown, known)
+        table = _prepare_table(self.runs, self.channels, thrown, known)
 
         def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> TossScene:
             return TossScene(run, thrown.parameters.in_run(values, run), table)
@@ -216,7 +218,7 @@ class TossModel(SimModel):
         return made
 
 
-def _prepared(
+def _prepare_table(
     runs: Sequence[Run], channels: Sequence[Channel], thrown: Thrown, values: Mapping[str, Tensor]
 ) -> Table:
     tosses = Tosses.of(runs)

@@ -119,10 +119,10 @@ def impact(
         resting.velocity + push / mass[..., None],
         resting.rolling - spun / mass[..., None],
     )
-    return _pressed(struck, lift.clamp(min=0.0) / mass, laws), came, lift.clamp(min=0.0)
+    return _rub_on_table(struck, lift.clamp(min=0.0) / mass, laws), came, lift.clamp(min=0.0)
 
 
-def _pressed(ball: Ball, blow: Tensor, laws: Laws) -> Ball:
+def _rub_on_table(ball: Ball, blow: Tensor, laws: Laws) -> Ball:
     """Friction of a blow onto the table (over the mass, m/s); it cannot reverse the slip."""
     slip = ball.velocity - ball.rolling
     size = _length(slip)

@@ -198,7 +198,7 @@ class Camera(Part):
         return None not in (self.focal, self.rotation, self.shift)
 
     @model_validator(mode="after")
-    def _known(self) -> Camera:
+    def _check_camera(self) -> Camera:
         if not self.is_stated and self.points is None:
             raise ValueError("give focal, rotation and shift, or points to find them by")
         if self.rotation is not None and len(self.rotation) != 3:

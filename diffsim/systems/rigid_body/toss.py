@@ -137,7 +137,7 @@ class Tosses:
             late: How late all channels are, (K,) or () [s]; None: not at all.
         """
         k = len(start)
-        get = {name: _sized(terms, name, k) for name in ADDED}
+        get = {name: _expand_term(terms, name, k) for name in ADDED}
         tilt = _beside(get, "gravity_x", "gravity_y", "lift")
         slope = _beside(get, "ground_slope_x", "ground_slope_y")
         center = _beside(get, "center_x", "center_y", "center_z")
@@ -170,7 +170,7 @@ class Tosses:
             def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
                 """Gap of the corner, its velocity, its arm, and the turn at times (K, R, 1)."""
                 x, v = _ballistic(x0, v0, gravity, drag, t)
-                step, now = turned(rates, _slowed(t, spin)[..., 0], even)
+                step, now = turned(rates, _integrate_slowing(t, spin)[..., 0], even)
                 q = quaternion_product(q0, step)
                 arm = rotate_by_quaternion(q, arm_body)
                 rate = rotate_by_quaternion(q, now * (1.0 - spin * t))
@@ -200,7 +200,7 @@ class Tosses:
         is_after = since > 0.0
         v = torch.where(is_after, v + kick[..., None, :], v)
         # the body turns freely before and after the impact
-        whole, before = _slowed(time, spin), _slowed(hit, spin)
+        whole, before = _integrate_slowing(time, spin), _integrate_slowing(hit, spin)
         wide = None if even is None else even[..., None, :]
         until = torch.where(is_after[..., 0], before, whole)
         step, rate_hit = turned(rates[..., None, :], until, wide)
@@ -238,7 +238,7 @@ def _moments(mass: Mass, half: Tensor, unequal: Tensor) -> Tensor:
     return moments * (1.0 + torch.cat([unequal, torch.zeros_like(unequal[..., :1])], -1))
 
 
-def _sized(terms: Mapping[str, Tensor], name: str, k: int) -> Tensor:
+def _expand_term(terms: Mapping[str, Tensor], name: str, k: int) -> Tensor:
     """(K, 1, 1) of a number, zero where no effect has changed it."""
     return terms.get(name, torch.zeros((), dtype=torch.float64)).expand(k)[:, None, None]
 
@@ -256,7 +256,7 @@ def _ballistic(
     return place, v * (1.0 - drag * t) + gravity * (t - drag * t**2 / 2.0)
 
 
-def _slowed(t: Tensor, drag: Tensor) -> Tensor:
+def _integrate_slowing(t: Tensor, drag: Tensor) -> Tensor:
     """Integral of 1 - drag t."""
     return t - drag * t**2 / 2.0
 

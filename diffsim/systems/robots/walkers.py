@@ -65,7 +65,7 @@ def quadruped(
         inside, legs = _table((10, 5, 2), (2, 2, 3))
     else:
         inside, legs = _table((18, 8, 3), (3, 3, 6))
-    return _legged(
+    return _make_legged(
         "quadruped",
         inside,
         legs,
@@ -110,7 +110,7 @@ def cow(
         inside[-6:-1, :, -5:] = True
         inside[-1, :, -5:-2] = True  # muzzle
         inside[-4:-2, ::4, -1] = True
-    return _legged(
+    return _make_legged(
         "cow",
         inside,
         legs,
@@ -215,7 +215,7 @@ def _table(
     return inside, leg
 
 
-def _legged(
+def _make_legged(
     name: str,
     inside: np.ndarray,
     leg: tuple[int, int, int],

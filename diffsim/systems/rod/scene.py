@@ -91,7 +91,7 @@ class RodScene:
         """Equilibria at the first point."""
         with torch.no_grad():
             rod, count = rod_of(self.layout, self.numbers, self.command)
-            found, slopes = self._found(rod, count, slopes_of_all=True)
+            found, slopes = self._find_strains(rod, count, slopes_of_all=True)
         assert slopes is not None
         return Poses(found[0], slopes[0])
 
@@ -108,7 +108,7 @@ class RodScene:
             v.requires_grad for v in (self.command, *self.numbers.values())
         )
         with torch.no_grad():
-            found, slopes = self._found(rod, count, slopes_of_all)
+            found, slopes = self._find_strains(rod, count, slopes_of_all)
         if not slopes_of_all:
             return found
         # one step more, which moves nothing, carries derivatives: u = u - J^-1 residual(numbers)
@@ -116,7 +116,9 @@ class RodScene:
         left = rod.residual(found).flatten(2)[..., None]
         return found - torch.linalg.solve(slopes, left).reshape(found.shape)
 
-    def _found(self, rod: Rod, count: int, slopes_of_all: bool) -> tuple[Tensor, Tensor | None]:
+    def _find_strains(
+        self, rod: Rod, count: int, slopes_of_all: bool
+    ) -> tuple[Tensor, Tensor | None]:
         """Strains, and slopes of the residual there (K, num_samples, 3 N, 3 N) if asked for."""
         lengths, guess = self.layout.shape.lengths, self.guess
         if guess is None:

@@ -93,7 +93,7 @@ class DescribedModel:
         rig, given = self.rig(numerics), self.given
         own = self.parameters.in_run(values, run)
         physical = self._physical(rig, own, run, numerics)
-        hung = self._hung(rig, own, run)
+        hung = self._sum_hung_mass(rig, own, run)
         times = np.asarray(run.time_s, dtype=np.float64)
         start = float(times[0]) if given.start.at is None else given.start.at
         start -= given.start.lead_in
@@ -115,7 +115,7 @@ class DescribedModel:
             "obstacles": tuple(
                 contact.plane(w.normal, w.offset, friction=w.friction) for w in given.walls
             ),
-            **self._driven(rig, own, run, start),
+            **self._make_command(rig, own, run, start),
         }
         if given.water is not None:
             scene["water"] = rig.water(own["water_drag"], own["water_thrust"])
@@ -124,7 +124,7 @@ class DescribedModel:
         made = SoftScene(**scene)
         if given.numerics.motion == "quasi_static":
             return posed(made, self._pose_commands, rig.poses)
-        return made.changed(**self._begun(rig, made, own))
+        return made.changed(**self._make_start(rig, made, own))
 
     def _physical(self, rig: Rig, own: Values, run: Run, numerics: Numerics) -> dict[str, Tensor]:
         given = self.given
@@ -181,7 +181,7 @@ class DescribedModel:
         assert load.mass_from is not None
         return share * fact_in(run, load.mass_from, "kg")
 
-    def _hung(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
+    def _sum_hung_mass(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
         """(num_nodes,) of what acts by its weight alone [kg]; less than 0: buoyancy."""
         hung = [
             self._mass(i, own, run) * rig.load_shares[i]
@@ -193,7 +193,7 @@ class DescribedModel:
             hung.append(-water.density * rig.volume)
         return torch.stack(hung).sum(0) if hung else None
 
-    def _driven(self, rig: Rig, own: Values, run: Run, start: float) -> dict[str, Any]:
+    def _make_command(self, rig: Rig, own: Values, run: Run, start: float) -> dict[str, Any]:
         """Commands of a run and what they move."""
         if not self.commands:
             return {}
@@ -240,7 +240,7 @@ class DescribedModel:
 
         return activation, pressure
 
-    def _begun(self, rig: Rig, scene: SoftScene, own: Values) -> dict[str, Any]:
+    def _make_start(self, rig: Rig, scene: SoftScene, own: Values) -> dict[str, Any]:
         """How the body starts."""
         start = self.given.start
         if start.shape != "held":

@@ -53,7 +53,7 @@ class SoftBodyDescription(SoftBodyKeys):
         ]
         if not any(p.severity == "error" for p in found):
             try:
-                self._described(study).rig()
+                self._build_model(study).rig()
             except (ValueError, OSError) as error:
                 found.append(Problem("error", "model", str(error)))
         return found
@@ -96,7 +96,7 @@ class SoftBodyDescription(SoftBodyKeys):
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model of the body, causes that its parts allow, and options."""
         self.require_possible(study)
-        described = self._described(study)
+        described = self._build_model(study)
         model, scales = described.model(), self._scales(study, described)
         model.frame = {SCALES: scales.saved()}
         advised = DiagnosisSettings(
@@ -117,7 +117,7 @@ class SoftBodyDescription(SoftBodyKeys):
         Args:
             study: Study with this description as its ``model``.
         """
-        described = self._described(study)
+        described = self._build_model(study)
         scales = self._scales(study, described)
         is_still = self.numerics.motion == "quasi_static"
         usual = {"push": PULL_SHARE * G * scales.plain[BODY]["mass"], **usual_motion(self, scales)}
@@ -137,7 +137,7 @@ class SoftBodyDescription(SoftBodyKeys):
         mass_kg = float(described.rig().volume.sum()) * self.material.density.value
         return scales_of(self, study, mass_kg)
 
-    def _described(self, study: Study) -> DescribedModel:
+    def _build_model(self, study: Study) -> DescribedModel:
         parameters = BaseParameters(self.quantities(), study.runs)
         names = [c.name for c in study.channels]
         fitted, commands = Scales.kept_in(study) or Scales.of_runs(study), None

@@ -32,7 +32,7 @@ def _vector(given: Any) -> Any:
 Point = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
 
 
-def _bound(given: Any) -> Any:
+def _parse_bound(given: Any) -> Any:
     if given is None:
         return None
     if not isinstance(given, (list, tuple)):
@@ -43,7 +43,7 @@ def _bound(given: Any) -> Any:
 
 
 #: A coordinate: one number for a plane, [low, high] for a range, each may be ~ (open).
-Bound = Annotated[float | tuple[float | None, float | None] | None, BeforeValidator(_bound)]
+Bound = Annotated[float | tuple[float | None, float | None] | None, BeforeValidator(_parse_bound)]
 
 
 class Region(Part):

@@ -59,10 +59,10 @@ class PosedScene(SoftScene):
         pressures = None if self.pressurize is None else self.pressurize(commands)
         key = self._key([drives, *([] if pressures is None else [pressures])])
         if key is None:
-            return self._computed(commands, drives, pressures)
-        return self.kept(key, lambda: self._computed(commands, drives, pressures))
+            return self._solve_poses(commands, drives, pressures)
+        return self.kept(key, lambda: self._solve_poses(commands, drives, pressures))
 
-    def _computed(self, commands: Tensor, drives: Tensor, pressures: Tensor | None) -> Tensor:
+    def _solve_poses(self, commands: Tensor, drives: Tensor, pressures: Tensor | None) -> Tensor:
         physics = self.body.physics(**self.parameters)
         order = commands.detach().norm(dim=-1).argsort().tolist()
         found: dict[int, Tensor] = {}

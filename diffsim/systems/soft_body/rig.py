@@ -67,7 +67,7 @@ class Rig:
         with within("body"):
             self.mesh = given.body.mesh(coarser, folder)
         self.volume = meshes.nodal_volume(self.mesh)
-        self.fixed = self._fixed()
+        self.fixed = self._find_fixed()
         self.region_cells = self._regions(folder)
         self.tendons = [self._tendon(i) for i in range(len(given.tendons))]
         self._chambers = self._cavities()
@@ -97,7 +97,7 @@ class Rig:
             found: Tensor = region.nodes(self.mesh)
         return found
 
-    def _fixed(self) -> Tensor:
+    def _find_fixed(self) -> Tensor:
         """(num_nodes, 3) bool."""
         held = torch.zeros(self.mesh.num_nodes, 3, dtype=torch.bool)
         for i, clamp in enumerate(self.given.fixed):

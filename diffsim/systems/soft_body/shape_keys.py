@@ -137,12 +137,12 @@ class MeshFile(Part):
         """The body, a filled surface with cells ``coarser`` times as long."""
         path, scale = self._at(folder)
         if self.is_volume:
-            return self._kept(meshes.load(path, scale))
+            return self._keep_elements(meshes.load(path, scale))
         if self.spacing is None:
             raise ValueError(f"{self.path} is a surface; give the length of the cells, spacing")
         surface, spacing = meshes.load_surface(path, scale), self.spacing * coarser
         fill = meshes.voxelize if self.cells == "cubes" else meshes.tetrahedralize
-        return self._kept(fill(surface, spacing))
+        return self._keep_elements(fill(surface, spacing))
 
     def regions(self, folder: Path | None) -> RegionMesh:
         """The file's regions of material, of the cells that are kept.
@@ -161,7 +161,7 @@ class MeshFile(Part):
             return found
         cells = self.keep.elements(found.mesh)
         data = {name: values[cells] for name, values in found.element_data.items()}
-        return RegionMesh(self._kept(found.mesh), found.names, found.region[cells], data)
+        return RegionMesh(self._keep_elements(found.mesh), found.names, found.region[cells], data)
 
     @property
     def is_volume(self) -> bool:
@@ -172,7 +172,7 @@ class MeshFile(Part):
         """The file, and meters per unit of its coordinates."""
         return inside(folder or Path(), self.path, "model: path"), factor(self.unit, "m")
 
-    def _kept(self, made: HexMesh | TetMesh) -> HexMesh | TetMesh:
+    def _keep_elements(self, made: HexMesh | TetMesh) -> HexMesh | TetMesh:
         if self.keep is None:
             return made
         chosen = made.elements[self.keep.elements(made)]

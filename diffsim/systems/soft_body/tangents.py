@@ -36,7 +36,7 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     alike = [n for n in lines if _alike(scene, n)]
     observed, tangents = motion_tangents(base, alike)
     computed = {
-        line: line.difference(partial(_shown, observed, tangent))
+        line: line.difference(partial(_shift_channels, observed, tangent))
         for line, tangent in zip(alike, tangents, strict=True)
     }
     for line in lines:
@@ -47,7 +47,7 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
 
 
-def _shown(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -> Tensor:
+def _shift_channels(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -> Tensor:
     """Channels of a scene a little along a line."""
     return scene.channels(observed + offset * tangent)
 
@@ -90,7 +90,7 @@ class _Motion:
         moving = [k for k, n in enumerate(lines) if rates[k] is not None or _moves(base, n)]
         self.place = {k: i for i, k in enumerate(moving)}
         self._lines = [lines[k] for k in moving]
-        self._activation_rates = self._stacked([rates[k] for k in moving])
+        self._activation_rates = self._stack_rates([rates[k] for k in moving])
         scenes = [scene, *(p.scene for n in self._lines for p in n.points)]
         forced = any(s.forces or s.water is not None for s in scenes)
         self._forces = MovingForces(base, self._lines) if forced else None
@@ -137,7 +137,7 @@ class _Motion:
         )
         return rate if bool(rate.any()) else None
 
-    def _stacked(self, rates: Sequence[Tensor | None]) -> Tensor | None:
+    def _stack_rates(self, rates: Sequence[Tensor | None]) -> Tensor | None:
         """(K, num_steps, num_muscles)."""
         if self._activations is None or all(r is None for r in rates):
             return None

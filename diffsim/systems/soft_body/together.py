@@ -31,7 +31,7 @@ def simulate_together(scenes: Sequence[Any]) -> list[Tensor]:
         if len(group) == 1:
             out[group[0]] = first.simulate()
         else:
-            out |= zip(group, _simulated([scenes[k] for k in group]), strict=True)
+            out |= zip(group, _simulate_group([scenes[k] for k in group]), strict=True)
         waiting = [k for k in waiting if k not in out]
     return [out[k] for k in range(len(scenes))]
 
@@ -48,7 +48,7 @@ def _alike(a: Any, b: Any) -> bool:
     return settings[0] == settings[1] and not a.relaxed and same_surroundings(a, b, None)
 
 
-def _simulated(scenes: Sequence[SoftScene]) -> list[Tensor]:
+def _simulate_group(scenes: Sequence[SoftScene]) -> list[Tensor]:
     scene = scenes[0]
     num_steps, physics = scene.num_steps(), scene.body.physics(**scene.parameters)
     every = [s.activations(num_steps) for s in scenes]
