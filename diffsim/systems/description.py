@@ -134,6 +134,22 @@ def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> I
             )
 
 
+def known(value: float, unit: str) -> Quantity:
+    """A number that is known exactly, as the default of a key.
+
+    Args:
+        value: The number, in the unit.
+        unit: SI unit, "-" if none.
+    """
+    return Quantity(value=value, unit=unit)
+
+
+def quantities_of(part: Part, prefix: str = "") -> dict[str, Quantity]:
+    """Quantities among a part's keys, by prefix and key."""
+    found = {key: getattr(part, key) for key in type(part).model_fields}
+    return {f"{prefix}{key}": q for key, q in found.items() if isinstance(q, Quantity)}
+
+
 class EffectChoice(Part):
     """Which candidate causes are judged."""
 

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
+from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
 from diffsim.systems.flow_network.steady import SteadyScene
 
 RTOL, MAX_ITERS = 1e-11, 60
@@ -176,8 +177,8 @@ class _Balance:
             given = given + s.drive[:, k, None] * _one(len(pumps), node)
         leaky = s.leak * pumps[free] + s.node_leak
         mass = (flow @ self.incidence.mT + given)[:, free] - leaky * pressure[:, free]
-        widened, steep = self._widened(pressure)
-        used, rise = self._used(flow)
+        widened, steep = linearize_pressure(pressure, self.scene.compliance)
+        used, rise = self._compute_drop(flow)
         drop = widened[:, list(layout.starts)] - widened[:, list(layout.ends)]
         residual = torch.cat([mass / self.flow_scale, (drop - used) / self.pressure_scale], 1)
         slope = y.new_zeros(len(y), y.shape[1], y.shape[1])
@@ -194,7 +195,7 @@ class _Balance:
         """What ideal meters show, (levels, num_channels)."""
         layout, n = self.scene.layout, len(self.scene.layout.free)
         pressure = self._pressures(y)
-        widened, _ = self._widened(pressure)
+        widened, _ = linearize_pressure(pressure, self.scene.compliance)
         out = []
         for reading in layout.readings:
             if reading.node >= 0:
@@ -204,7 +205,7 @@ class _Balance:
             else:
                 a, b = layout.starts[reading.tube], layout.ends[reading.tube]
                 there = widened[:, a] + reading.share * (widened[:, b] - widened[:, a])
-                out.append(self._narrowed(there))
+                out.append(invert_linearized(there, self.scene.compliance))
         return torch.stack(out, 1)
 
     def _pressures(self, y: Tensor) -> Tensor:
@@ -254,7 +255,7 @@ class _Balance:
             resistance = resistance * (1.0 + THROAT * (lodged - 1.0))
         return resistance, rate
 
-    def _used(self, flow: Tensor) -> tuple[Tensor, Tensor]:
+    def _compute_drop(self, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Drop of F that flows need (levels, num_tubes) [Pa], and its slope [Pa s/m^3].
 
         A thinning fluid by the dissipation of the Newtonian profile: 3 xi^2 for slits.
@@ -272,16 +273,6 @@ class _Balance:
                 k = k + 0.5 * s.density * s.entrance_loss / area**2 * _one(len(k), branch)
         used = self.resistance * factor * flow + k * flow * flow.abs()
         return used, self.resistance * bend + 2.0 * k * flow.abs()
-
-    def _widened(self, pressure: Tensor) -> tuple[Tensor, Tensor]:
-        """F(p) and its slope."""
-        x = self.scene.compliance * pressure
-        return pressure * (1.0 + x * (1.5 + x * (1.0 + 0.25 * x))), (1.0 + x) ** 3
-
-    def _narrowed(self, value: Tensor) -> Tensor:
-        """Pressure p of F(p)."""
-        root = (1.0 + 4.0 * self.scene.compliance * value) ** 0.25
-        return 4.0 * value / ((root + 1.0) * (root**2 + 1.0))
 
 
 def _sides(ratio: Tensor) -> Tensor:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.flow_network.network_conditions import NetworkConditions
+from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
 from diffsim.systems.flow_network.unit_flows import Shape
 
 MAX_ITERS = 40
@@ -77,8 +78,8 @@ class Balance:
         resistance, tap, extra = self._resistance(flow)
         lost, lost_slope = self._loss(flow)
         outlet = s.back_pressure + s.outlet_pressure + lost
-        up, up_slope = self._widened(pump)
-        down, down_slope = self._widened(outlet)
+        up, up_slope = linearize_pressure(pump, self.scene.compliance)
+        down, down_slope = linearize_pressure(outlet, self.scene.compliance)
         drop = (resistance @ flow[..., None])[..., 0] * self.factor
         leak = s.leak / self.flow_scale
         mass = flow.sum(1) + leak * pump - s.drive[:, 0] / self.flow_scale
@@ -89,7 +90,7 @@ class Balance:
         slope[:, 1:, :m] = -((resistance + extra) * self.factor).detach()
         slope[:, 1:, :m] -= torch.diag_embed((down_slope * lost_slope).detach())
         at_tap = up - (tap * flow).sum(1) * self.factor
-        return residual, slope, self._narrowed(at_tap)
+        return residual, slope, invert_linearized(at_tap, self.scene.compliance)
 
     def solved(self) -> Tensor:
         """The unknowns, (levels, m + 1), by Newton's method."""
@@ -146,18 +147,3 @@ class Balance:
         per = self.flow_scale / device.depth / (width + 2.0 * s.wall_offset)
         factor = 0.5 * device.density * s.entrance_loss * per**2
         return factor * flow * flow.abs(), 2.0 * factor * flow.abs()
-
-    def _widened(self, pressure: Tensor) -> tuple[Tensor, Tensor]:
-        """F(p) and its slope."""
-        c = self.scene.compliance
-        x = c * pressure
-        # ((1 + x)^4 - 1) / 4 c, without a division by c
-        return pressure * (1.0 + x * (1.5 + x * (1.0 + 0.25 * x))), (1.0 + x) ** 3
-
-    def _narrowed(self, value: Tensor) -> Tensor:
-        """Pressure p of F(p)."""
-        c = self.scene.compliance
-        x = 4.0 * c * value
-        # ((1 + x)^(1/4) - 1) / c, without a division by c
-        root = (1.0 + x) ** 0.25
-        return 4.0 * value / ((root + 1.0) * (root**2 + 1.0))

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from diffsim.causes.channel_groups import CLOCKS, clock_of
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import Meters
-from diffsim.systems.description import Description, Quantity
+from diffsim.systems.description import Description, Quantity, quantities_of
 from diffsim.systems.quantities import Time
 from diffsim.systems.soft_body.keys import (
     Chamber,
@@ -28,7 +28,6 @@ from diffsim.systems.soft_body.keys import (
     Vibration,
     Wall,
     Water,
-    quantities_of,
 )
 from diffsim.systems.soft_body.places import Region
 from diffsim.systems.soft_body.readings import Camera, Clock, MarkerPlace, Reading
