@@ -55,7 +55,7 @@ class Quantity(Part):
     )
 
     @model_validator(mode="after")
-    def _one_width(self) -> Quantity:
+    def _check_one_width(self) -> Quantity:
         if self.sd is not None and self.percent is not None:
             raise ValueError("give sd or percent, not both")
         if self.percent is not None and self.value <= 0.0:

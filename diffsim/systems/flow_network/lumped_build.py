@@ -48,7 +48,7 @@ class LumpedNetwork:
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> LumpedScene:
         v = self.parameters.in_run(values, run)
-        drive, back, level = self._levels(run)
+        drive, back, level = self._group_levels(run)
         one, zero = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
 
         def sizes(*names: str) -> Tensor:
@@ -127,7 +127,7 @@ class LumpedNetwork:
                 found[f"length_{tube.name}"] = ("length", i)
         return found
 
-    def _levels(self, run: Run) -> tuple[Tensor, Tensor, Tensor]:
+    def _group_levels(self, run: Run) -> tuple[Tensor, Tensor, Tensor]:
         """Different levels of pumps and of pressures, and which holds at each sample."""
         count, pumps = len(run.time_s), self.layout.pumps
         columns = []

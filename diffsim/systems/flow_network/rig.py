@@ -37,7 +37,8 @@ class Rig:
         self.grid = Grid([max(1, round(n / refine)) for n in device.cells], size=device.size)
         if device.drive == "flow":
             inlets = [
-                Inlet("x-", f"in_{i + 1}", self._nodes_near(i)) for i in range(len(device.inlets))
+                Inlet("x-", f"in_{i + 1}", self._select_inlet_nodes(i))
+                for i in range(len(device.inlets))
             ]
             faces: list[Inlet | Open] = [*inlets, Open("x+")]
         else:
@@ -48,11 +49,15 @@ class Rig:
         self.phi = device.level_set(self.grid.nodes)
         self.width = device.local_width(self.grid.nodes)
         heights = self.grid.nodes[0, :, 1]
-        self.inlet_masks = [_between(heights, bounds) for bounds in _territories(device.inlets)]
-        self.outlet_masks = [_between(heights, bounds) for bounds in _territories(device.outlets)]
+        self.inlet_masks = [
+            _mark_between(heights, bounds) for bounds in _divide_openings(device.inlets)
+        ]
+        self.outlet_masks = [
+            _mark_between(heights, bounds) for bounds in _divide_openings(device.outlets)
+        ]
         self._known: tuple[Tensor, FlowDerivatives] | None = None
 
-    def _nodes_near(self, inlet: int) -> Callable[[Tensor], Tensor]:
+    def _select_inlet_nodes(self, inlet: int) -> Callable[[Tensor], Tensor]:
         """The inlet's nodes on its face: those in the fluid and one beyond each wall, on which the
         velocity goes on smoothly."""
         opening = self.device.inlets[inlet]
@@ -148,12 +153,12 @@ def _mean_of_corners(nodal: Tensor) -> Tensor:
     return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])
 
 
-def _territories(openings: Sequence[Opening]) -> list[tuple[float, float]]:
+def _divide_openings(openings: Sequence[Opening]) -> list[tuple[float, float]]:
     """Bounds in y that part the openings of one side: middles of the walls between them [m]."""
     middles = [0.5 * (below.high + above.low) for below, above in pairwise(openings)]
     return list(zip([-np.inf, *middles], [*middles, np.inf], strict=True))
 
 
-def _between(heights: Tensor, bounds: tuple[float, float]) -> Tensor:
+def _mark_between(heights: Tensor, bounds: tuple[float, float]) -> Tensor:
     low, high = bounds
     return ((heights > low) & (heights <= high)).to(torch.float64)

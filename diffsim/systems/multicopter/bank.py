@@ -31,7 +31,7 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
         flights: Recipe of the scenes; its nominal vehicle flies under feedback about hover.
         runs: Recorded runs; the first one's set-up and other commands are kept.
     """
-    vehicle = _vehicle(flights)
+    vehicle = _build_vehicle(flights)
     if vehicle.num_rotors < _FEWEST:  # nothing that such feedback could hold
         return ()
     payload = _PAYLOAD * float(vehicle.mass)
@@ -47,7 +47,7 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
     return tuple(out)
 
 
-def _vehicle(flights: DescribedFlights) -> Multicopter:
+def _build_vehicle(flights: DescribedFlights) -> Multicopter:
     fleet = flights.nominal_fleet()
     values = {
         name: getattr(fleet, name)[0].detach()
@@ -94,11 +94,11 @@ def _fly_path(
     for other, values in like.command.items():
         command.setdefault(other, np.full(count, float(np.asarray(values)[0])))
     setup = dict(like.setup) | ({"payload_kg": payload} if payload else {})
-    measured = _readings(flights, vehicle, thrusts, state, dt)
+    measured = _read_channels(flights, vehicle, thrusts, state, dt)
     return Run(name, time.numpy(), measured, command, name, setup=setup)
 
 
-def _readings(
+def _read_channels(
     flights: DescribedFlights, vehicle: Multicopter, thrusts: Tensor, state: FlightState, dt: float
 ) -> np.ndarray:
     """Channels of the study at the start of every step, (num_samples, num_channels)."""

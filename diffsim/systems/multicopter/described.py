@@ -62,17 +62,17 @@ class DescribedFlights:
     known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        return self._scene(values, run, numerics, self.windows(run))
+        return self._build_scene(values, run, numerics, self.windows(run))
 
     def windows(self, run: Run) -> Windows:
         """The record of a run in windows."""
-        return self.known(run, lambda: self._cut(run))
+        return self.known(run, lambda: self._cut_run(run))
 
-    def _cut(self, run: Run) -> Windows:
+    def _cut_run(self, run: Run) -> Windows:
         nominal = self.nominal()
         past = self.asked(run, self.in_run(nominal, run)).mean(1)
         return self.cutter.cut(
-            run, past, partial(self._scene, nominal, run, Numerics()), self.nominal_fleet()
+            run, past, partial(self._build_scene, nominal, run, Numerics()), self.nominal_fleet()
         )
 
     def nominal(self) -> dict[str, Tensor]:
@@ -112,18 +112,20 @@ class DescribedFlights:
     def nominal_fleet(self) -> Fleet:
         """The vehicle as best known beforehand, (1, ...)."""
         known = {k: q.value for k, q in self.parameters.quantities.items()}
-        return self._fleet({k: torch.tensor(v, dtype=torch.float64) for k, v in known.items()})
+        return self._build_fleet(
+            {k: torch.tensor(v, dtype=torch.float64) for k, v in known.items()}
+        )
 
-    def _fleet(self, v: Mapping[str, Tensor]) -> Fleet:
+    def _build_fleet(self, v: Mapping[str, Tensor]) -> Fleet:
         if self.design is None:
             return described_fleet(v, self.rotors, self.cutter.frames, self.radius)
         return designed_fleet(v, self.design, self.cutter.frames)
 
-    def _scene(
+    def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
     ) -> CopterScene:
         v = self.in_run(values, run)
-        fleet = self._fleet(v)
+        fleet = self._build_fleet(v)
         fleet = fleet.replace(
             mass=fleet.mass + fact_in(run, PAYLOAD, "kg"),
             inertia=fleet.inertia * v["inertia_gain"].reshape(-1, 1, 1),
@@ -152,9 +154,9 @@ class DescribedFlights:
             if "estimator_velocity" in v
             else None,
         )
-        return self._on_the_way(scene, v)
+        return self._delay_signals(scene, v)
 
-    def _on_the_way(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
+    def _delay_signals(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
         """Clock and lag of the commands, clocks of sensors."""
         if "clock" in v:
             late = v["clock"].reshape(-1, 1)

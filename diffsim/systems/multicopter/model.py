@@ -142,15 +142,15 @@ class CopterModel(SimModel):
         )
         kinds, kind = torch.unique(present, dim=0, return_inverse=True)
         out = q.new_empty(len(q), *run.measured.shape)
-        shooting = self._scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
+        shooting = self._build_scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
         for k, row in enumerate(kinds[:, 1:]):
             mine = torch.nonzero(kind == k)[:, 0]
             mine_only = {e: s[mine] for e, s in sizes.items()}
-            scene = self._scene(run, q[mine], mine_only, row, numerics)
+            scene = self._build_scene(run, q[mine], mine_only, row, numerics)
             out[mine] = scene.simulate_many(len(mine), shooting)
         return out
 
-    def _scene(
+    def _build_scene(
         self,
         run: Run,
         q: Tensor,
@@ -250,20 +250,20 @@ class Flights:
     known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        return self._scene(values, run, numerics, self.windows(run))
+        return self._build_scene(values, run, numerics, self.windows(run))
 
     def windows(self, run: Run) -> Windows:
         """The record of a run in windows."""
-        return self.known(run, lambda: self._cut(run))
+        return self.known(run, lambda: self._cut_run(run))
 
-    def _cut(self, run: Run) -> Windows:
-        past = _columns(run, self.commands).mean(1)
+    def _cut_run(self, run: Run) -> Windows:
+        past = _stack_columns(run, self.commands).mean(1)
         nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
         return self.cutter.cut(
-            run, past, partial(self._scene, nominal, run, Numerics()), self.vehicle
+            run, past, partial(self._build_scene, nominal, run, Numerics()), self.vehicle
         )
 
-    def _scene(
+    def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
     ) -> CopterScene:
         def of(name: str) -> Tensor:
@@ -279,7 +279,7 @@ class Flights:
                 inertia=self.vehicle.inertia * of("inertia_gain")[:, None, None],
                 torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
             ),
-            commands=_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
+            commands=_stack_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
             attitude_offset=_vector(values, "attitude_offset"),
             body_rates_offset=_vector(values, "body_rates_offset"),
             accelerometer_offset=_vector(values, "accelerometer_offset"),
@@ -303,7 +303,7 @@ def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 
-def _columns(run: Run, names: Sequence[str]) -> Tensor:
+def _stack_columns(run: Run, names: Sequence[str]) -> Tensor:
     """(1, num_samples, n_rotors) [N]."""
     for name in names:
         require_choice(f"run {run.name}: command", name, run.command)

@@ -43,7 +43,7 @@ class ThrustLaw:
             run: Recorded run.
             values: ``thrust_coefficient``, () or (points,), where the law has one.
         """
-        u = self._input(run)
+        u = self._compute_input(run)
         if self.thrust is None:
             if self.commands.meaning == "thrust":
                 return u.clamp(min=0.0)
@@ -90,7 +90,7 @@ class ThrustLaw:
         has_coefficient = self.thrust is not None and self.thrust.coefficient is not None
         return self.commands.meaning == "speed" and has_coefficient and self.exponent == 2.0
 
-    def _input(self, run: Run) -> Tensor:
+    def _compute_input(self, run: Run) -> Tensor:
         """The law's u, (1, num_samples, n_rotors)."""
         keys = self.commands
         for name in (*keys.columns, *([self.battery] if self.battery else [])):

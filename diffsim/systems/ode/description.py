@@ -83,11 +83,11 @@ class OdeDescription(FormulaKeys):
 
     @field_validator("states", "rates", mode="before")
     @classmethod
-    def _names_as_text(cls, given: Any) -> Any:
+    def _read_state_names(cls, given: Any) -> Any:
         return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
     @model_validator(mode="after")
-    def _one_way(self) -> OdeDescription:
+    def _check_one_way(self) -> OdeDescription:
         if bool(self.rates) == (self.function is not None):
             raise ValueError("give rates, or function: FILE.py:NAME instead of them")
         return self
@@ -95,12 +95,12 @@ class OdeDescription(FormulaKeys):
     def problems(self, study: Study) -> list[Problem]:
         """Mistakes in names, formulas and units, found without a simulation."""
         if self.function is not None:
-            return [Problem("warning", f"{where_of(study)}.function", self._not_run())]
+            return [Problem("warning", f"{where_of(study)}.function", self._say_not_run())]
         reader = Reader(study)
         self._read_model(study, reader)
         return [*reader.problems, *reader.notes]
 
-    def _not_run(self) -> str:
+    def _say_not_run(self) -> str:
         file = str(self.function).partition(":")[0]
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
@@ -123,7 +123,7 @@ class OdeDescription(FormulaKeys):
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         if self.function is not None:
-            raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
+            raise ValueError(f"{where_of(study)}.function: {self._say_not_run()}")
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()

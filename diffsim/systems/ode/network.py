@@ -117,7 +117,7 @@ class Network:
                 # what is made of the name means in its new formula what it was before
                 old = _Resolved(bodies)
                 parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
-                circular = {n: e for n, e in parts.items() if name in _needed_by(n, bodies)}
+                circular = {n: e for n, e in parts.items() if name in _list_needed_by(n, bodies)}
                 bodies[name] = _substitute_names(formula.root, {**circular, name: before}, {})
             for channel, formula in change.readings.items():
                 readings[channel] = _substitute_names(
@@ -125,8 +125,8 @@ class Network:
                 )
         raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
         resolved = _Resolved(bodies)
-        own_rates = {s: _expression(resolved(n)) for s, n in rates.items()}
-        own_readings = {c: _expression(resolved(n)) for c, n in readings.items()}
+        own_rates = {s: _make_expression(resolved(n)) for s, n in rates.items()}
+        own_readings = {c: _make_expression(resolved(n)) for c, n in readings.items()}
         needed = dict.fromkeys(
             n for e in (*own_rates.values(), *own_readings.values()) for n in e.names
         )
@@ -144,12 +144,12 @@ class Network:
         return Solver(ode, tuple(of_kernel.values()), tuple(parameters.values()), starts)
 
 
-def _needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
+def _list_needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
     """All names that a definition needs, directly or by other definitions."""
     found: set[str] = set()
     left = [name]
     while left:
-        for needed in _expression(bodies[left.pop()]).names:
+        for needed in _make_expression(bodies[left.pop()]).names:
             if needed not in found:
                 found.add(needed)
                 left += [needed] if needed in bodies else []
@@ -166,7 +166,7 @@ class _Resolved:
 
     def __call__(self, node: Node) -> Node:
         if isinstance(node, Name):
-            return self._of_name(node)
+            return self._resolve_name(node)
         if not isinstance(node, Apply):
             return node
         if id(node) not in self._memo:
@@ -174,7 +174,7 @@ class _Resolved:
             self._memo[id(node)] = (node, made)
         return self._memo[id(node)][1]
 
-    def _of_name(self, node: Name) -> Node:
+    def _resolve_name(self, node: Name) -> Node:
         if node.name not in self._bodies:
             return node
         if node.name not in self._done:
@@ -195,7 +195,7 @@ def _substitute_names(node: Node, new: Mapping[str, Node], memo: dict[int, Node]
     return memo[id(node)]
 
 
-def _expression(root: Node) -> Expression:
+def _make_expression(root: Node) -> Expression:
     names: dict[str, None] = {}
     seen: set[int] = set()
 
@@ -218,12 +218,14 @@ def named(name: str) -> Expression:
 
 def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
     """A formula with names of it replaced by formulas."""
-    return _expression(_substitute_names(formula.root, {k: e.root for k, e in parts.items()}, {}))
+    return _make_expression(
+        _substitute_names(formula.root, {k: e.root for k, e in parts.items()}, {})
+    )
 
 
 def product(a: Expression, b: Expression) -> Expression:
     """a times b."""
-    return _expression(Apply("mul", (a.root, b.root)))
+    return _make_expression(Apply("mul", (a.root, b.root)))
 
 
 def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> Expression:
@@ -240,7 +242,7 @@ def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> E
         inside = Apply("min", (above, NumberNode(high - low)))
         slope = NumberNode((after - before) / (high - low))
         total = Apply("add", (total, Apply("mul", (slope, inside))))
-    return _expression(total)
+    return _make_expression(total)
 
 
 def ordered(definitions: Mapping[str, Expression]) -> list[str]:

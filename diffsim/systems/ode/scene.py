@@ -114,7 +114,7 @@ class OdeScene:
         """
         solver = (network or self.network).solver(self.changes)
         states = list(solver.ode.rates)
-        starts = self._starts(states, solver.starts)
+        starts = self._stack_starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
         inputs = [self.inputs[n] for n in solver.inputs]
         lead = np.broadcast_shapes(
@@ -130,7 +130,9 @@ class OdeScene:
             _stack_values(parameters, lead),
         )
 
-    def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:
+    def _stack_starts(
+        self, states: Sequence[str], further: Mapping[str, Expression]
+    ) -> list[Tensor]:
         """Start values: those of the system, then those of states that effects have added."""
         first = {n: u[..., 0] for n, u in self.inputs.items()}
         known = {**self.values, **first, TIME: self.grid.times[0]}

@@ -58,7 +58,7 @@ class Source:
                 f"simulator must read FILE.py:NAME, MODULE:NAME or gym:ID, got {self.place!r}; "
                 "NAME is a class with predict(parameters, run), or such a function"
             )
-        if where.endswith(".py") and not (path := self._path(where)).is_file():
+        if where.endswith(".py") and not (path := self._find_path(where)).is_file():
             return f"simulator: no file {path}"
         return None
 
@@ -68,7 +68,7 @@ class Source:
         where = self.place.rpartition(":")[0]
         if self.given is not None or not where.endswith(".py"):
             return self.place
-        content = hashlib.sha256(self._path(where).read_bytes()).hexdigest()[:8]
+        content = hashlib.sha256(self._find_path(where).read_bytes()).hexdigest()[:8]
         return f"{self.place} ({content})"
 
     def make(self) -> Predict:
@@ -98,7 +98,7 @@ class Source:
         if self.place.startswith("gym:"):
             return _make_gym_environment(self.place[4:], self.options)
         where, _, name = self.place.rpartition(":")
-        module = self._module(where)
+        module = self._import_module(where)
         found = getattr(module, name, None)
         if found is None:
             known = [n for n in vars(module) if not n.startswith("_")]
@@ -113,11 +113,11 @@ class Source:
                 f"{type(error).__name__}: {error}"
             ) from error
 
-    def _module(self, where: str) -> ModuleType:
+    def _import_module(self, where: str) -> ModuleType:
         try:
             if not where.endswith(".py"):
                 return importlib.import_module(where)
-            path = self._path(where)
+            path = self._find_path(where)
             spec = importlib.util.spec_from_file_location(path.stem, path)
             if spec is None or spec.loader is None:
                 raise ImportError(f"{path} is no Python file")
@@ -129,7 +129,7 @@ class Source:
                 f"simulator: {where} cannot be imported: {type(error).__name__}: {error}"
             ) from error
 
-    def _path(self, where: str) -> Path:
+    def _find_path(self, where: str) -> Path:
         return inside(self.folder or Path(), where, "simulator")
 
     def _check_predict(self, predict: Callable[..., Any]) -> Predict:

@@ -18,14 +18,14 @@ from diffsim.systems.quantities import Angle, Length, Mass, Plain, PositiveDensi
 Vector = tuple[float, float, float]
 
 
-def _meters(given: Any) -> Any:
+def _read_meters(given: Any) -> Any:
     """Three places with a unit, or in meters."""
     if isinstance(given, (list, tuple)) and len(given) == 3:
         return tuple(in_unit(one, "m") for one in given)
     return given
 
 
-Place = Annotated[Vector, BeforeValidator(_meters)]
+Place = Annotated[Vector, BeforeValidator(_read_meters)]
 
 
 class Station(Part):
@@ -59,7 +59,7 @@ class Base(Part):
     shift_z: Length = Field(known(0.0, "m"), description="Place along z, in addition [m]")
 
     @model_validator(mode="after")
-    def _directions(self) -> Base:
+    def _check_directions(self) -> Base:
         dot = sum(a * b for a, b in zip(self.along, self.across, strict=True))
         if not any(self.along) or not any(self.across) or abs(dot) > 1e-9:
             raise ValueError("along and across must be directions at right angles to each other")
@@ -151,7 +151,7 @@ class RodKeys(Description):
     numerics: RodNumerics = Field(RodNumerics(), description="Elements and tolerance")
 
     @model_validator(mode="after")
-    def _on_the_rod(self) -> RodKeys:
+    def _check_on_rod(self) -> RodKeys:
         at = [s.at for s in self.stations]
         if at[0] != 0.0 or any(b <= a for a, b in itertools.pairwise(at)):
             raise ValueError("stations: the first is at 0, and each lies beyond the one before")
@@ -168,7 +168,7 @@ class RodKeys(Description):
         return self
 
     @model_validator(mode="after")
-    def _names_differ(self) -> RodKeys:
+    def _check_names_differ(self) -> RodKeys:
         for key, parts in (("tendons", self.tendons), ("masses", self.masses)):
             names = [part.name for part in parts]
             if twice := {n for n in names if names.count(n) > 1}:

@@ -78,7 +78,7 @@ class RodScene:
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels), with K in front for K points."""
         rod, count = rod_of(self.layout, self.numbers, self.command)
-        u = self._strains(rod, count)
+        u = self._solve_strains(rod, count)
         markers, numbers = self.layout.markers, Numbers.of(self.numbers)
         names = markers.names
         shift = [numbers.stacked(*(f"{m}_{way}" for m in names)) for way in ("along", "y", "z")]
@@ -99,10 +99,10 @@ class RodScene:
         """Rotations (num_samples, N + 1, 3, 3) and places (num_samples, N + 1, 3) [m] of the
         sections at the ends of the elements, at the first point."""
         rod, count = rod_of(self.layout, self.numbers, self.command)
-        frames, places = rod.course(self._strains(rod, count))
+        frames, places = rod.course(self._solve_strains(rod, count))
         return frames[0], places[0]
 
-    def _strains(self, rod: Rod, count: int) -> Tensor:
+    def _solve_strains(self, rod: Rod, count: int) -> Tensor:
         """(K, num_samples, N, 3) in equilibrium [1/m]; differentiable in the numbers."""
         slopes_of_all = torch.is_grad_enabled() and any(
             v.requires_grad for v in (self.command, *self.numbers.values())

@@ -75,7 +75,7 @@ class SoftBodyKeys(Description):
     numerics: Numerics = Field(Numerics(), description="Time step, mesh and tolerance")
 
     @model_validator(mode="after")
-    def _markers_exist(self) -> SoftBodyKeys:
+    def _check_markers_exist(self) -> SoftBodyKeys:
         for name, reading in self.channels.items():
             for marker in (*reading.markers, *reading.minus):
                 if marker not in self.markers:
@@ -86,7 +86,7 @@ class SoftBodyKeys(Description):
         return self
 
     @model_validator(mode="after")
-    def _names_differ(self) -> SoftBodyKeys:
+    def _check_names_differ(self) -> SoftBodyKeys:
         for key in ("regions", "masses", "tendons", "muscles", "chambers"):
             names = [part.name for part in getattr(self, key)]
             if twice := {n for n in names if names.count(n) > 1}:

@@ -57,7 +57,7 @@ class MaterialRegion(Part):
     density: Density | None = Field(None, description="Density [kg/m^3]")
 
     @model_validator(mode="after")
-    def _one_place(self) -> MaterialRegion:
+    def _check_one_place(self) -> MaterialRegion:
         if (self.where is None) == (self.group is None):
             raise ValueError("give either where, or group, the name of a region of the mesh file")
         return self
@@ -98,7 +98,7 @@ class Load(Part):
     )
 
     @model_validator(mode="after")
-    def _one_mass(self) -> Load:
+    def _check_one_mass(self) -> Load:
         if (self.mass is None) == (self.mass_from is None):
             raise ValueError("give mass, or mass_from with a fact of the runs' setup")
         return self
@@ -137,7 +137,7 @@ class DescribedTendon(Drive):
     )
 
     @model_validator(mode="after")
-    def _stiff(self) -> DescribedTendon:
+    def _check_stiffness(self) -> DescribedTendon:
         if (self.axial_stiffness is None) == (self.means != "force"):
             raise ValueError("give axial_stiffness, except where the command means the force")
         return self
@@ -240,7 +240,7 @@ class Start(Part):
     )
 
     @model_validator(mode="after")
-    def _held_somewhere(self) -> Start:
+    def _check_held_somewhere(self) -> Start:
         if (self.shape == "held") != (self.where is not None):
             raise ValueError("shape: held needs where, the nodes that are held; others have none")
         return self

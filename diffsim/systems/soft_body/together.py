@@ -27,7 +27,7 @@ def simulate_together(scenes: Sequence[Any]) -> list[Tensor]:
     waiting = list(range(len(scenes)))
     while waiting:
         first = scenes[waiting[0]]
-        group = [k for k in waiting if k == waiting[0] or _alike(first, scenes[k])]
+        group = [k for k in waiting if k == waiting[0] or _are_alike(first, scenes[k])]
         if len(group) == 1:
             out[group[0]] = first.simulate()
         else:
@@ -36,7 +36,7 @@ def simulate_together(scenes: Sequence[Any]) -> list[Tensor]:
     return [out[k] for k in range(len(scenes))]
 
 
-def _alike(a: Any, b: Any) -> bool:
+def _are_alike(a: Any, b: Any) -> bool:
     """Whether two scenes differ by their commands and by what is read off them alone."""
     if type(a) is not SoftScene or type(b) is not SoftScene or a.body is not b.body:
         return False
