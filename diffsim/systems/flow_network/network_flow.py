@@ -12,8 +12,8 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
-from diffsim.stokes.devices.losses import integral, on_face
 from diffsim.systems.flow_network.corrections import FlowDerivatives
+from diffsim.systems.flow_network.grid_values import average_corners, integrate_face
 from diffsim.systems.flow_network.moving_fit import MovingFit
 from diffsim.systems.flow_network.network import NetworkDevice
 
@@ -66,7 +66,7 @@ class NetworkFlow:
         widest = device.level_set(centers, 2.0 * spacing, (0.0,) * len(device.outlets))
         self.cells = (widest > 0.0).nonzero()[:, 0]
         self.centers = centers[self.cells]
-        deep = (_at_centers(phi) > DEEP * spacing).reshape(-1).nonzero()[:, 0]
+        deep = (average_corners(phi) > DEEP * spacing).reshape(-1).nonzero()[:, 0]
         fit = MovingFit(centers[deep].numpy(), np.array(device.taps), spacing)
         self._taps = deep, fit
         ends = [device.nodes[n][1] for n in device.outlets]
@@ -90,7 +90,9 @@ class NetworkFlow:
         profile = across + slip * (device.segments[0].width + 2.0 * offset)
         through = torch.zeros(self.grid.num_nodes, dtype=torch.float64)
         through[nodes] = profile
-        profile = profile / self._through(phi, through.reshape(1, *self.grid.node_shape), "x-")
+        profile = profile / integrate_face(
+            self.grid, phi, through.reshape(1, *self.grid.node_shape), "x-"
+        )
         inlet = torch.zeros(m, len(nodes), 2, dtype=torch.float64)
         inlet[0, :, 0], inlet[0, :, 1] = profile, self._slope * profile
         traction = torch.zeros(m, *self.grid.node_shape, 2, dtype=torch.float64)
@@ -120,7 +122,7 @@ class NetworkFlow:
         if slip == 0.0:
             return flow
         spacing = max(self.grid.spacing)
-        level = _at_centers(phi) / spacing
+        level = average_corners(phi) / spacing
         derivatives = FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
         inside, wall = phi > spacing, torch.zeros(())
         share = 1.0 / (1.0 + 1.5 * abs(slip) / spacing)  # as in ``StokesScene``
@@ -152,12 +154,6 @@ class NetworkFlow:
         y = (0.5 * (along_y[:, 1:] + along_y[:, :-1])).flatten(1, 2)[:, self.cells]
         root = 2.0**0.5
         return torch.stack([root * x[..., 0], root * y[..., 1], x[..., 1] + y[..., 0]], -1)
-
-    def _through(self, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
-        """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,)."""
-        empty = phi.new_zeros(0)
-        field = FlowField(self.grid, phi, along_x[..., None], empty, empty, {})
-        return integral(field, face, on_face(self.grid, along_x, face))
 
     def _compute_outflow(self, field: FlowField) -> Tensor:
         """Flows to every outlet, (cases, m) [m^2/s]: means over many sections of the branches, as a
@@ -200,7 +196,3 @@ def _mark_nearest(heights: Tensor, axes: list[float]) -> Tensor:
     away = (heights - torch.tensor(axes, dtype=torch.float64)[:, None]).abs()
     chosen = torch.arange(len(axes))[:, None]
     return (away.argmin(0) == chosen).to(torch.float64)
-
-
-def _at_centers(nodal: Tensor) -> Tensor:
-    return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])

@@ -14,6 +14,7 @@ from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.devices.losses import integral, on_face
 from diffsim.systems.flow_network.corrections import FlowDerivatives
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
+from diffsim.systems.flow_network.grid_values import average_corners, integrate_face
 from diffsim.systems.flow_network.moving_fit import MovingFit
 
 BULK_RATIO = 1e6
@@ -68,7 +69,7 @@ class Rig:
         """Derivative stencils of a shape; the last ones are kept. Their sources are cells whose
         center is in the fluid: velocities beyond the wall are held by little."""
         phi = phi.detach()
-        level = _mean_of_corners(phi) / max(self.grid.spacing)
+        level = average_corners(phi) / max(self.grid.spacing)
         fluid, inside = level > 0.0, level > DEEP
         # All that the stencils depend on: small moves of the walls leave them.
         key = torch.cat([m.reshape(-1) for m in (phi > 0.0, fluid, inside)])
@@ -99,7 +100,7 @@ class Rig:
             shape = (0.25 * width**2 + width * slip - y**2) * (1.0 + skew * y / (0.5 * width))
             through = torch.zeros(self.grid.num_nodes, dtype=torch.float64)
             through = through.index_copy(0, nodes, shape)
-            unit = self._through_face(phi, through.reshape(1, *self.grid.node_shape), "x-")
+            unit = integrate_face(self.grid, phi, through.reshape(1, *self.grid.node_shape), "x-")
             along = flow[:, i, None] * shape / unit
             values[name] = torch.stack([along, torch.zeros_like(along)], -1)
         return values
@@ -120,12 +121,6 @@ class Rig:
         along = torch.cat([left[:, None], middle, right[:, None]], 1)
         return torch.stack([along, torch.zeros_like(along)], -1)
 
-    def _through_face(self, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
-        """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,)."""
-        empty = phi.new_zeros(0)
-        field = FlowField(self.grid, phi, along_x[..., None], empty, empty, {})
-        return integral(field, face, on_face(self.grid, along_x, face))
-
     def outlet_flows(self, field: FlowField) -> Tensor:
         """(levels, num_outlets) [m^2/s]."""
         out = on_face(self.grid, field.velocity[..., 0], "x+")
@@ -139,7 +134,7 @@ class Rig:
     @cached_property
     def _taps(self) -> tuple[Tensor, MovingFit]:
         """Cells well inside the fluid, whatever small wall offsets do, and the fit at the taps."""
-        inside = _mean_of_corners(self.phi) > DEEP * max(self.grid.spacing)
+        inside = average_corners(self.phi) > DEEP * max(self.grid.spacing)
         cells = inside.reshape(-1).nonzero()[:, 0]
         sources = self.grid.centers.reshape(-1, 2)[cells].numpy()
         return cells, MovingFit(sources, self.device.tap_points, min(self.grid.spacing))
@@ -147,10 +142,6 @@ class Rig:
     def profile(self, field: FlowField) -> Tensor:
         """Velocity along the last branch at its stations, (levels, num_profile_points) [m/s]."""
         return field.sample(torch.from_numpy(self.device.profile_points))[..., 0]
-
-
-def _mean_of_corners(nodal: Tensor) -> Tensor:
-    return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])
 
 
 def _divide_openings(openings: Sequence[Opening]) -> list[tuple[float, float]]:

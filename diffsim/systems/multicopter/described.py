@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -22,6 +22,7 @@ from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import Windows
 from diffsim.systems.multicopter.thrust_law import ThrustLaw, described_fleet, designed_fleet
+from diffsim.systems.multicopter.vectors import stack_points, vector_of
 
 ESTIMATOR_GAINS = ("velocity", "tilt", "heading")
 PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
@@ -143,14 +144,14 @@ class DescribedFlights:
             substeps=max(1, round(self.substeps / numerics.time_step)),
             terrain_height=fact_in(run, TERRAIN, "m"),
             thrust_coefficient=self.thrust_coefficient,
-            attitude_offset=_vector(v, "attitude_offset"),
-            body_rates_offset=_vector(v, "body_rates_offset"),
-            accelerometer_offset=_vector(v, "specific_force_offset"),
+            attitude_offset=vector_of(v, "attitude_offset"),
+            body_rates_offset=vector_of(v, "body_rates_offset"),
+            accelerometer_offset=vector_of(v, "specific_force_offset"),
         )
         scene = scene.changed(
             sling_length=v["sling_length"].reshape(-1) if "sling_length" in v else None,
             gust_frequency=v["gust_frequency"].reshape(-1) if "gust_frequency" in v else None,
-            estimator_gains=_together(v[f"estimator_{name}"] for name in ESTIMATOR_GAINS)
+            estimator_gains=stack_points(v[f"estimator_{name}"] for name in ESTIMATOR_GAINS)
             if "estimator_velocity" in v
             else None,
         )
@@ -169,14 +170,3 @@ class DescribedFlights:
         for name, channels in self.clocks.items():
             scene = scene.with_clock(channels, v[name])
         return scene
-
-
-def _vector(v: Mapping[str, Tensor], name: str) -> Tensor:
-    """(points, 3) of the quantities name_x, name_y, name_z; 0 where there are none."""
-    zero = torch.zeros(1, dtype=torch.float64)
-    return _together(v.get(f"{name}_{axis}", zero) for axis in "xyz")
-
-
-def _together(quantities: Iterable[Tensor]) -> Tensor:
-    """Some quantities beside each other, (points, number of them)."""
-    return torch.stack(torch.broadcast_tensors(*(q.reshape(-1) for q in quantities)), -1)

@@ -26,6 +26,7 @@ from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, MOST_RUNS, Cutt
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
+from diffsim.systems.multicopter.vectors import vector_of
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -280,9 +281,9 @@ class Flights:
                 torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
             ),
             commands=_stack_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
-            attitude_offset=_vector(values, "attitude_offset"),
-            body_rates_offset=_vector(values, "body_rates_offset"),
-            accelerometer_offset=_vector(values, "accelerometer_offset"),
+            attitude_offset=vector_of(values, "attitude_offset"),
+            body_rates_offset=vector_of(values, "body_rates_offset"),
+            accelerometer_offset=vector_of(values, "accelerometer_offset"),
             dt=spacing(run),
             sensors=self.cutter.sensors,
             windows=windows,
@@ -294,13 +295,6 @@ class Flights:
             tau = of("motor_time_constant")[:, None]
             scene = scene.with_command((), partial(held_lagged, time_constant=tau))
         return scene
-
-
-def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
-    """(points, 3) of the parameters name_x, name_y, name_z; 0 where there are none."""
-    zero = torch.zeros(1, dtype=torch.float64)
-    parts = [values.get(f"{name}_{axis}", zero).reshape(-1) for axis in "xyz"]
-    return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 
 def _stack_columns(run: Run, names: Sequence[str]) -> Tensor:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -30,6 +29,7 @@ from diffsim.systems.ode.keys import (
     Place,
     States,
     Store,
+    read_names_as_text,
 )
 from diffsim.systems.ode.law_effects import (
     check_laws,
@@ -81,10 +81,7 @@ class OdeDescription(FormulaKeys):
     )
     clocks: dict[str, Time] = Field({}, description=CLOCKS)
 
-    @field_validator("states", "rates", mode="before")
-    @classmethod
-    def _read_state_names(cls, given: Any) -> Any:
-        return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+    _read_state_names = field_validator("states", "rates", mode="before")(read_names_as_text)
 
     @model_validator(mode="after")
     def _check_one_way(self) -> OdeDescription:

@@ -32,6 +32,11 @@ def _check_formula(text: str) -> str:
 
 
 #: A formula: its spelling is checked here, its names where the study is known.
+def read_names_as_text(given: Any) -> Any:
+    """A mapping with names as text: YAML reads some names, such as 1 or on, as something else."""
+    return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+
+
 Formula = Annotated[str, BeforeValidator(str), AfterValidator(_check_formula)]
 
 
@@ -314,10 +319,7 @@ class FormulaKeys(Description):
         None, description="Window of rest: the mean of a channel in it is rest_CHANNEL in formulas"
     )
 
-    @field_validator("define", "readings", mode="before")
-    @classmethod
-    def _read_names(cls, given: Any) -> Any:
-        return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+    _read_names = field_validator("define", "readings", mode="before")(read_names_as_text)
 
 
 States = dict[str, Annotated[str | Quantity, BeforeValidator(_read_start)]]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import Instruments, grid_at
-from diffsim.causes.ports import SignalMap
+from diffsim.causes.instruments import InstrumentedScene, grid_at
 from diffsim.systems.rigid_body import on_ground
 from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
 from diffsim.systems.rigid_body.camera import projected
@@ -127,34 +126,22 @@ class Paths:
 
 
 @dataclass(frozen=True, eq=False)
-class BallScene:
+class BallScene(InstrumentedScene):
     """One run of the balls, or the points clicked in the camera's picture.
 
     Attributes:
         values: Quantities, start of the balls, camera, and ``PLAIN``, (...,) each.
         time: Times of the samples since the start, (T,) [s].
         stage: What all runs have in common.
-        instruments: What shows the motion.
     """
 
     values: Mapping[str, Tensor]
     time: Tensor
     stage: Stage
-    instruments: Instruments = field(default_factory=Instruments)
-
-    play_start = None  # plays begin in their middle
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> BallScene:
         """A copy in which one number is f(number)."""
         return replace(self, values={**self.values, name: change(self.values[name])})
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> BallScene:
-        """A copy in which some channels are f(channels (..., width, T), grid)."""
-        return replace(self, instruments=self.instruments.with_reading(channels, change))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> BallScene:
-        """A copy in which some channels show where the balls were ``delay`` ago [s]."""
-        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""

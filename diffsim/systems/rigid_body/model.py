@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import Instruments, grid_of
-from diffsim.causes.ports import SignalMap
+from diffsim.causes.instruments import InstrumentedScene, Instruments, grid_of
 from diffsim.core.check import did_you_mean
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Channel, Run
@@ -120,7 +119,7 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
-class TossScene:
+class TossScene(InstrumentedScene):
     """One toss.
 
     Attributes:
@@ -128,16 +127,12 @@ class TossScene:
         values: Quantities of the description, () or (K,).
         table: All tosses of the study with their start states.
         terms: What effects add to the numbers ``ADDED``, () or (K,).
-        instruments: What shows the motion.
     """
 
     run: Run
     values: Mapping[str, Tensor]
     table: Table
     terms: Mapping[str, Tensor] = field(default_factory=dict)
-    instruments: Instruments = field(default_factory=Instruments)
-
-    play_start = None  # plays begin in their middle
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> TossScene:
         """A copy in which a quantity, or one of the numbers ``ADDED``, is f(number)."""
@@ -146,14 +141,6 @@ class TossScene:
         if name not in ADDED:
             raise ValueError(f"no number {name!r}{did_you_mean(name, [*self.values, *ADDED])}")
         return replace(self, terms={**self.terms, name: change(self.terms.get(name, _ZERO))})
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> TossScene:
-        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
-        return replace(self, instruments=self.instruments.with_reading(channels, change))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> TossScene:
-        """A copy in which some channels show where the body was ``delay`` ago [s]."""
-        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) with the best start state."""

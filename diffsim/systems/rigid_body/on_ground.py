@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from diffsim.core.values import dot
+
 NEWTON_STEPS = 12
 _TINY = 1e-9
 
@@ -106,9 +108,9 @@ def impact(
     relative = coming.velocity - resting.velocity
     mass = values["mass_ratio"]
     share = 1.0 / (1.0 + 1.0 / mass)  # reduced mass over that of the coming ball
-    blow = (1.0 + values["restitution"]) * _dot(relative, normal) * share
-    sideways = _dot(relative, across) + values["sidespin"]
-    upwards = -_dot(coming.rolling + resting.rolling, normal)
+    blow = (1.0 + values["restitution"]) * dot(relative, normal) * share
+    sideways = dot(relative, across) + values["sidespin"]
+    upwards = -dot(coming.rolling + resting.rolling, normal)
     surface = torch.sqrt(sideways**2 + upwards**2 + _TINY**2)
     sticking = surface * share / (1.0 + 1.0 / laws.inertia)
     rubbing = _smooth_minimum(values["ball_friction"] * blow, sticking) / surface
@@ -156,7 +158,3 @@ def _smooth_minimum(a: Tensor, b: Tensor) -> Tensor:
 
 def _compute_length(vector: Tensor) -> Tensor:
     return torch.sqrt((vector**2).sum(-1) + _TINY**2)
-
-
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    return (a * b).sum(-1)

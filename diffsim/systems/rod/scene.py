@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import Instruments, change_rows
+from diffsim.causes.instruments import InstrumentedScene, change_rows
 from diffsim.causes.ports import SignalMap
 from diffsim.causes.signals import Grid
 from diffsim.systems.rod.assembly import Numbers, rod_of
@@ -32,7 +32,7 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class RodScene:
+class RodScene(InstrumentedScene):
     """A rod under the tensions of a run; each sample is a pose.
 
     Attributes:
@@ -43,7 +43,6 @@ class RodScene:
         drives: Name of the command of each tendon.
         grid: Times of the samples.
         guess: Known poses to start from; None: straight, without tension.
-        instruments: What shows the markers.
     """
 
     layout: Layout
@@ -53,9 +52,6 @@ class RodScene:
     drives: tuple[str, ...]
     grid: Grid
     guess: Poses | None = None
-    instruments: Instruments = field(default_factory=Instruments)
-
-    play_start = None  # plays begin in their middle
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> RodScene:
         """A copy in which a number is f(number), () or (K,)."""
@@ -66,14 +62,6 @@ class RodScene:
         own = [i for i, drive in enumerate(self.drives) if not names or drive in names]
         changed = change_rows(self.command.mT, own, change, self.grid)
         return replace(self, command=changed.mT)
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> RodScene:
-        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
-        return replace(self, instruments=self.instruments.with_reading(channels, change))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> RodScene:
-        """A copy in which some channels show the poses ``delay`` before [s]."""
-        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels), with K in front for K points."""
