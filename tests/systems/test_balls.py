@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
+from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
 from diffsim.systems.rigid_body.on_ground import Laws
 
 G, LEVEL = 9.81, 0.03
@@ -31,7 +31,7 @@ def ground(restitution=0.8, friction=0.0, drag=0.0, slope=0.0, rolling=0.0):
 
 
 def thrown(place, velocity, rolling=(0.0, 0.0)):
-    return Thrown(numbers(place), numbers(velocity), numbers(rolling))
+    return ThrownBall(numbers(place), numbers(velocity), numbers(rolling))
 
 
 def integrated(time, place, velocity, restitution, drag):

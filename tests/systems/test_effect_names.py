@@ -13,7 +13,7 @@ from diffsim.identify.numerics import REFINEMENTS
 from diffsim.systems.flow_network.causes import stokes_library
 from diffsim.systems.multicopter import unknown_wrench
 from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.registry import library, setup_of
 from diffsim.systems.rigid_body import causes as rigid_causes
 from diffsim.systems.soft_body import unknown_force
@@ -28,7 +28,7 @@ DESCRIBED = Vehicle(
     num_rotors=4,
     mass=1.0,
     arm=0.2,
-    frames=Frames("ENU", "FLU"),
+    frames=RecordingFrames("ENU", "FLU"),
     sensors=("position", "quaternion", "body_rates", "accelerometer"),
     has_radius=True,
     has_lag=False,

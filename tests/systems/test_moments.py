@@ -15,7 +15,7 @@ from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter import readings
 from diffsim.systems.multicopter.candidates import flight_cause, usual_scales
 from diffsim.systems.multicopter.flying import Flyer
-from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.scene import CopterScene
 from tests.systems.test_multicopter import quadcopter
 
@@ -41,7 +41,7 @@ def torque_of(effect, size, *, velocity=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), 
     scene.with_schedule = lambda change: change
     level = torch.eye(3, dtype=f64).expand(1, 1, 5, 3, 3)
     asked = thrusts if asked is None else asked
-    motion = Motion(
+    motion = FlightMotion(
         fleet, rows(0, 0, 0), rows(*velocity), level, rows(*rates), thrusts, asked, rows(0, 0, 0)
     )
     change = effect.apply(scene, torch.tensor(size, dtype=f64), None)

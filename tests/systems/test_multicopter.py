@@ -24,8 +24,8 @@ from diffsim.systems.multicopter.candidates import (
     usual_scales,
 )
 from diffsim.systems.multicopter.flying import Flyer
-from diffsim.systems.multicopter.frames import Frames
-from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.frames import RecordingFrames
+from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, Windows
 from diffsim.systems.registry import library
 from tests.diagnose.gate import score_error, typical
@@ -346,7 +346,7 @@ def test_an_unrecorded_battery_is_a_cause_where_commands_are_no_speeds():
 
 def a_vehicle(**changes) -> Vehicle:
     facts = {
-        "num_rotors": 4, "mass": 1.0, "arm": 0.25, "frames": Frames("NED", "FRD"),
+        "num_rotors": 4, "mass": 1.0, "arm": 0.25, "frames": RecordingFrames("NED", "FRD"),
         "sensors": ("position",), "lags_speed": False, "battery": None,
     }  # fmt: skip
     has = {f"has_{n}": False for n in ("radius", "lag", "clock", "center", "mass", "speed")}
@@ -389,7 +389,9 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
     change = CAUSES["gyroscopic"].apply(Scene(), size(amount), None)
     still = torch.zeros(1, 1, 1, 3)
     level = torch.eye(3)[None, None, None]
-    motion = Motion(Scene.vehicle, still, still, level, rates + still, thrusts, thrusts, still)
+    motion = FlightMotion(
+        Scene.vehicle, still, still, level, rates + still, thrusts, thrusts, still
+    )
     more = (change(motion, thrusts[None, None, None]) - thrusts)[0, 0, 0]
     # seen from above (z down), spins +1 turns clockwise: about +z
     spin = amount * np.sum(np.sqrt(thrusts.numpy() / 1e-5) * np.array([1, 1, -1, -1]))

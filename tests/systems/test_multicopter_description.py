@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from diffsim.causes.signals import Grid
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.loads import _swing_pendulum
 from diffsim.systems.registry import description_of, setup_of
@@ -179,22 +179,16 @@ def test_the_order_of_channels_is_free():
 
 
 def test_frames_turn_vectors_and_rotations():
-    e = torch.eye(3, dtype=f64)
-    assert Frames("ENU", "FLU").in_world(torch.tensor([1.0, 2.0, 3.0], dtype=f64)).tolist() == [
-        2.0,
-        1.0,
-        -3.0,
-    ]
-    assert Frames("NWU", "FLU").in_world(torch.tensor([1.0, 2.0, 3.0], dtype=f64)).tolist() == [
-        1.0,
-        -2.0,
-        -3.0,
-    ]
+    e, vector = torch.eye(3, dtype=f64), torch.tensor([1.0, 2.0, 3.0], dtype=f64)
+    in_world = RecordingFrames("ENU", "FLU").in_world(vector)
+    assert in_world.tolist() == [2.0, 1.0, -3.0]
+    in_world = RecordingFrames("NWU", "FLU").in_world(vector)
+    assert in_world.tolist() == [1.0, -2.0, -3.0]
     # level with the nose to the north: in ENU a yaw of 90 degrees, in NWU none
     yaw = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=f64)
-    torch.testing.assert_close(Frames("ENU", "FLU").rotation(e), yaw)
-    torch.testing.assert_close(Frames("NWU", "FLU").rotation(e), e)
-    for frames in (Frames(w, b) for w in ("NED", "ENU", "NWU") for b in ("FRD", "FLU")):
+    torch.testing.assert_close(RecordingFrames("ENU", "FLU").rotation(e), yaw)
+    torch.testing.assert_close(RecordingFrames("NWU", "FLU").rotation(e), e)
+    for frames in (RecordingFrames(w, b) for w in ("NED", "ENU", "NWU") for b in ("FRD", "FLU")):
         q = torch.tensor(Rotation.random(5, random_state=1).as_quat(), dtype=f64).roll(1, -1)
         turned = Rotation.from_quat(frames.quaternion(q).roll(-1, -1).numpy()).as_matrix()
         plain = torch.tensor(Rotation.from_quat(q.roll(-1, -1).numpy()).as_matrix())

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.data.study import Run
 from diffsim.systems.rigid_body.impact import impulse
-from diffsim.systems.rigid_body.layout import Layout
+from diffsim.systems.rigid_body.layout import PoseLayout
 from diffsim.systems.rigid_body.toss import Mass, Tosses
 from diffsim.systems.rigid_body.turning import turned
 from diffsim.systems.rigid_body.windows import (
     CORNERS,
     TURN,
     TWIST,
-    Poses,
+    RecordedPoses,
     continuous,
     first_touch,
 )
@@ -122,7 +122,7 @@ def flown(run, start, mass=None, **terms):
     values = {"restitution": E, "friction": MU, "gravity": GRAVITY, "ground": 0.0}
     values |= {f"edge_{a}": 2.0 * HALF_WIDTH for a in "xyz"}
     known = {n: torch.tensor(v, dtype=torch.float64) for n, v in values.items()}
-    layout = Layout(POSE, tensor(1.0, 0.0, 0.0, 0.0))
+    layout = PoseLayout(POSE, tensor(1.0, 0.0, 0.0, 0.0))
     tosses = Tosses.of([run])
     at = torch.from_numpy(start)[None, None]
     return tosses.fly(at, known, terms, mass or Mass(), layout)[0, 0].numpy()
@@ -164,7 +164,7 @@ def test_window_ends_with_the_first_bounce():
     quaternions = Rotation.from_matrix(matrices).as_quat()[:, [3, 0, 1, 2]]
     pose = np.column_stack([position, continuous(quaternions)])
     half = np.full(3, HALF_WIDTH)
-    window = first_touch(Poses(pose[:, :3], pose[:, 3:]), half, 0.003, 0.0)
+    window = first_touch(RecordedPoses(pose[:, :3], pose[:, 3:]), half, 0.003, 0.0)
     assert window.corner == run.setup["_corner"]
     assert abs(run.time_s[window.touch] - hit) < 2.0 / 148.0
     assert window.touch <= window.end <= len(pose)

@@ -18,7 +18,7 @@ from diffsim.diagnose import diagnose
 from diffsim.identify import fit
 from diffsim.systems.registry import description_of, setup_of
 from diffsim.systems.rigid_body.figure import figure_of
-from diffsim.systems.rigid_body.layout import Layout
+from diffsim.systems.rigid_body.layout import PoseLayout
 
 RADIUS, GRAVITY = 0.02, 9.81
 POSITIONS = ("x", "y", "z")
@@ -356,10 +356,10 @@ def test_the_box_that_pages_show_stands_as_its_channels_say():
     turns = Rotation.random(5, random_state=0)
     place, edges = rng.normal(size=(5, 3)), torch.tensor([0.1, 0.2, 0.3]).double()
     rows = [*(("position", k) for k in range(3)), *(("quaternion", k) for k in range(4))]
-    layout = Layout(rows, torch.tensor([1.0, 0.0, 0.0, 0.0]).double())
+    layout = PoseLayout(rows, torch.tensor([1.0, 0.0, 0.0, 0.0]).double())
     channels = torch.from_numpy(np.column_stack([place, turns.as_quat()[:, [3, 0, 1, 2]]]))
     shape = figure_of(layout, edges, channels)
     np.testing.assert_allclose(shape.nodes_m.mean(1), place, atol=1e-15)
     own = np.stack([turns[k].inv().apply(shape.nodes_m[k] - place[k]) for k in range(5)])
     np.testing.assert_allclose(np.ptp(own, axis=1), np.tile(edges.numpy(), (5, 1)))
-    assert figure_of(Layout(rows[:-1], layout.up), edges, channels) is None
+    assert figure_of(PoseLayout(rows[:-1], layout.up), edges, channels) is None

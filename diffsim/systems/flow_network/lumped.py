@@ -28,7 +28,7 @@ _PLACES, _SHARES = 0.5 * (_X + 1.0), 0.5 * _W  # Gauss points of (0, 1)
 
 
 @dataclass(frozen=True)
-class Reading:
+class MeterReading:
     """What a meter reads: the flow in a channel, or the pressure at a place.
 
     Attributes:
@@ -43,7 +43,7 @@ class Reading:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Layout:
+class TubeLayout:
     """Which channels join which nodes.
 
     Attributes:
@@ -63,7 +63,7 @@ class Layout:
     pumps: tuple[int, ...]
     held: tuple[int, ...]
     branches: tuple[int, ...]
-    readings: tuple[Reading, ...]
+    readings: tuple[MeterReading, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +90,7 @@ class LumpedScene(SteadyScene):
         rtol: Relative tolerance of the balance [-].
     """
 
-    layout: Layout
+    layout: TubeLayout
     viscosity: Tensor
     width: Tensor
     height: Tensor

@@ -14,7 +14,7 @@ from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
-from diffsim.systems.flow_network.lumped import Layout, LumpedScene, Reading
+from diffsim.systems.flow_network.lumped import LumpedScene, MeterReading, TubeLayout
 from diffsim.systems.flow_network.steady import number_places
 
 _SIZES = ("width", "height", "diameter", "length", "resistance")
@@ -41,7 +41,7 @@ class LumpedNetwork:
     tubes: tuple[TubeKeys, ...]
     sources: tuple[SourceKeys, ...]
     meters: tuple[MeterKeys, ...]
-    layout: Layout
+    layout: TubeLayout
     parameters: BaseParameters
     density: float
     shear_rate: float
@@ -141,7 +141,7 @@ class LumpedNetwork:
 
 def layout_of(
     tubes: Sequence[TubeKeys], sources: Sequence[SourceKeys], meters: Sequence[MeterKeys]
-) -> Layout:
+) -> TubeLayout:
     """Nodes and channels by index.
 
     Raises:
@@ -172,10 +172,12 @@ def layout_of(
             raise ValueError(f"meter {m.channel}: no {given!r}; known: {', '.join(known)}")
         index = known.index(str(given))
         readings.append(
-            Reading(tube=index, share=m.share) if tube is not None else Reading(node=index)
+            MeterReading(tube=index, share=m.share)
+            if tube is not None
+            else MeterReading(node=index)
         )
     ends = tuple(nodes.index(t.end) for t in tubes)
-    return Layout(
+    return TubeLayout(
         starts=tuple(nodes.index(t.start) for t in tubes),
         ends=ends,
         shapes=tuple(t.shape for t in tubes),

@@ -18,7 +18,7 @@ from diffsim.identify.numerics import Numerics
 from diffsim.stokes import FlowField
 from diffsim.systems.flow_network.corrections import shear_rate_squared
 from diffsim.systems.flow_network.device import ChannelDevice
-from diffsim.systems.flow_network.rig import Rig
+from diffsim.systems.flow_network.rig import FlowRig
 from diffsim.systems.flow_network.steady import SteadyScene, number_places
 
 SWEEP_RTOL = 1e-8
@@ -58,7 +58,7 @@ class StokesScene(SteadyScene):
         columns: Channels that were measured, by index; all if None.
     """
 
-    rig: Rig
+    rig: FlowRig
     viscosity: Tensor
     outlet_pressure: Tensor
     channel_gain: Tensor
@@ -263,8 +263,8 @@ def device_model(
     )
 
     @lru_cache(maxsize=4)
-    def rig(mesh: float) -> Rig:
-        return Rig(device, mesh)
+    def rig(mesh: float) -> FlowRig:
+        return FlowRig(device, mesh)
 
     def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> StokesScene:
         on_grid = rig(numerics.mesh)

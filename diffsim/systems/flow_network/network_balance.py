@@ -20,7 +20,7 @@ from torch import Tensor
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.flow_network.network_conditions import NetworkConditions
 from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
-from diffsim.systems.flow_network.unit_flows import Shape
+from diffsim.systems.flow_network.unit_flows import ChannelShape
 
 MAX_ITERS = 40
 
@@ -35,7 +35,7 @@ class Balance:
     def __init__(self, scene: NetworkConditions):
         self.scene, table = scene, scene.table
         self.device = table.device
-        shape = Shape(scene.wall_offset, scene.slip_length, scene.narrowing)
+        shape = ChannelShape(scene.wall_offset, scene.slip_length, scene.narrowing)
         self.unit = table.at(shape)
         self.kernel = self._build_kernel()
         # what a pascal drives

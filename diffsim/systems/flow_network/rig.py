@@ -25,7 +25,7 @@ DEEP = 0.75
 """Pressures of cut cells are poor: pressures are fitted to cells so many spacings from the wall."""
 
 
-class Rig:
+class FlowRig:
     """Device on its grid; scenes of all runs share it.
 
     Args:

@@ -27,7 +27,7 @@ WALL_STEP, NARROWING_STEP = 0.1, 0.05
 any change of shape that matters, larger than the kinks of the flow where a wall passes nodes."""
 
 
-class Shape(NamedTuple):
+class ChannelShape(NamedTuple):
     """Walls of a network: all outwards [m], slip length [m], narrowing of each branch [-]."""
 
     offset: Tensor
@@ -54,7 +54,7 @@ class UnitFlows:
     volume: Tensor
 
 
-class Groups(NamedTuple):
+class CellGroups(NamedTuple):
     """Cells of one channel with about the same shear, and what they share.
 
     Attributes:
@@ -91,14 +91,14 @@ class UnitFlowTable:
         self._recent: Memo[UnitFlows] = Memo(NUM_RECENT)
         self._kept: Memo[UnitFlows] = Memo(NUM_KEPT)
 
-    def at(self, shape: Shape) -> UnitFlows:
+    def at(self, shape: ChannelShape) -> UnitFlows:
         """Unit flows of a shape; gradients pass to it through the interpolation."""
         if any(part.requires_grad for part in shape):
             return self._interpolate(shape)
         key = tuple(torch.cat([part.reshape(-1) for part in shape]).tolist())
         return self._recent(key, lambda: self._interpolate(shape))
 
-    def _interpolate(self, shape: Shape) -> UnitFlows:
+    def _interpolate(self, shape: ChannelShape) -> UnitFlows:
         coordinates = [
             shape.offset / self.steps[0],
             shape.slip / self.steps[1],
@@ -122,7 +122,7 @@ class UnitFlowTable:
         )
 
     @cached_property
-    def groups(self) -> Groups:
+    def groups(self) -> CellGroups:
         """Groups of the nominal shape; they serve all shapes."""
         device = self.device
         owner = device.owners(self.flow.centers)
@@ -141,7 +141,7 @@ class UnitFlowTable:
         part = used // NUM_LEVELS
         area = torch.zeros(len(used), dtype=torch.float64).index_add(0, of_cell, volume)
         moment = torch.zeros_like(area).index_add(0, of_cell, volume * self.flow.centers[:, 1])
-        return Groups(
+        return CellGroups(
             of_cell, (part - 2).clamp(min=0), moment / area.clamp(min=1e-300), part == 1, part > 0
         )
 

@@ -21,7 +21,7 @@ from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
 from diffsim.systems.multicopter.described import ESTIMATOR_GAINS, DescribedFlights
 from diffsim.systems.multicopter.flight import AXES, rotor_names
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
@@ -45,7 +45,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         study: Study whose channels and commands the description names.
     """
     design, rotor = _load_vehicle(of, study), _load_rotor(of)
-    frames = Frames(of.frames.world, of.frames.body)
+    frames = RecordingFrames(of.frames.world, of.frames.body)
     parameters = BaseParameters(dict(_list_quantities(of, design, rotor)), study.runs)
     law = ThrustLaw(commands=of.commands, thrust=of.thrust, rotor=rotor, battery=of.battery)
     known = {k: torch.tensor(q.value).double() for k, q in parameters.quantities.items()}

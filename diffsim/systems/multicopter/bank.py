@@ -13,7 +13,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.paths import PATHS, Path
-from diffsim.systems.multicopter.readings import Record, read
+from diffsim.systems.multicopter.readings import SensedRecord, read
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 
@@ -116,6 +116,6 @@ def _read_channels(
     )
     # a sample of its own before the start: at rest there
     parts = (state.position, state.velocity, state.rotation, state.quaternion, state.body_rates)
-    record = Record(*(torch.cat([p[:, :1], p[:, :-1]], 1).detach()[None] for p in parts))
+    record = SensedRecord(*(torch.cat([p[:, :1], p[:, :-1]], 1).detach()[None] for p in parts))
     shown: np.ndarray = read(scene, record)[0, 0].numpy()
     return shown

@@ -19,7 +19,7 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.multicopter import effects, loads, moments, rotors
 from diffsim.systems.multicopter.flight import rotor_names
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.scene import CopterScene
 
@@ -87,7 +87,7 @@ class Vehicle:
     num_rotors: int
     mass: float
     arm: float
-    frames: Frames
+    frames: RecordingFrames
     sensors: tuple[str, ...]
     has_radius: bool
     has_lag: bool

@@ -14,7 +14,7 @@ from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.flight import SENSORS
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import PAST_SPREAD, SPREAD, Windows, filled
 from diffsim.systems.multicopter.starts import acceleration_of, states_of
@@ -86,7 +86,7 @@ class Cutter:
     sd: Tensor
     window_s: float | None
     columns: tuple[int, ...] | None = None
-    frames: Frames = field(default_factory=Frames)
+    frames: RecordingFrames = field(default_factory=RecordingFrames)
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
     longest_s: float = LONGEST_S

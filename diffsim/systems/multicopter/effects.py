@@ -12,7 +12,7 @@ from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.flight import AXES
-from diffsim.systems.multicopter.motion import Motion, by_rotor
+from diffsim.systems.multicopter.motion import FlightMotion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
 VOLTAGE = "voltage_V"  # command that is the battery's, where none is named
@@ -21,7 +21,7 @@ _LEAST_HEIGHT = 0.5  # of a hub above the ground, in radii
 
 
 def drag_by_square(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-    def drag(motion: Motion) -> Tensor:
+    def drag(motion: FlightMotion) -> Tensor:
         v = motion.velocity
         # smooth at rest, where the root alone is not
         speed = ((v * v).sum(-1, keepdim=True) + 1e-12).sqrt()
@@ -36,7 +36,7 @@ def lose_thrust_in_climb(scene: CopterScene, size: Tensor, run: Run) -> CopterSc
     The speed is the body's; what its turning adds at the hubs is left out.
     """
 
-    def loss(motion: Motion, thrusts: Tensor) -> Tensor:
+    def loss(motion: FlightMotion, thrusts: Tensor) -> Tensor:
         climb = by_rotor(motion.body_velocity, motion.vehicle.directions)
         return thrusts * (1.0 - amount(size, 3) * climb)
 
@@ -50,7 +50,7 @@ def lose_thrust_in_wake(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
     the hub against the motion, from 0 at the center to 1 at the largest arm.
     """
 
-    def loss(motion: Motion, thrusts: Tensor) -> Tensor:
+    def loss(motion: FlightMotion, thrusts: Tensor) -> Tensor:
         across = motion.body_velocity[..., :2]
         square = (across * across).sum(-1, keepdim=True)
         # v v_rear / (v^2 + v_h^2) without the direction of a vehicle at rest
@@ -77,7 +77,7 @@ def turn_with_spin(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """
     allocation = torque_allocation(scene.vehicle)
 
-    def torque(motion: Motion, thrusts: Tensor) -> Tensor:
+    def torque(motion: FlightMotion, thrusts: Tensor) -> Tensor:
         vehicle = motion.vehicle
         speed = (motion.asked.clamp(min=1e-9) / scene.thrust_coefficient).sqrt()
         shafts = -vehicle.spins[..., None] * vehicle.directions
@@ -138,7 +138,7 @@ def push_near_ground(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     is at the height ``setup["terrain_height_m"]`` of the run, 0 by default.
     """
 
-    def cushion(motion: Motion, thrusts: Tensor) -> Tensor:
+    def cushion(motion: FlightMotion, thrusts: Tensor) -> Tensor:
         vehicle = motion.vehicle
         radius = vehicle.radii[:, None, None]
         down = by_rotor(motion.rotation[..., 2, :], vehicle.positions) + motion.position[..., 2:]

@@ -14,9 +14,9 @@ from diffsim.causes.signals import Grid, lagged
 from diffsim.copter import FlightEffects
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter.estimator import BlindEstimator, force_of
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.lag import lagged_in_windows
-from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.shooting import Windows
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ SENSORS = {
 AXES = ("x", "y", "z")  # of the recording's world: places at which forces may act
 FADES = 0.01  # speed below which dry friction fades [m/s]
 
-Schedule = Callable[[Motion, Tensor], Tensor]
-Air = Callable[[Motion], Tensor]
+Schedule = Callable[[FlightMotion, Tensor], Tensor]
+Air = Callable[[FlightMotion], Tensor]
 
 
 def _make_origin() -> Tensor:
@@ -105,7 +105,7 @@ class CopterFlight:
     sensors: tuple[str, ...]
     windows: Windows
     columns: tuple[int, ...] | None = None
-    frames: Frames = field(default_factory=Frames)
+    frames: RecordingFrames = field(default_factory=RecordingFrames)
     substeps: int = 2
     flight_effects: FlightEffects = field(default_factory=FlightEffects)
     terrain_height: float = 0.0
@@ -160,7 +160,7 @@ class CopterFlight:
         axis, frames = AXES.index(place), self.frames
         along = torch.eye(3, dtype=torch.float64)[axis]
 
-        def push(motion: Motion) -> Tensor:
+        def push(motion: FlightMotion) -> Tensor:
             way, speed = (frames.in_world(v)[..., axis] for v in (motion.position, motion.velocity))
             size, fades = law.size.reshape(-1, 1, 1), way.new_tensor(FADES)
             force = law.formula({"size": size, "x": way, "v": speed, "w": fades})

@@ -11,8 +11,8 @@ from torch import Tensor
 from diffsim.copter import FlightEffects, prepare_flight
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.multicopter.flight import CopterFlight
-from diffsim.systems.multicopter.motion import Motion
-from diffsim.systems.multicopter.readings import Record, read
+from diffsim.systems.multicopter.motion import FlightMotion
+from diffsim.systems.multicopter.readings import SensedRecord, read
 from diffsim.systems.multicopter.shooting import RIGID, flight_state
 
 _MAX_PASSES = 40  # over causes that depend on the motion
@@ -103,18 +103,18 @@ class Flyer:
             num_iters=_MAX_PASSES,
         )
 
-    def _schedule_thrusts(self, motion: Motion, thrusts: Tensor) -> Tensor:
+    def _schedule_thrusts(self, motion: FlightMotion, thrusts: Tensor) -> Tensor:
         for change in self.scene.schedules:
             thrusts = change(motion, thrusts)
         return thrusts
 
-    def _sum_air_forces(self, motion: Motion) -> Tensor:
+    def _sum_air_forces(self, motion: FlightMotion) -> Tensor:
         total = torch.zeros_like(motion.velocity)
         for force in self.scene.air:
             total = total + force(motion)
         return total
 
-    def _fly(self, start: Tensor, thrusts: Tensor, air: Tensor | None) -> Record:
+    def _fly(self, start: Tensor, thrusts: Tensor, air: Tensor | None) -> SensedRecord:
         """Flights under thrusts, and forces ``air`` in the world, (points, ..., 3) [N]."""
         scene, points = self.scene, self.points
         _, windows, length, rotors = thrusts.shape
@@ -132,7 +132,7 @@ class Flyer:
         def shaped(value: Tensor) -> Tensor:
             return value.reshape(points, windows, *value.shape[1:])
 
-        return Record(
+        return SensedRecord(
             shaped(state.position) + frame.way,
             shaped(state.velocity) + frame.velocity,
             shaped(state.rotation),

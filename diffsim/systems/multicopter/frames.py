@@ -28,7 +28,7 @@ BODIES = ("FRD", "FLU")
 
 
 @dataclass(frozen=True)
-class Frames:
+class RecordingFrames:
     """World and body frame that a recording is written in.
 
     Attributes:
@@ -58,7 +58,7 @@ class Frames:
         """World from body (w, x, y, z), (..., 4), of the model as the recording writes it."""
         return (
             quaternion
-            if self == Frames()
+            if self == RecordingFrames()
             else quaternion @ _make_turn_matrix(self.world, self.body)
         )
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.data.study import Run
-from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.scene import CopterScene, amount
 
 SLING_M = 0.5  # of a string whose length nobody stated
@@ -25,7 +25,7 @@ def hang_load(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     swing = _swing_pendulum(scene.windows.acceleration, dt, stiffness.sqrt())
     sideways = mass * stiffness * swing * swing.new_tensor([1.0, 1.0, 0.0])
 
-    def weight(motion: Motion) -> Tensor:
+    def weight(motion: FlightMotion) -> Tensor:
         down = motion.acceleration.new_tensor([0.0, 0.0, 1.0])
         return amount(size, 3) * (GRAVITY - motion.acceleration) * down
 

@@ -185,7 +185,7 @@ def flight_model(
     """Flights of one vehicle under its recorded thrust commands.
 
     A run is cut into windows; the initial state of each is fitted away, so no parameter is needed
-    for it (:class:`~diffsim.systems.multicopter.shooting.Shooting`). Channels must come in the
+    for it (:class:`~diffsim.systems.multicopter.shooting.FlightShooting`). Channels come in the
     groups of ``sensors``, three columns each, NED; yaw must be free of jumps. A run's set-up may
     have a ``payload_kg`` at the center of mass and a ``terrain_height_m``.
 

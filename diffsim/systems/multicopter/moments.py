@@ -9,12 +9,12 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.effects import torque_allocation
-from diffsim.systems.multicopter.motion import Motion, by_rotor
+from diffsim.systems.multicopter.motion import FlightMotion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
 _LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
 
-Moment = Callable[[Motion], Tensor]
+Moment = Callable[[FlightMotion], Tensor]
 
 
 def with_moment(scene: CopterScene, moment: Moment) -> CopterScene:
@@ -49,7 +49,7 @@ def pitch_in_flow(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
 def pitch_less_in_climb(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     sizes = vector(size)[:, None, None]
 
-    def moment(motion: Motion) -> Tensor:
+    def moment(motion: FlightMotion) -> Tensor:
         velocity = motion.body_velocity
         return -sizes * -velocity[..., 2:] * _find_lever(velocity)
 
@@ -59,7 +59,7 @@ def pitch_less_in_climb(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
 def damp_rates(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     sizes, inertia = vector(size)[:, None, None], scene.vehicle.inertia
 
-    def moment(motion: Motion) -> Tensor:
+    def moment(motion: FlightMotion) -> Tensor:
         return -by_rotor(sizes * motion.body_rates, inertia)
 
     return with_moment(scene, moment)
@@ -72,7 +72,7 @@ def turn_with_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterS
     of W_i = sqrt(thrust asked for / thrust coefficient) is a central difference over two steps.
     """
 
-    def moment(motion: Motion) -> Tensor:
+    def moment(motion: FlightMotion) -> Tensor:
         vehicle = motion.vehicle
         speed = (motion.asked.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
         shafts = -vehicle.spins[..., None] * vehicle.directions

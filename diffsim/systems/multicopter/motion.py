@@ -12,7 +12,7 @@ from diffsim.copter.vehicle.fleet import Fleet
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class FlightMotion:
     """State in the middle of every control step, which causes may depend on.
 
     Attributes:

@@ -21,13 +21,13 @@ from diffsim.core.rotation import (
 )
 from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, change_some
-from diffsim.systems.multicopter.motion import Motion, turned, turned_back
+from diffsim.systems.multicopter.motion import FlightMotion, turned, turned_back
 
 _CIRCLE = 2.0 * torch.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class SensedRecord:
     """States of windows, (points, num_windows, length + 1, ...), the one after the last too."""
 
     position: Tensor
@@ -36,16 +36,16 @@ class Record:
     quaternion: Tensor
     body_rates: Tensor
 
-    def motion(self, vehicle: Fleet, thrusts: Tensor, asked: Tensor, dt: float) -> Motion:
+    def motion(self, vehicle: Fleet, thrusts: Tensor, asked: Tensor, dt: float) -> FlightMotion:
         """Motion in the middle of steps, where causes are right to second order."""
         place, velocity, rotation, rates = (
             0.5 * (value[:, :, :-1] + value[:, :, 1:])
             for value in (self.position, self.velocity, self.rotation, self.body_rates)
         )
         mean = self.velocity.diff(dim=2) / dt
-        return Motion(vehicle, place, velocity, rotation, rates, thrusts, asked, mean)
+        return FlightMotion(vehicle, place, velocity, rotation, rates, thrusts, asked, mean)
 
-    def before(self, delay: Tensor, dt: float) -> Record:
+    def before(self, delay: Tensor, dt: float) -> SensedRecord:
         """The record a time ago: cubics between steps, parabolas before the window.
 
         Args:
@@ -54,7 +54,7 @@ class Record:
         """
         quaternion = _look_back(self.quaternion, delay, dt)  # integrated: no sign jumps
         quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
-        return Record(
+        return SensedRecord(
             _look_back(self.position, delay, dt),
             _look_back(self.velocity, delay, dt),
             matrix_from_quaternion(quaternion),
@@ -96,7 +96,7 @@ class _Shown:
     """
 
     scene: CopterFlight
-    record: Record
+    record: SensedRecord
     position: Tensor
     velocity: Tensor
     rotation: Tensor
@@ -104,7 +104,7 @@ class _Shown:
     turn: Tensor | None = None
 
     @classmethod
-    def of(cls, scene: CopterFlight, record: Record) -> _Shown:
+    def of(cls, scene: CopterFlight, record: SensedRecord) -> _Shown:
         states = record.position, record.velocity, record.rotation, record.quaternion
         shown = cls(scene, record, *(state[:, :, 1:] for state in states))
         if scene.estimator is not None:
@@ -272,7 +272,7 @@ class WindowGrid(Grid):
         return self.starts + self.times
 
 
-def read(scene: CopterFlight, record: Record) -> Tensor:
+def read(scene: CopterFlight, record: SensedRecord) -> Tensor:
     """Readings of the sensors, (points, num_windows, length, num_channels)."""
     out = _show_at_once(scene, record, range(scene.windows.measured.shape[-1]))
     for channels, delay in delays_of(scene.late).items():
@@ -287,7 +287,7 @@ def read(scene: CopterFlight, record: Record) -> Tensor:
     return signals.permute(1, 0, 3, 2)
 
 
-def _show_at_once(scene: CopterFlight, record: Record, channels: Sequence[int]) -> Tensor:
+def _show_at_once(scene: CopterFlight, record: SensedRecord, channels: Sequence[int]) -> Tensor:
     """What some channels would show at once, (points, num_windows, length, len(channels))."""
     shown = _Shown.of(scene, record)
     columns = channels if scene.columns is None else [scene.columns[k] for k in channels]

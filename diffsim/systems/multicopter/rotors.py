@@ -7,7 +7,7 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.effects import tilt_axes, torque_allocation
-from diffsim.systems.multicopter.motion import Motion, by_rotor
+from diffsim.systems.multicopter.motion import FlightMotion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
 _LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
@@ -21,7 +21,7 @@ def drag_by_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
     """
     allocation = torque_allocation(scene.vehicle)
 
-    def forces(motion: Motion) -> Tensor:
+    def forces(motion: FlightMotion) -> Tensor:
         """In the body frame, (points, num_windows, length, n_rotors, 3) [N]."""
         speed = (motion.asked.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
         arms, axes = (
@@ -34,11 +34,11 @@ def drag_by_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
         across = hubs - (hubs * axes).sum(-1, keepdim=True) * axes
         return -amount(size, 4) * speed[..., None] * across
 
-    def drag(motion: Motion) -> Tensor:
+    def drag(motion: FlightMotion) -> Tensor:
         total = forces(motion).sum(-2)
         return (motion.rotation * total[..., None, :]).sum(-1)
 
-    def torque(motion: Motion, thrusts: Tensor) -> Tensor:
+    def torque(motion: FlightMotion, thrusts: Tensor) -> Tensor:
         found = forces(motion)
         arms, found = torch.broadcast_tensors(motion.vehicle.positions[:, None, None], found)
         return thrusts + by_rotor(torch.linalg.cross(arms, found).sum(-2), allocation)

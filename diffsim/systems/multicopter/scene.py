@@ -11,7 +11,7 @@ from diffsim.core.layer import may_be_differentiated
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, amount, vector
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.numbers import change_number
-from diffsim.systems.multicopter.shooting import MAX_STEPS, Shooting
+from diffsim.systems.multicopter.shooting import MAX_STEPS, FlightShooting
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,14 +31,14 @@ class CopterScene(CopterFlight):
             return self.simulate_many(1, shooting)[0]
         return shooting.at_own_point()[: self.commands.shape[1]]
 
-    def settled(self, max_steps: int = MAX_STEPS) -> Shooting:
+    def settled(self, max_steps: int = MAX_STEPS) -> FlightShooting:
         """Best initial states of one point and their tangents there, found within some steps; those
         of the last points are kept."""
         if self.point is None:
             return self._search_starts(max_steps)
         return self.windows.known(self.point, lambda: self._search_starts(max_steps))
 
-    def _search_starts(self, max_steps: int) -> Shooting:
+    def _search_starts(self, max_steps: int) -> FlightShooting:
         flyers: dict[int, Flyer] = {}
 
         def predict(starts: Tensor) -> Tensor:
@@ -54,7 +54,7 @@ class CopterScene(CopterFlight):
         """A copy in which one of ``NUMBERS`` is f(number), its last axis that of the points."""
         return change_number(self, name, change)
 
-    def simulate_many(self, points: int, shooting: Shooting) -> Tensor:
+    def simulate_many(self, points: int, shooting: FlightShooting) -> Tensor:
         """Predicted channels with the best initial states.
 
         Args:

@@ -30,7 +30,7 @@ _ORDERS = {"wxyz": (0, 1, 2, 3), "xyzw": (1, 2, 3, 0)}
 
 
 @dataclass(frozen=True, eq=False)
-class Sensing:
+class SensorColumns:
     """Which reading each channel of a study is.
 
     Attributes:
@@ -44,7 +44,7 @@ class Sensing:
     sd: Tensor
 
 
-def sensing_of(keys: SensorKeys, study: Study) -> Sensing:
+def sensing_of(keys: SensorKeys, study: Study) -> SensorColumns:
     """Readings of a study's channels, all of which the keys name."""
     groups: list[str] = []
     place: dict[str, tuple[int, float]] = {}
@@ -64,7 +64,7 @@ def sensing_of(keys: SensorKeys, study: Study) -> Sensing:
         groups.append(group)
         start += len(SENSORS[group])
     found = [(place[c.name], c.sd) for c in study.channels]
-    return Sensing(
+    return SensorColumns(
         tuple(groups),
         tuple(column for (column, _), _ in found),
         torch.tensor([default if sd is None else sd for (_, default), sd in found]).double(),

@@ -117,7 +117,7 @@ class Windows:
     is_at_zero: bool = True
     idle: Tensor | None = None
     start: Tensor | None = None
-    known: Memo[Shooting] = memo_field(_KNOWN)
+    known: Memo[FlightShooting] = memo_field(_KNOWN)
 
     def __post_init__(self) -> None:
         if not len(self.held):
@@ -140,7 +140,7 @@ class Windows:
 
     def settled(
         self, predict: Predict, max_steps: int = MAX_STEPS, near: Tensor | None = None
-    ) -> Shooting:
+    ) -> FlightShooting:
         """The best initial states for one model, by Gauss-Newton with new tangents at every step.
 
         No rotor pulls backwards before the record: a thrust that wants below zero is zero, and the
@@ -185,7 +185,7 @@ class Windows:
 
     def _take_bounded_steps(
         self, predict: Predict, states: Tensor, max_steps: int
-    ) -> tuple[Shooting, float, Tensor]:
+    ) -> tuple[FlightShooting, float, Tensor]:
         """Steps with new tangents each, as long as ``Secants`` says. A thrust that a step takes
         below zero is held at zero from there on: without a slope it would come back, and go again.
 
@@ -249,7 +249,7 @@ class Windows:
         cost = off.nan_to_num(0.0).square().flatten(1).sum(1)
         return torch.zeros_like(self.held).index_put((rotors,), cost[1:] < cost[0])
 
-    def _creep(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
+    def _creep(self, predict: Predict, change: Tensor) -> tuple[FlightShooting, float]:
         """Steps that are halved until the fit is better; slower, and sure to go down.
 
         Where that has no end the states lie on a kink: a rotor whose thrust before the record wants
@@ -291,7 +291,7 @@ class Windows:
 
     def _find_step(
         self, predict: Callable[[Tensor], Tensor], change: Tensor
-    ) -> tuple[Shooting, Tensor]:
+    ) -> tuple[FlightShooting, Tensor]:
         """Tangents by central differences, and the step to be taken, (num_windows, m)."""
         windows, length, channels = self.measured.shape
         spread = self.spread
@@ -309,7 +309,7 @@ class Windows:
         normal = tangent.mT @ (weight * tangent) + self.precision
         gain = torch.linalg.solve(normal, (weight * tangent).mT)
         measured = self.measured.nan_to_num(0.0).reshape(windows, -1, 1)
-        shooting = Shooting(
+        shooting = FlightShooting(
             self,
             measured,
             change[..., None],
@@ -321,7 +321,7 @@ class Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class Shooting:
+class FlightShooting:
     """Linear map from all other parameters to the best initial states of one run.
 
     Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy, rpy_from_matrix
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.shooting import guess_states, slope
 
 _DOWN = torch.tensor([0.0, 0.0, GRAVITY], dtype=torch.float64)
 
 
-def states_of(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> Tensor:
+def states_of(groups: Mapping[str, Tensor], frames: RecordingFrames, dt: float) -> Tensor:
     """States of 12 at every sample, (num_samples, 12), in the model's frames.
 
     Velocity that was not recorded is the slope of the position, body rates are those of the
@@ -40,7 +40,7 @@ def states_of(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> Tensor
 
 
 def acceleration_of(
-    groups: Mapping[str, Tensor], frames: Frames, states: Tensor, dt: float
+    groups: Mapping[str, Tensor], frames: RecordingFrames, states: Tensor, dt: float
 ) -> Tensor:
     """Acceleration of the vehicle at every sample, (num_samples, 3), world frame of the model.
 
@@ -61,7 +61,9 @@ def acceleration_of(
     return found + _DOWN
 
 
-def _find_path(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> tuple[Tensor, Tensor]:
+def _find_path(
+    groups: Mapping[str, Tensor], frames: RecordingFrames, dt: float
+) -> tuple[Tensor, Tensor]:
     """Position and velocity, (num_samples, 3) each."""
     place, speed = groups.get("position"), groups.get("velocity")
     if place is None:
@@ -77,7 +79,7 @@ def _find_path(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> tuple
 
 
 def _find_attitude(
-    groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: float
+    groups: Mapping[str, Tensor], frames: RecordingFrames, velocity: Tensor, dt: float
 ) -> Tensor:
     """Roll, pitch and yaw without jumps, (num_samples, 3)."""
     quaternion, rpy = groups.get("quaternion"), groups.get("attitude")
@@ -85,7 +87,7 @@ def _find_attitude(
         unit = quaternion / quaternion.norm(dim=-1, keepdim=True).clamp(min=1e-12)
         rotation = frames.rotation(matrix_from_quaternion(unit))
     elif rpy is not None and not bool(rpy.isnan().any()):
-        if frames == Frames():
+        if frames == RecordingFrames():
             return rpy
         rotation = frames.rotation(matrix_from_rpy(rpy))
     else:
@@ -97,7 +99,7 @@ def _find_attitude(
 
 
 def _find_thrust_acceleration(
-    groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: float
+    groups: Mapping[str, Tensor], frames: RecordingFrames, velocity: Tensor, dt: float
 ) -> Tensor:
     """Force over mass besides gravity, world frame of the model, (num_samples, 3) [m/s^2]."""
     for name, gravity in (("acceleration", _DOWN), ("specific_force_in_world", 0.0 * _DOWN)):
@@ -107,7 +109,7 @@ def _find_thrust_acceleration(
     return slope(velocity, dt) - _DOWN
 
 
-def _find_rotation_by_thrust(thrust: Tensor, rpy: Tensor | None, frames: Frames) -> Tensor:
+def _find_rotation_by_thrust(thrust: Tensor, rpy: Tensor | None, frames: RecordingFrames) -> Tensor:
     """World from body of the model, (num_samples, 3, 3): what was recorded of roll, pitch and yaw,
     the rest by the direction of the thrust."""
     known = torch.full_like(thrust, torch.nan) if rpy is None else rpy

@@ -14,7 +14,7 @@ from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run
-from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.keys import CommandKeys, RotorKeys, ThrustKeys
 from diffsim.systems.multicopter.vectors import stack_points
 
@@ -113,7 +113,7 @@ class ThrustLaw:
 
 
 def described_fleet(
-    values: Values, rotors: tuple[RotorKeys, ...], frames: Frames, radius: float
+    values: Values, rotors: tuple[RotorKeys, ...], frames: RecordingFrames, radius: float
 ) -> Fleet:
     """The vehicle of named quantities, in the model's frames, (points or 1, ...).
 
@@ -152,7 +152,7 @@ def described_fleet(
     )
 
 
-def designed_fleet(values: Values, design: Multicopter, frames: Frames) -> Fleet:
+def designed_fleet(values: Values, design: Multicopter, frames: RecordingFrames) -> Fleet:
     """The vehicle of a design file, its mass and center of mass moved by named quantities."""
     shift = stack_points([values[f"center_of_mass_{axis}"] for axis in "xyz"])
     fleet = Fleet.of([design])

@@ -39,7 +39,7 @@ LABELS = "labels"  # place of the values of facts in a study's frame
 
 
 @dataclass(frozen=True)
-class Groups:
+class RunGroups:
     """One size for all, and what each group of runs has beside it.
 
     A group that nobody has fitted is like all.
@@ -53,7 +53,7 @@ class Groups:
     labels: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, per: str | None, study: Study) -> Groups:
+    def of(cls, per: str | None, study: Study) -> RunGroups:
         """Groups of a study's runs."""
         if per is None:
             return cls()
@@ -87,12 +87,12 @@ def _label_run(per: str, run: Run) -> str:
     return run.name if per == "run" else str(run.setup.get(per))
 
 
-def by_formulas_in(change: Change, symbol: str, groups: Groups) -> Apply:
+def by_formulas_in(change: Change, symbol: str, groups: RunGroups) -> Apply:
     """An effect that changes formulas, its size that of the run's group."""
     return partial(_apply_in_run, change=change, symbol=symbol, groups=groups)
 
 
 def _apply_in_run(
-    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: Groups
+    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: RunGroups
 ) -> OdeScene:
     return scene.with_change(change, {symbol: groups.size_in(run, size)})

@@ -45,7 +45,7 @@ _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class DescribedMotion:
     """What moves in a described system; nothing on a bench."""
 
     states: Mapping[str, str | Quantity] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class Described:
         self,
         keys: FormulaKeys,
         inputs: tuple[Input, ...],
-        motion: Motion,
+        motion: DescribedMotion,
         study: Study,
         reader: Reader,
     ):
@@ -100,7 +100,7 @@ class Described:
         self.inputs = self._list_inputs(numbers)
         rates = self._parse_formulas("rates", motion.rates)
         readings = self._parse_formulas("readings", keys.readings)
-        if motion != Motion():
+        if motion != DescribedMotion():
             self._check_places()
             self._check_events()
         states = tuple(motion.states)
@@ -220,7 +220,7 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
-        if motion != Motion():
+        if motion != DescribedMotion():
             given |= self._list_quantities_of_motion()
         given |= {clock_of(name): q for name, q in motion.clocks.items()}
         if motion.states and self._may_have_play():

@@ -16,7 +16,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, Motion
+from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, DescribedMotion
 from diffsim.systems.ode.effects import ode_effects, ports_of
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
@@ -102,7 +102,7 @@ class OdeDescription(FormulaKeys):
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
     def _read_model(self, study: Study, reader: Reader) -> Described:
-        motion = Motion(
+        motion = DescribedMotion(
             states=self.states,
             rates=self.rates,
             limits=self.limits,

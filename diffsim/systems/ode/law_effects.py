@@ -16,7 +16,7 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
-from diffsim.systems.ode.applying import Groups, by_formulas_in, labels_of, symbol
+from diffsim.systems.ode.applying import RunGroups, by_formulas_in, labels_of, symbol
 from diffsim.systems.ode.keys import Law
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
@@ -108,7 +108,7 @@ class _Bender:
         formula = parse_expression(row.said("law"), (*parts, *self.known))
         further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
         change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
-        groups = Groups.of(law.per, self.study)
+        groups = RunGroups.of(law.per, self.study)
         swept = self.network.with_readings({"x": parts["x"]})
         apply = _Bent(by_formulas_in(change, symbol(name), groups), tuple(further), swept)
         return row.effect(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
+from diffsim.systems.ode.applying import RunGroups, by_formulas_in, symbol
 from diffsim.systems.ode.keys import OwnEffect
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import READING, Change, filled, named
@@ -42,7 +42,7 @@ def _make_effect(
     reader: Reader,
 ) -> Effect:
     reader.require_per(where, block.per)
-    groups = Groups.of(block.per, study)
+    groups = RunGroups.of(block.per, study)
     return Effect(
         name=block.name,
         form=block.form or _say_form(block),

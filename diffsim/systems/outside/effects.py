@@ -13,7 +13,7 @@ from diffsim.causes.readings import reading_causes, spell_plainly
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
-from diffsim.systems.outside.forces import Knots
+from diffsim.systems.outside.forces import ForceKnots
 from diffsim.systems.outside.hooks import Hooks
 from diffsim.systems.outside.model import OutsideScene
 from diffsim.systems.outside.place_effects import place_effects
@@ -69,4 +69,4 @@ def _apply_knots(
     scene: OutsideScene, size: Tensor, run: Run, *, place: int, spacing: float
 ) -> OutsideScene:
     values = tuple(size.detach().tolist())
-    return scene.with_knots(Knots(place, float(run.time_s[0]), spacing, values))
+    return scene.with_knots(ForceKnots(place, float(run.time_s[0]), spacing, values))

@@ -38,7 +38,7 @@ class Term:
 
 
 @dataclass(frozen=True, eq=False)
-class Knots:
+class ForceKnots:
     """A force at one place that follows straight lines between knots in time.
 
     Attributes:
@@ -74,7 +74,9 @@ class PlaceForces:
         acts: Whether any force is there; if not, a simulator may skip the call.
     """
 
-    def __init__(self, places: Sequence[str], terms: Sequence[Term], knots: Sequence[Knots] = ()):
+    def __init__(
+        self, places: Sequence[str], terms: Sequence[Term], knots: Sequence[ForceKnots] = ()
+    ):
         self.places = tuple(places)
         self._terms = tuple(t for t in terms if t.size != 0.0)
         self._knots = tuple(k for k in knots if any(k.values))

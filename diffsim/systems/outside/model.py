@@ -22,7 +22,7 @@ from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
-from diffsim.systems.outside.forces import Knots, PlaceForces, Term
+from diffsim.systems.outside.forces import ForceKnots, PlaceForces, Term
 from diffsim.systems.outside.source import Predict, Source, offers_of
 
 Array = NDArray[np.float64]
@@ -149,7 +149,7 @@ class OutsideScene:
     numerics: Numerics
     command_maps: tuple[tuple[tuple[str, ...], SignalMap], ...] = ()
     terms: tuple[Term, ...] = ()
-    knots: tuple[Knots, ...] = ()
+    knots: tuple[ForceKnots, ...] = ()
     output_maps: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
 
     def with_command(self, names: tuple[str, ...], change: SignalMap) -> OutsideScene:
@@ -199,7 +199,7 @@ class OutsideScene:
         term = Term(at, law.formula, size, self.model.speeds[at])
         return replace(self, terms=(*self.terms, term))
 
-    def with_knots(self, knots: Knots) -> OutsideScene:
+    def with_knots(self, knots: ForceKnots) -> OutsideScene:
         """A copy with one more force over time."""
         return replace(self, knots=(*self.knots, knots))
 

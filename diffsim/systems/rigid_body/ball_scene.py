@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.instruments import InstrumentedScene, grid_at
 from diffsim.systems.rigid_body import on_ground
-from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
+from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
 from diffsim.systems.rigid_body.camera import projected
 from diffsim.systems.rigid_body.on_ground import Ball, Laws
 
@@ -99,7 +99,7 @@ class Eye:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class BallStage:
     """What all runs of a study have in common.
 
     Attributes:
@@ -118,7 +118,7 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
+class BallPaths:
     """Centers of all balls over time: places and velocities (K, T, 3) by ball [m, m/s]."""
 
     places: Sequence[Tensor]
@@ -137,7 +137,7 @@ class BallScene(InstrumentedScene):
 
     values: Mapping[str, Tensor]
     time: Tensor
-    stage: Stage
+    stage: BallStage
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> BallScene:
         """A copy in which one number is f(number)."""
@@ -188,7 +188,7 @@ class BallScene(InstrumentedScene):
         corners = eye.corners.expand(len(time), -1, 3)
         return {("click", 0): projected(self.values, eye.rotation, corners)}
 
-    def _show_pixels(self, time: Tensor, paths: Paths, b: int) -> Tensor:
+    def _show_pixels(self, time: Tensor, paths: BallPaths, b: int) -> Tensor:
         """(K, T, 2) of one ball; each row of the picture is read a little later."""
         assert self.stage.eye is not None
         first = self._project_centers(paths)[b]
@@ -201,7 +201,7 @@ class BallScene(InstrumentedScene):
     def _needs_grad(self, name: str) -> bool:
         return self.values[name].requires_grad
 
-    def _project_centers(self, paths: Paths) -> list[Tensor]:
+    def _project_centers(self, paths: BallPaths) -> list[Tensor]:
         """(K, T, 2) pixels of the centers as tracked."""
         eye, pair = self.stage.eye, self.stage.pair
         assert eye is not None
@@ -227,7 +227,7 @@ class BallScene(InstrumentedScene):
             out.append(center + pull + size[..., None] * lit)
         return out
 
-    def paths(self, time: Tensor) -> Paths:
+    def paths(self, time: Tensor) -> BallPaths:
         """Centers of all balls at times (K, T) [s]."""
         pair = self.stage.pair
         met = {} if pair is None else self._meet_pair(pair, time)
@@ -235,7 +235,7 @@ class BallScene(InstrumentedScene):
             met[b] if b in met else self._move_alone(body, time)
             for b, body in enumerate(self.stage.bodies)
         ]
-        return Paths([p for p, _ in both], [v for _, v in both])
+        return BallPaths([p for p, _ in both], [v for _, v in both])
 
     def _move_alone(self, body: BallBody, time: Tensor) -> tuple[Tensor, Tensor]:
         v = self.values
@@ -255,7 +255,7 @@ class BallScene(InstrumentedScene):
             v["rebound"],
             lands,
         )
-        thrown = Thrown(
+        thrown = ThrownBall(
             torch.cat([ball.place, up[:, :1]], -1),
             torch.cat([ball.velocity, up[:, 1:]], -1),
             ball.rolling,

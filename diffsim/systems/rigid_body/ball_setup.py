@@ -28,9 +28,9 @@ from diffsim.systems.rigid_body.ball_scene import (
     PLAIN,
     BallBody,
     BallScene,
+    BallStage,
     Eye,
     Pair,
-    Stage,
 )
 from diffsim.systems.rigid_body.ball_starts import SPIN_SD, BallStarts
 from diffsim.systems.rigid_body.camera import in_free_flight, on_plane, plain_camera
@@ -229,7 +229,7 @@ class Balls:
             out["sidespin"] = Quantity(value=0.0, sd=SPIN_SD, unit="m/s")
         return out
 
-    def _build_stage(self, channels: Sequence[str], eye: Eye | None) -> Stage:
+    def _build_stage(self, channels: Sequence[str], eye: Eye | None) -> BallStage:
         index = {b.name: i for i, b in enumerate(self.bodies)}
         rows = {c: (k, index[m.body], i) for m in self.measures for k, i, c in m.rows()}
         for names in (CLICK_CHANNELS, ("corner_u_px", "corner_v_px")):
@@ -251,7 +251,7 @@ class Balls:
                     shape.inertia_ratio or SOLID,
                 )
             )
-        return Stage(
+        return BallStage(
             bodies,
             self._build_pair(index),
             [rows[c] for c in channels],
@@ -367,7 +367,7 @@ class BallModel(SimModel):
         return simulated(scene)
 
 
-def _shorten_stage(stage: Stage, clock: Array, run: Run) -> Stage:
+def _shorten_stage(stage: BallStage, clock: Array, run: Run) -> BallStage:
     """The stage of a run of which a part may be left out: as many clicked points as samples."""
     eye = stage.eye
     if eye is None or eye.corners is None or len(eye.corners) == len(run.time_s):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.systems.rigid_body.flight import Flight, fall_time, span_of
+from diffsim.systems.rigid_body.flight import BallFlight, fall_time, span_of
 from diffsim.systems.rigid_body.on_ground import Ball, Laws, moved
 
 MAX_BOUNCES = 60
@@ -48,7 +48,7 @@ class Bounces:
 
 
 @dataclass(frozen=True, eq=False)
-class Thrown:
+class ThrownBall:
     """A ball in flight.
 
     Attributes:
@@ -61,7 +61,7 @@ class Thrown:
     rolling: Tensor
 
 
-def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor]:
+def bounced(ball: ThrownBall, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor]:
     """Place and velocity of the center, (K, T, 3) each [m, m/s].
 
     Args:
@@ -83,7 +83,7 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
         height = ball.place[:, 2] - ground.level
         fall = fall_time(height, ball.velocity[:, 2], ground.laws.gravity)
         span = span_of(fall) if ground.lands else (end + 1e-3).expand_as(fall)
-        flight = Flight.over(ball.place, ball.velocity, ground.acceleration, span)
+        flight = BallFlight.over(ball.place, ball.velocity, ground.acceleration, span)
         now = (time >= begun[:, None])[..., None] & ~settled[:, None, None]
         there, speed = flight.at(time - begun[:, None])
         place, velocity = torch.where(now, there, place), torch.where(now, speed, velocity)
@@ -101,8 +101,8 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
 
 
 def _rebound_from_ground(
-    flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces
-) -> Thrown:
+    flight: BallFlight, landing: Tensor, rolling: Tensor, ground: Bounces
+) -> ThrownBall:
     """The ball after an impact with the ground: restitution, and Coulomb friction or sticking."""
     place, velocity = (y[:, 0] for y in flight.at(landing[:, None]))
     approach = (-velocity[:, 2]).clamp(min=0.0)
@@ -113,16 +113,16 @@ def _rebound_from_ground(
     stick = (1.0 + ground.rebound) * size / (1.0 + 1.0 / ground.laws.inertia)
     rub = torch.minimum(ground.laws.table_friction * (approach + rise), stick)
     step = (rub / size)[:, None] * slip
-    return Thrown(
+    return ThrownBall(
         torch.cat([place[:, :2], ground.level[:, None]], -1),
         torch.cat([velocity[:, :2] - step, rise[:, None]], -1),
         rolling + step / ground.laws.inertia[:, None],
     )
 
 
-def _keep_settled(settled: Tensor, old: Thrown, new: Thrown) -> Thrown:
+def _keep_settled(settled: Tensor, old: ThrownBall, new: ThrownBall) -> ThrownBall:
     keep = settled[:, None]
-    return Thrown(
+    return ThrownBall(
         torch.where(keep, old.place, new.place),
         torch.where(keep, old.velocity, new.velocity),
         torch.where(keep, old.rolling, new.rolling),
@@ -130,7 +130,7 @@ def _keep_settled(settled: Tensor, old: Thrown, new: Thrown) -> Thrown:
 
 
 def _put_on_ground(
-    ball: Thrown, since: Tensor, settled: Tensor, ground: Bounces, flown: tuple[Tensor, Tensor]
+    ball: ThrownBall, since: Tensor, settled: Tensor, ground: Bounces, flown: tuple[Tensor, Tensor]
 ) -> tuple[Tensor, Tensor]:
     """The flown motion, with the rest of it on the ground where the ball has settled."""
     now = (since >= 0.0)[..., None] & settled[:, None, None]

@@ -8,14 +8,14 @@ from torch import Tensor
 
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
 from diffsim.identify.shape import MovingShape
-from diffsim.systems.rigid_body.layout import Layout
+from diffsim.systems.rigid_body.layout import PoseLayout
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
 _SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4],
                    [1, 5, 7, 3]])  # fmt: skip
 
 
-def figure_of(layout: Layout, edges: Tensor, channels: Tensor) -> MovingShape | None:
+def figure_of(layout: PoseLayout, edges: Tensor, channels: Tensor) -> MovingShape | None:
     """The box at the poses that channels show.
 
     Args:
@@ -44,7 +44,7 @@ def figure_of(layout: Layout, edges: Tensor, channels: Tensor) -> MovingShape | 
     return MovingShape(triangles=triangles, nodes_m=nodes)
 
 
-def _pick_group(layout: Layout, channels: Tensor, kind: str, width: int) -> Tensor | None:
+def _pick_group(layout: PoseLayout, channels: Tensor, kind: str, width: int) -> Tensor | None:
     """Columns of one kind, (num_samples, width); None where one is missing."""
     rows = list(layout.rows)
     wanted = [(kind, k) for k in range(width)]

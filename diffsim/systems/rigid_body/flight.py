@@ -25,7 +25,7 @@ _INTEGRALS = torch.from_numpy(
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class BallFlight:
     """Place and velocity over ``span``.
 
     Attributes:
@@ -44,7 +44,7 @@ class Flight:
         velocity: Tensor,
         acceleration: Callable[[Tensor], Tensor],
         span: Tensor,
-    ) -> Flight:
+    ) -> BallFlight:
         """Solve v' = a(v) from a start.
 
         Args:

@@ -38,7 +38,7 @@ class Flown:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class PoseLayout:
     """What each channel shows.
 
     Attributes:

@@ -19,15 +19,15 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters
 from diffsim.systems.rigid_body.figure import figure_of
-from diffsim.systems.rigid_body.layout import Layout
-from diffsim.systems.rigid_body.shooting import Shooting
+from diffsim.systems.rigid_body.layout import PoseLayout
+from diffsim.systems.rigid_body.shooting import TossShooting
 from diffsim.systems.rigid_body.toss import ADDED, Mass, Tosses
 
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
-class Thrown:
+class TossSetup:
     """What all tosses of a study have in common.
 
     Attributes:
@@ -38,11 +38,11 @@ class Thrown:
 
     parameters: BaseParameters
     mass: Mass
-    layout: Layout
+    layout: PoseLayout
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class TossTable:
     """All tosses of a study and how their start states follow from the records.
 
     Attributes:
@@ -54,9 +54,9 @@ class Table:
             asked for one by one.
     """
 
-    thrown: Thrown
+    thrown: TossSetup
     tosses: Tosses
-    shooting: Shooting
+    shooting: TossShooting
     place: Mapping[str, int]
     latest: Memo[Tensor] = memo_field(1)
 
@@ -81,7 +81,7 @@ class Table:
     def _profile_starts(
         self,
         tosses: Tosses,
-        shooting: Shooting,
+        shooting: TossShooting,
         values: Mapping[str, Tensor],
         terms: Mapping[str, Tensor],
     ) -> Tensor:
@@ -102,7 +102,7 @@ class Table:
         """(K, length, num_channels) of one toss as instruments show it."""
         index, whole, thrown = self.place[run.name], self.shooting, self.thrown
         toss = self.tosses.only(index)
-        own = Shooting(*(getattr(whole, f.name)[index : index + 1] for f in fields(whole)))
+        own = TossShooting(*(getattr(whole, f.name)[index : index + 1] for f in fields(whole)))
         grid, count = grid_of(run), len(run.time_s)
 
         def show(start: Tensor) -> Tensor:
@@ -131,7 +131,7 @@ class TossScene(InstrumentedScene):
 
     run: Run
     values: Mapping[str, Tensor]
-    table: Table
+    table: TossTable
     terms: Mapping[str, Tensor] = field(default_factory=dict)
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> TossScene:
@@ -164,7 +164,7 @@ class TossModel(SimModel):
         self,
         runs: Sequence[Run],
         channels: Sequence[Channel],
-        thrown: Thrown,
+        thrown: TossSetup,
         at: Mapping[str, Tensor] | None = None,
     ):
         base = thrown.parameters.base
@@ -206,8 +206,11 @@ class TossModel(SimModel):
 
 
 def _prepare_table(
-    runs: Sequence[Run], channels: Sequence[Channel], thrown: Thrown, values: Mapping[str, Tensor]
-) -> Table:
+    runs: Sequence[Run],
+    channels: Sequence[Channel],
+    thrown: TossSetup,
+    values: Mapping[str, Tensor],
+) -> TossTable:
     tosses = Tosses.of(runs)
     sd = torch.tensor([c.sd for c in channels], dtype=torch.float64)
     count = len(runs)
@@ -218,8 +221,8 @@ def _prepare_table(
 
     start = tosses.start
     for _ in range(2):  # once more from better start states
-        prepared = Shooting.prepare(flown, start, tosses.measured, sd)
+        prepared = TossShooting.prepare(flown, start, tosses.measured, sd)
         left = (tosses.measured - flown(start)).nan_to_num(0.0)
         start = start + (prepared.gain @ left.reshape(count, -1, 1))[..., 0]
-    shooting = Shooting.prepare(flown, start, tosses.measured, sd)
-    return Table(thrown, tosses, shooting, {r.name: i for i, r in enumerate(runs)})
+    shooting = TossShooting.prepare(flown, start, tosses.measured, sd)
+    return TossTable(thrown, tosses, shooting, {r.name: i for i, r in enumerate(runs)})

@@ -18,7 +18,7 @@ _CORRECTIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Shooting:
+class TossShooting:
     """Windows of one run, and how their initial states follow from what was measured.
 
     The initial states d (departures from the first guess) minimize
@@ -41,7 +41,7 @@ class Shooting:
     @classmethod
     def prepare(
         cls, predict: Callable[[Tensor], Tensor], start: Tensor, measured: Tensor, sd: Tensor
-    ) -> Shooting:
+    ) -> TossShooting:
         """Tangents by central differences.
 
         Args:

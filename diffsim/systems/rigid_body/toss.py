@@ -22,7 +22,7 @@ from diffsim.core.rotation import (
 )
 from diffsim.data.study import Run
 from diffsim.systems.rigid_body.impact import impulse
-from diffsim.systems.rigid_body.layout import Flown, Layout
+from diffsim.systems.rigid_body.layout import Flown, PoseLayout
 from diffsim.systems.rigid_body.turning import turned
 from diffsim.systems.rigid_body.windows import CORNERS, TURN, TWIST
 
@@ -122,7 +122,7 @@ class Tosses:
         values: Mapping[str, Tensor],
         terms: Mapping[str, Tensor],
         mass: Mass,
-        layout: Layout,
+        layout: PoseLayout,
         late: Tensor | None = None,
     ) -> Tensor:
         """Channels of all tosses, (K, num_tosses, length, num_channels).

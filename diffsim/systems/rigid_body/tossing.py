@@ -15,13 +15,13 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.rigid_body.causes import sensor_causes, toss_causes
-from diffsim.systems.rigid_body.layout import REST, Layout
-from diffsim.systems.rigid_body.model import Thrown, TossModel
+from diffsim.systems.rigid_body.layout import REST, PoseLayout
+from diffsim.systems.rigid_body.model import TossModel, TossSetup
 from diffsim.systems.rigid_body.parts import ANGLES, Body, Contact, Measure, Window
 from diffsim.systems.rigid_body.toss import ADDED, Mass
 from diffsim.systems.rigid_body.windows import (
     MIN_FRAMES,
-    Poses,
+    RecordedPoses,
     angles_to_quaternions,
     continuous,
     cut,
@@ -113,9 +113,11 @@ class Tossed:
         """Model of a cut study."""
         turn = Rotation.from_rotvec(UP[self.up]).as_quat()[[3, 0, 1, 2]]
         rows = {c: (k, i) for m in self.measures for k, i, c in m.rows()} | {REST: ("rest", 0)}
-        layout = Layout([rows[c.name] for c in study.channels], torch.from_numpy(turn))
+        layout = PoseLayout([rows[c.name] for c in study.channels], torch.from_numpy(turn))
         parameters = BaseParameters(self._list_quantities(), study.runs)
-        return TossModel(study.runs, study.channels, Thrown(parameters, self._make_mass(), layout))
+        return TossModel(
+            study.runs, study.channels, TossSetup(parameters, self._make_mass(), layout)
+        )
 
     def causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
         """Candidate causes that this toss may have.
@@ -186,7 +188,7 @@ class Tossed:
                 measured[:, at] = continuous(measured[:, at])
         return replace(run, measured=measured)
 
-    def _read_poses(self, run: Run, names: Sequence[str], up: Rotation) -> Poses:
+    def _read_poses(self, run: Run, names: Sequence[str], up: Rotation) -> RecordedPoses:
         place = np.full((len(run.time_s), 3), np.nan)
         turn = None
         for measure in self.measures:
@@ -207,9 +209,9 @@ class Tossed:
         rows = [[i for i in range(3) if abs(row[i]) > 0.5] for row in matrix]
         signs = [float(np.sign(row[i[0]])) for row, i in zip(matrix, rows, strict=True)]
         world = np.column_stack([s * place[:, i[0]] for s, i in zip(signs, rows, strict=True)])
-        return Poses(world, turn)
+        return RecordedPoses(world, turn)
 
-    def _cut_window(self, run: Run, poses: Poses) -> Run | None:
+    def _cut_window(self, run: Run, poses: RecordedPoses) -> Run | None:
         """The run as far as it counts; None if too little of it does."""
         facts = start_facts(run, poses, self.gravity.value)
         end, corner, touch, hits = len(run.time_s), 0, len(run.time_s) - 1, False

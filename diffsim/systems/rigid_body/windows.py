@@ -38,7 +38,7 @@ class Touch:
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class RecordedPoses:
     """Recorded motion of one body in the frame whose z points up.
 
     Attributes:
@@ -59,7 +59,7 @@ def continuous(quaternions: Array) -> Array:
     return out
 
 
-def filled(poses: Poses) -> Poses:
+def filled(poses: RecordedPoses) -> RecordedPoses:
     """Poses with straight lines over frames in which the body was not tracked."""
     columns = poses.place if poses.turn is None else np.hstack([poses.place, poses.turn])
     frames = np.arange(len(columns))
@@ -68,10 +68,10 @@ def filled(poses: Poses) -> Poses:
         seen = np.isfinite(column)
         if seen.any():
             column[~seen] = np.interp(frames[~seen], frames[seen], column[seen])
-    return Poses(out[:, :3], None if poses.turn is None else out[:, 3:])
+    return RecordedPoses(out[:, :3], None if poses.turn is None else out[:, 3:])
 
 
-def first_touch(poses: Poses, half: Array, near: float, ground: float) -> Touch | None:
+def first_touch(poses: RecordedPoses, half: Array, near: float, ground: float) -> Touch | None:
     """The corner that first comes down to the ground, and when.
 
     Args:
@@ -113,7 +113,7 @@ def cut(run: Run, end: int, facts: dict[str, Any]) -> Run:
     )
 
 
-def start_facts(run: Run, poses: Poses, gravity: float) -> dict[str, float]:
+def start_facts(run: Run, poses: RecordedPoses, gravity: float) -> dict[str, float]:
     """First guess of the start: a parabola of known curvature, a constant body rate.
 
     Args:
@@ -137,12 +137,12 @@ def start_facts(run: Run, poses: Poses, gravity: float) -> dict[str, float]:
     return dict(zip(names, [*found.tolist(), *turn.tolist()], strict=True))
 
 
-def rest_height(poses: Poses, frames: int) -> float:
+def rest_height(poses: RecordedPoses, frames: int) -> float:
     """Median height of the last frames [m]."""
     return float(np.nanmedian(poses.place[-frames:, 2]))
 
 
-def face_below(poses: Poses) -> int:
+def face_below(poses: RecordedPoses) -> int:
     """Axis of the body that is upright at the end: it rests on a face across that one."""
     if poses.turn is None or not np.isfinite(poses.turn).all(axis=1).any():
         return 2

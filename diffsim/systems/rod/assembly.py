@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.rotation import matrix_from_rotation_vector
-from diffsim.systems.rod.layout import Layout
-from diffsim.systems.rod.statics import Rod
+from diffsim.systems.rod.layout import RodLayout
+from diffsim.systems.rod.statics import RodStatics
 
 SOFTEST = 1e-4  # flexible share of what a clamp grips, so that its stiffness stays finite
 SHEAR_CORRECTION = 0.9  # of a round section
@@ -47,7 +47,9 @@ class Numbers:
         return self[key][..., None] + self.stacked(*(f"{n}_{key}" for n in names))
 
 
-def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tuple[Rod, int]:
+def rod_of(
+    layout: RodLayout, given: Mapping[str, Tensor], command: Tensor
+) -> tuple[RodStatics, int]:
     """The rod with axes (K, num_samples) in front, and K.
 
     Args:
@@ -64,7 +66,7 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
     offset, slope = _place_paths(layout, numbers)
     end = layout.paths.end + numbers["tendon_end"][..., None]
     return (
-        Rod(
+        RodStatics(
             shape=shape,
             bending=flexural,
             stretch=stretch,
@@ -89,7 +91,9 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
     )
 
 
-def _compute_stiffness(layout: Layout, numbers: Numbers, thicker: Tensor) -> tuple[Tensor, Tensor]:
+def _compute_stiffness(
+    layout: RodLayout, numbers: Numbers, thicker: Tensor
+) -> tuple[Tensor, Tensor]:
     """Against twist and bends [N m^2], and against stretch and shear [N], (K, 1, N, 3) each."""
     shape = layout.shape
     along = shape.middles / shape.length - 0.5
@@ -110,19 +114,19 @@ def _compute_stiffness(layout: Layout, numbers: Numbers, thicker: Tensor) -> tup
     )
 
 
-def _compute_rest_strains(layout: Layout, numbers: Numbers) -> Tensor:
+def _compute_rest_strains(layout: RodLayout, numbers: Numbers) -> Tensor:
     """Strains without loads, (K, 1, N, 3) [1/m]: local z is where a bend about -y leads."""
     bend = numbers.stacked("rest_bend_y", "rest_bend_z")[..., None, :]
     strain = torch.stack([0.0 * bend[..., 0], -bend[..., 1], bend[..., 0]], -1)
     return strain.expand(*strain.shape[:-2], len(layout.shape.radius), 3)
 
 
-def _turn_gravity(layout: Layout, numbers: Numbers) -> Tensor:
+def _turn_gravity(layout: RodLayout, numbers: Numbers) -> Tensor:
     turn = matrix_from_rotation_vector(numbers.stacked(*(f"gravity_tilt_{a}" for a in "xyz")))
     return (turn @ layout.gravity[:, None])[..., 0]
 
 
-def _list_masses(layout: Layout, numbers: Numbers) -> Tensor:
+def _list_masses(layout: RodLayout, numbers: Numbers) -> Tensor:
     """(K, 1, P) masses of the points [kg]."""
     own = numbers.stacked(*(f"{name}_mass" for name in layout.masses.names))
     is_marker = [name in layout.markers.names for name in layout.masses.names]
@@ -130,7 +134,7 @@ def _list_masses(layout: Layout, numbers: Numbers) -> Tensor:
     return own + share * numbers["marker_mass"][..., None]
 
 
-def _compute_tension(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
+def _compute_tension(layout: RodLayout, numbers: Numbers, command: Tensor) -> Tensor:
     """(K, num_samples, T) tension at the base [N]."""
     names = layout.paths.names
     gain = numbers.stacked(*(f"{n}_gain" for n in names))
@@ -141,7 +145,7 @@ def _compute_tension(layout: Layout, numbers: Numbers, command: Tensor) -> Tenso
     return torch.where(held == 0.0, pulled, torch.maximum(pulled, held))
 
 
-def _place_paths(layout: Layout, numbers: Numbers) -> tuple[Tensor, Tensor]:
+def _place_paths(layout: RodLayout, numbers: Numbers) -> tuple[Tensor, Tensor]:
     """Offsets [m] and slopes of the tendons, (K, 1, T, N, 3)."""
     paths, names = layout.paths, layout.paths.names
     if not names:

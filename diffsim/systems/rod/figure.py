@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from diffsim.identify.shape import MovingShape
-from diffsim.systems.rod.layout import Layout
+from diffsim.systems.rod.layout import RodLayout
 from diffsim.systems.rod.scene import RodScene
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ def skin_of(scene: RodScene) -> MovingShape:
     )
 
 
-def dots_of(layout: Layout, channels: Tensor) -> MovingShape | None:
+def dots_of(layout: RodLayout, channels: Tensor) -> MovingShape | None:
     """Markers of which channels show all three coordinates.
 
     Args:
@@ -63,7 +63,7 @@ def dots_of(layout: Layout, channels: Tensor) -> MovingShape | None:
     return MovingShape.of_balls(places @ _find_upright(layout).T, size)
 
 
-def _average_radius(layout: Layout) -> Array:
+def _average_radius(layout: RodLayout) -> Array:
     shape = layout.shape
     at, radius = shape.middles.numpy(), shape.radius.numpy()
     slope = np.diff(radius)[[0, -1]] / np.diff(at)[[0, -1]]
@@ -87,7 +87,7 @@ def _build_tube(count: int) -> NDArray[np.int64]:
     return np.concatenate(pieces)
 
 
-def _find_upright(layout: Layout) -> Array:
+def _find_upright(layout: RodLayout) -> Array:
     """From the recorded frame to one in which gravity points down, (3, 3)."""
     down = layout.gravity.numpy()
     if not down.any() or (np.allclose(down[:2], 0.0) and down[2] < 0.0):

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.systems.rod.shape import Array, Paths, Points, RodShape, points_on, rod_shape
+from diffsim.systems.rod.shape import Array, RodPoints, RodShape, TendonPaths, points_on, rod_shape
 
 if TYPE_CHECKING:
     from diffsim.systems.rod.keys import RodKeys, RodTendon
@@ -19,7 +19,7 @@ TIP = "tip"
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class RodLayout:
     """Constants of a rod on one set of elements.
 
     Attributes:
@@ -34,16 +34,16 @@ class Layout:
     """
 
     shape: RodShape
-    paths: Paths
-    markers: Points
-    masses: Points
+    paths: TendonPaths
+    markers: RodPoints
+    masses: RodPoints
     base: Tensor
     place: Tensor
     gravity: Tensor
     columns: Tensor
 
 
-def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> Layout:
+def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> RodLayout:
     """Cut a described rod into elements.
 
     Args:
@@ -67,11 +67,11 @@ def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> Layout:
         assert reading is not None
         columns.append(3 * list(seen).index(reading.marker) + "xyz".index(reading.axis))
 
-    def points(chosen: dict[str, tuple[float, tuple[float, float, float]]]) -> Points:
+    def points(chosen: dict[str, tuple[float, tuple[float, float, float]]]) -> RodPoints:
         places = list(chosen.values())
         return points_on(shape, list(chosen), [p[0] for p in places], [p[1] for p in places])
 
-    return Layout(
+    return RodLayout(
         shape=shape,
         paths=_lay_paths(given.tendons, shape),
         markers=points(seen),
@@ -83,7 +83,7 @@ def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> Layout:
     )
 
 
-def _lay_paths(tendons: Sequence[RodTendon], shape: RodShape) -> Paths:
+def _lay_paths(tendons: Sequence[RodTendon], shape: RodShape) -> TendonPaths:
     middles = shape.middles.numpy()
     offset = np.zeros((len(tendons), len(middles), 3))
     slope = np.zeros_like(offset)
@@ -94,7 +94,7 @@ def _lay_paths(tendons: Sequence[RodTendon], shape: RodShape) -> Paths:
         offset[k, :, 1:], slope[k, :, 1:] = _interpolate_line(at, across, middles)
     end = torch.tensor([t.path[-1].at for t in tendons], dtype=torch.float64)
     names = tuple(t.name for t in tendons)
-    return Paths(names, torch.from_numpy(offset), torch.from_numpy(slope), end)
+    return TendonPaths(names, torch.from_numpy(offset), torch.from_numpy(slope), end)
 
 
 def _interpolate_line(at: Array, points: Array, where: Array) -> tuple[Array, Array]:
@@ -104,4 +104,4 @@ def _interpolate_line(at: Array, points: Array, where: Array) -> tuple[Array, Ar
     return points[piece] + rate * (where - at[piece])[:, None], rate
 
 
-__all__ = ["TIP", "Layout", "layout_of"]
+__all__ = ["TIP", "RodLayout", "layout_of"]

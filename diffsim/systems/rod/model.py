@@ -16,8 +16,8 @@ from diffsim.core.memo import Memo
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.rod.figure import dots_of, skin_of
-from diffsim.systems.rod.layout import Layout, layout_of
-from diffsim.systems.rod.scene import Poses, RodScene
+from diffsim.systems.rod.layout import RodLayout, layout_of
+from diffsim.systems.rod.scene import RodPoses, RodScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -41,14 +41,14 @@ class DescribedRod:
     def __init__(self, given: RodKeys, channels: Sequence[str], parameters: BaseParameters):
         self.given, self.parameters = given, parameters
         self._layout = lru_cache(maxsize=8)(lambda finer: layout_of(given, channels, finer))
-        self._guesses: Memo[Poses] = Memo(MOST_GUESSES)
+        self._guesses: Memo[RodPoses] = Memo(MOST_GUESSES)
 
     def model(self) -> SimModel:
         """The model that is fitted; many points are simulated at once."""
         return RodModel(self)
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> RodLayout:
         """What does not change with a number, on the elements as described."""
         return self._layout(1.0)
 
@@ -66,7 +66,7 @@ class DescribedRod:
         return self._build_scene(self.parameters.in_run(values, run), run, numerics)
 
     def _build_scene(self, numbers: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
-        layout: Layout = self._layout(1.0 / numerics.mesh)
+        layout: RodLayout = self._layout(1.0 / numerics.mesh)
         columns = [np.asarray(run.command[t.command], np.float64) for t in self.given.tendons]
         command = np.stack(columns, 1) if columns else np.zeros((len(run.time_s), 0))
         tolerance = self.given.numerics.tolerance * numerics.tolerance

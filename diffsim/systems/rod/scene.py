@@ -12,14 +12,14 @@ from diffsim.causes.instruments import InstrumentedScene, change_rows
 from diffsim.causes.ports import SignalMap
 from diffsim.causes.signals import Grid
 from diffsim.systems.rod.assembly import Numbers, rod_of
-from diffsim.systems.rod.layout import Layout
-from diffsim.systems.rod.statics import Rod, equilibrium, nearby
+from diffsim.systems.rod.layout import RodLayout
+from diffsim.systems.rod.statics import RodStatics, equilibrium, nearby
 
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class RodPoses:
     """Equilibria of one rod.
 
     Attributes:
@@ -45,13 +45,13 @@ class RodScene(InstrumentedScene):
         guess: Known poses to start from; None: straight, without tension.
     """
 
-    layout: Layout
+    layout: RodLayout
     numbers: Mapping[str, Tensor]
     command: Tensor
     tolerance: float
     drives: tuple[str, ...]
     grid: Grid
-    guess: Poses | None = None
+    guess: RodPoses | None = None
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> RodScene:
         """A copy in which a number is f(number), () or (K,)."""
@@ -75,13 +75,13 @@ class RodScene(InstrumentedScene):
         is_one = self.command.ndim == 2 and not any(v.ndim for v in self.numbers.values())
         return self.instruments.read_late(shown[0] if is_one else shown, self.grid)
 
-    def poses(self) -> Poses:
+    def poses(self) -> RodPoses:
         """Equilibria at the first point."""
         with torch.no_grad():
             rod, count = rod_of(self.layout, self.numbers, self.command)
             found, slopes = self._find_strains(rod, count, slopes_of_all=True)
         assert slopes is not None
-        return Poses(found[0], slopes[0])
+        return RodPoses(found[0], slopes[0])
 
     def course(self) -> tuple[Tensor, Tensor]:
         """Rotations (num_samples, N + 1, 3, 3) and places (num_samples, N + 1, 3) [m] of the
@@ -90,7 +90,7 @@ class RodScene(InstrumentedScene):
         frames, places = rod.course(self._solve_strains(rod, count))
         return frames[0], places[0]
 
-    def _solve_strains(self, rod: Rod, count: int) -> Tensor:
+    def _solve_strains(self, rod: RodStatics, count: int) -> Tensor:
         """(K, num_samples, N, 3) in equilibrium [1/m]; differentiable in the numbers."""
         slopes_of_all = torch.is_grad_enabled() and any(
             v.requires_grad for v in (self.command, *self.numbers.values())
@@ -105,7 +105,7 @@ class RodScene(InstrumentedScene):
         return found - torch.linalg.solve(slopes, left).reshape(found.shape)
 
     def _find_strains(
-        self, rod: Rod, count: int, slopes_of_all: bool
+        self, rod: RodStatics, count: int, slopes_of_all: bool
     ) -> tuple[Tensor, Tensor | None]:
         """Strains, and slopes of the residual there (K, num_samples, 3 N, 3 N) if asked for."""
         lengths, guess = self.layout.shape.lengths, self.guess
@@ -130,4 +130,4 @@ class RodScene(InstrumentedScene):
         return torch.stack([p[0] for p in pairs]), torch.stack([p[1] for p in pairs])
 
 
-__all__ = ["Poses", "RodScene"]
+__all__ = ["RodPoses", "RodScene"]

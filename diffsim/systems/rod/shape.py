@@ -81,7 +81,7 @@ def rod_shape(at: Array, radius: Array, cells: int, breaks: Sequence[float]) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
+class TendonPaths:
     """Where tendons run in the sections.
 
     Attributes:
@@ -98,7 +98,7 @@ class Paths:
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class RodPoints:
     """Points fixed to sections: markers, and where masses sit.
 
     Attributes:
@@ -116,9 +116,9 @@ class Points:
 
 def points_on(
     shape: RodShape, names: Sequence[str], at: Sequence[float], offset: Sequence[Sequence[float]]
-) -> Points:
+) -> RodPoints:
     """Points by name, arc length [m] and offset from the axis (along, y, z) [m]."""
-    return Points(
+    return RodPoints(
         tuple(names),
         torch.tensor(list(at), dtype=torch.float64),
         torch.tensor([list(o) for o in offset], dtype=torch.float64).reshape(-1, 3),
@@ -126,4 +126,4 @@ def points_on(
     )
 
 
-__all__ = ["Paths", "Points", "RodShape", "points_on", "rod_shape"]
+__all__ = ["RodPoints", "RodShape", "TendonPaths", "points_on", "rod_shape"]

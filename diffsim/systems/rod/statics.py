@@ -25,7 +25,7 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.rotation import cross, matrix_from_rotation_vector
-from diffsim.systems.rod.shape import Points, RodShape
+from diffsim.systems.rod.shape import RodPoints, RodShape
 
 STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
 MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]
@@ -48,7 +48,7 @@ def running_products(steps: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Rod:
+class RodStatics:
     """All numbers of an equilibrium; leading axes (...) are alike or one.
 
     Attributes:
@@ -76,7 +76,7 @@ class Rod:
     rest: Tensor
     stiffening: Tensor
     weight: Tensor
-    points: Points
+    points: RodPoints
     loads: Tensor
     base: Tensor
     place: Tensor
@@ -87,11 +87,11 @@ class Rod:
     friction: Tensor
     wobble: Tensor
 
-    def with_pull(self, factor: float) -> Rod:
+    def with_pull(self, factor: float) -> RodStatics:
         """The rod with a share of all tensions."""
         return replace(self, pull=factor * self.pull)
 
-    def row(self, k: int) -> Rod:
+    def row(self, k: int) -> RodStatics:
         """The rod of one row of the first of two leading axes."""
         own = {}
         for name, axes in _AXES.items():
@@ -141,7 +141,7 @@ class Rod:
         levers = cross(self.offset, pull)
         return v, moment + levers.sum(-3)
 
-    def at_points(self, points: Points, offset: Tensor, u: Tensor) -> Tensor:
+    def at_points(self, points: RodPoints, offset: Tensor, u: Tensor) -> Tensor:
         """Places (..., P, 3) of points fixed to sections [m].
 
         Args:
@@ -214,7 +214,7 @@ def _rotate_into(frames: Tensor, vectors: Tensor) -> Tensor:
 
 def _place_points(
     shape: RodShape,
-    points: Points,
+    points: RodPoints,
     offset: Tensor,
     u: Tensor,
     v: Tensor,
@@ -230,7 +230,7 @@ def _place_points(
     return axis + ((frame @ matrix_from_rotation_vector(past * own)) @ offset[..., None])[..., 0]
 
 
-def _compute_slopes(rod: Rod, u: Tensor) -> Tensor:
+def _compute_slopes(rod: RodStatics, u: Tensor) -> Tensor:
     """Derivatives (B, 3 N, 3 N) of the residual by u (B, N, 3), by central differences: right to
     nine digits, and all in one call."""
     size = u.shape[-2] * 3
@@ -239,7 +239,7 @@ def _compute_slopes(rod: Rod, u: Tensor) -> Tensor:
     return ((ahead - behind) / (2.0 * DIFFERENCE)).flatten(2).permute(1, 2, 0)
 
 
-def _solve_by_newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
+def _solve_by_newton(rod: RodStatics, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
     """Equilibria from a guess (B, N, 3), and the slopes there.
 
     Raises:
@@ -265,7 +265,7 @@ def _solve_by_newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Ten
 
 
 def equilibrium(
-    rod: Rod, start: Tensor, tolerance: float, *, straight: bool = False
+    rod: RodStatics, start: Tensor, tolerance: float, *, straight: bool = False
 ) -> tuple[Tensor, Tensor]:
     """Equilibria without gradients.
 
@@ -369,4 +369,4 @@ class Mixing:
         return plain - ((moves + turns) @ shares)[..., 0].reshape(u.shape)
 
 
-__all__ = ["Rod", "equilibrium", "nearby", "running_products"]
+__all__ = ["RodStatics", "equilibrium", "nearby", "running_products"]

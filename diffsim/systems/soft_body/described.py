@@ -19,8 +19,8 @@ from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.quasi_static import posed
 from diffsim.systems.soft_body.readings import main_axis, seen
-from diffsim.systems.soft_body.rig import SOFT_CABLE_N, Rig, mesh_softness
-from diffsim.systems.soft_body.scene import Place, SoftScene
+from diffsim.systems.soft_body.rig import SOFT_CABLE_N, BodyRig, mesh_softness
+from diffsim.systems.soft_body.scene import ForcePlace, SoftScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -62,7 +62,7 @@ class DescribedModel:
         self.commands = given.commands
         self._pose_commands = pose_commands
         self._rig = lru_cache(maxsize=8)(
-            lambda coarser, dt, rtol: Rig(given, folder, self.channels, coarser, dt, rtol)
+            lambda coarser, dt, rtol: BodyRig(given, folder, self.channels, coarser, dt, rtol)
         )
         self._softness = lru_cache(maxsize=8)(self._measure_softness)
 
@@ -70,10 +70,10 @@ class DescribedModel:
         """The model that is fitted."""
         return SoftModel(self.build, self.parameters.base, "described soft body")
 
-    def rig(self, numerics: Numerics | None = None) -> Rig:
+    def rig(self, numerics: Numerics | None = None) -> BodyRig:
         """The body on the mesh of some numerics."""
         factors = Numerics() if numerics is None else numerics
-        made: Rig = self._rig(
+        made: BodyRig = self._rig(
             factors.mesh if self.given.body.can_refine else 1.0,
             self._dt * factors.time_step,
             self._rtol * factors.tolerance,
@@ -106,7 +106,7 @@ class DescribedModel:
             "parameters": physical,
             "forces": () if hung is None else (HungWeight,),
             "hung_mass": hung,
-            "places": {name: Place(own, self._speed) for name, own in rig.places.items()},
+            "places": {name: ForcePlace(own, self._speed) for name, own in rig.places.items()},
             "friction_shares": rig.sliding,
             "time_scale": own["clock_rate"],
             "clock_offset": own["clock_offset"],
@@ -127,7 +127,7 @@ class DescribedModel:
         return made.changed(**self._make_start(rig, made, own))
 
     def _list_physical(
-        self, rig: Rig, own: Values, run: Run, numerics: Numerics
+        self, rig: BodyRig, own: Values, run: Run, numerics: Numerics
     ) -> dict[str, Tensor]:
         given = self.given
         out = {
@@ -160,7 +160,7 @@ class DescribedModel:
             out["fiber_stiffness"] = torch.stack(stiffness)
         return out
 
-    def _make_field(self, rig: Rig, own: Values, name: str) -> Tensor:
+    def _make_field(self, rig: BodyRig, own: Values, name: str) -> Tensor:
         """A property of the material, one number or one per cell where regions differ."""
         regions = [
             (cells, own[f"{name}_{region.name}"])
@@ -183,7 +183,7 @@ class DescribedModel:
         assert load.mass_from is not None
         return share * fact_in(run, load.mass_from, "kg")
 
-    def _sum_hung_mass(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
+    def _sum_hung_mass(self, rig: BodyRig, own: Values, run: Run) -> Tensor | None:
         """(num_nodes,) of what acts by its weight alone [kg]; less than 0: buoyancy."""
         hung = [
             self._find_mass(i, own, run) * rig.load_shares[i]
@@ -195,7 +195,7 @@ class DescribedModel:
             hung.append(-water.density * rig.volume)
         return torch.stack(hung).sum(0) if hung else None
 
-    def _make_command(self, rig: Rig, own: Values, run: Run, start: float) -> dict[str, Any]:
+    def _make_command(self, rig: BodyRig, own: Values, run: Run, start: float) -> dict[str, Any]:
         """Commands of a run and what they move."""
         if not self.commands:
             return {}
@@ -221,7 +221,7 @@ class DescribedModel:
             "pressurize": pressurize if self.given.chambers else None,
         }
 
-    def _make_drives(self, rig: Rig, own: Values) -> tuple[Callable[[Tensor], Tensor], ...]:
+    def _make_drives(self, rig: BodyRig, own: Values) -> tuple[Callable[[Tensor], Tensor], ...]:
         """Functions of commands (n, width) that give activations and pressures."""
         given, place = self.given, {name: k for k, name in enumerate(self.commands)}
 
@@ -242,7 +242,7 @@ class DescribedModel:
 
         return activation, pressure
 
-    def _make_start(self, rig: Rig, scene: SoftScene, own: Values) -> dict[str, Any]:
+    def _make_start(self, rig: BodyRig, scene: SoftScene, own: Values) -> dict[str, Any]:
         """How the body starts."""
         start = self.given.start
         if start.shape != "held":

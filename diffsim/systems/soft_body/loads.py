@@ -85,10 +85,10 @@ def _stop_node(
     shares = spread_evenly(scene.body.nodal_volume, where.nodes(scene.body.mesh))
     unit = torch.tensor(direction, dtype=torch.float64)
     unit = unit / unit.norm()
-    return scene.with_hook(lambda: _Stop(size[0], shares, unit, gap_m))
+    return scene.with_hook(lambda: _StopForce(size[0], shares, unit, gap_m))
 
 
-class _Stop(Force):
+class _StopForce(Force):
     leading_axes, reads = True, ()
 
     def __init__(self, stiffness: Tensor, shares: Tensor, direction: Tensor, gap_m: float):

@@ -43,7 +43,7 @@ def within(key: str) -> Iterator[None]:
         raise ValueError(f"{key}: {error}") from None
 
 
-class Rig:
+class BodyRig:
     """The body, who holds it, what it carries and who watches it, on one mesh.
 
     Args:
@@ -290,4 +290,4 @@ def mesh_softness(coarse: float, fine: float, here: float) -> float:
     return here / (fine + (fine - coarse) / 3.0)
 
 
-__all__ = ["AnyMesh", "Rig", "mesh_softness", "within"]
+__all__ = ["AnyMesh", "BodyRig", "mesh_softness", "within"]

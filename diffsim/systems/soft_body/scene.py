@@ -90,7 +90,7 @@ class Force:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class ForcePlace:
     """A point of the body and a direction, along which a force may act.
 
     Attributes:
@@ -108,7 +108,7 @@ class PointForce(Force):
 
     leading_axes, reads = True, ()
 
-    def __init__(self, place: Place, law: ForceLaw):
+    def __init__(self, place: ForcePlace, law: ForceLaw):
         self._shares, self._law = place.shares, law
         self._speed = torch.tensor(place.speed, dtype=torch.float64)
 
@@ -196,7 +196,7 @@ class SoftScene:
     rest_places: Tensor | None = None
     output_maps: tuple[OutputMap, ...] = ()
     pressurize: Callable[[Tensor], Tensor] | None = None
-    places: Mapping[str, Place] = field(default_factory=dict)
+    places: Mapping[str, ForcePlace] = field(default_factory=dict)
     hung_mass: Tensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
 

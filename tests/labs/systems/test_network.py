@@ -17,7 +17,7 @@ from diffsim.identify import Fit, SimModel, fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.flow_network import NetworkScene
-from diffsim.systems.flow_network.unit_flows import NARROWING_STEP, Shape, UnitFlowTable
+from diffsim.systems.flow_network.unit_flows import NARROWING_STEP, ChannelShape, UnitFlowTable
 from labs.cases.network import (
     NAMES,
     LabCase,
@@ -83,12 +83,12 @@ def scene_of(run: Run) -> NetworkScene:
     return scene
 
 
-def zero_shape() -> Shape:
+def zero_shape() -> ChannelShape:
     zero = torch.zeros((), dtype=torch.float64)
-    return Shape(zero, zero, torch.zeros(3, dtype=torch.float64))
+    return ChannelShape(zero, zero, torch.zeros(3, dtype=torch.float64))
 
 
-def shape_with(**parts: float | tuple[float, ...]) -> Shape:
+def shape_with(**parts: float | tuple[float, ...]) -> ChannelShape:
     given = {k: torch.tensor(v, dtype=torch.float64) for k, v in parts.items()}
     return zero_shape()._replace(**given)
 

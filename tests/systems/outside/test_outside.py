@@ -18,7 +18,7 @@ from diffsim.systems.outside import Environment, Place, SimulatorError, outside_
 from diffsim.systems.outside.description import AnyQuantity
 from diffsim.systems.outside.environment import Stepped
 from diffsim.systems.outside.forces import (
-    Knots,
+    ForceKnots,
     PlaceForces,
     Term,
 )
@@ -174,7 +174,7 @@ def test_a_start_value_of_each_run_reaches_the_simulator_by_its_plain_name():
 
 
 def test_unknown_forces_follow_their_knots():
-    knots = Knots(0, 1.0, 0.5, (0.0, 2.0, 1.0))
+    knots = ForceKnots(0, 1.0, 0.5, (0.0, 2.0, 1.0))
     assert [knots.at(t) for t in (0.0, 1.25, 1.5, 1.75, 9.0)] == [0.0, 1.0, 2.0, 1.5, 1.0]
     (unknown,) = setup_of(scenes.recorded()).unknowns
     assert unknown.name == "unknown force at hinge"

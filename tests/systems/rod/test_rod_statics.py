@@ -12,7 +12,7 @@ from scipy.integrate import solve_bvp
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.rod import statics
 from diffsim.systems.rod.shape import points_on, rod_shape
-from diffsim.systems.rod.statics import Rod, equilibrium, nearby
+from diffsim.systems.rod.statics import RodStatics, equilibrium, nearby
 
 RADIUS, LENGTH, YOUNG = 0.01, 1.0, 1e6
 STIFFNESS = YOUNG * np.pi * RADIUS**4 / 4  # against bending [N m^2]
@@ -33,7 +33,7 @@ def rod(
     offset[..., 1] = distance
     down = torch.tensor([0.0, 0.0, -1.0], dtype=F64)
     inside = (shape.middles < end * LENGTH).to(F64)
-    return Rod(
+    return RodStatics(
         shape=shape,
         bending=bending,
         stretch=stretch,
