@@ -23,7 +23,7 @@ from diffsim.systems.flow_network import (
 
 DEVICES = {
     "pumps": ChannelDevice(),
-    "two_pumps": ChannelDevice.two_inlets(),
+    "two_pumps": ChannelDevice(inlets=(Opening(2.747e-3, 1.441e-3), Opening(6.317e-3, 1.683e-3))),
     "regulator": ChannelDevice(drive="pressure", nominal_drive=100.0),
 }
 BRANCH = Opening(4.527e-3, 1.629e-3)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
@@ -107,11 +106,6 @@ class ChannelDevice:
                 raise ValueError(
                     f"{name} must keep a cell and the fillet, {edge:g} m, from the box's edge"
                 )
-
-    @classmethod
-    def two_inlets(cls, **settings: Any) -> ChannelDevice:
-        """The same branches fed by two inlets."""
-        return cls(inlets=(Opening(2.747e-3, 1.441e-3), Opening(6.317e-3, 1.683e-3)), **settings)
 
     @property
     def commands(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ both planes; motion along x is all that the rail leaves. The cut is exact for wh
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import torch
@@ -22,7 +21,6 @@ REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half center
 TENDON = 0.065  # full length, ends at the tip [m]
 LEAD = 0.5  # the simulation tightens the tendons this long before the record begins [s]
 FADE_ANGLE = 0.1  # of attack, below which the force of the water fades [rad]
-COMPLIANCE = 2.32e4  # E times displacement of the tips per force, extrapolated over meshes [1/m]
 DEPTH = 1.5e-3  # of the tendon under the flat side [m]
 TENDON_LAYER = 2.0 * DEPTH
 # thickness over distance from the center, read off starfish_half_simplified.obj [m]
@@ -127,33 +125,6 @@ def quarter(
         [np.interp(place, along, unit) for unit in np.eye(len(along))] for place in (MIDDLE, TIP)
     ]
     return Quarter(body, rail / rail.sum(), torch.tensor(rows, dtype=torch.float64), nodes)
-
-
-def bending_softness(made: Quarter) -> float:
-    """Deflection of the legs under small loads on this mesh, over the limit of fine meshes [-].
-
-    Few cells bend too little (locking). The model's Young's modulus is multiplied by this, so that
-    it means the same on every mesh.
-    """
-    body, x = made.body, made.body.x_rest
-    center = body.fixed.clone()
-    center[(x[:, 1:] < 1e-9).all(1), 0] = True
-    bare = soft.SoftBody(
-        body.mesh,
-        dt=body.dt,
-        youngs_modulus=(young := 6e5),
-        poissons_ratio=cast(Tensor, body.poissons_ratio),
-        gravity=(0.0, 0.0, 0.0),
-        fixed=center,
-        solver=soft.SolverOptions(rtol=1e-6),
-    )
-    tips = (x[:, 1:] > REACH - 1e-9).any(1)
-    load_N = 1e-3
-    push = torch.zeros_like(x)
-    push[tips, 0] = -2.0 * load_N / int(tips.sum())  # as many nodes at either tip
-    bent = bare.static_equilibrium(external_force=push).x.detach()
-    moved = made.look(bent) - made.look(x)
-    return -young * float(moved[0]) / load_N / COMPLIANCE
 
 
 def water(m: mesh.HexMesh | mesh.TetMesh, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
