@@ -115,6 +115,23 @@ class Scales:
             "facts": dict(self.facts),
         }
 
+    def require_plain(self, what: str, names: Sequence[str]) -> None:
+        """Require the magnitudes of everything that opens causes among those of a saved model.
+
+        Args:
+            what: What the names are of, such as "place".
+            names: Names in ``plain``.
+
+        Raises:
+            ValueError: what was described after the model was fitted.
+        """
+        if missing := [name for name in names if name not in self.plain]:
+            known = ", ".join(self.plain) or "none"
+            raise ValueError(
+                f"{what} {missing[0]} is not in the saved model, which knows {known}; leave it "
+                "out, or fit the model again"
+            )
+
     def of_commands(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of commands that go the same way, as tables of causes call them.
 

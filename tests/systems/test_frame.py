@@ -115,10 +115,12 @@ def test_what_was_described_after_the_fit_is_refused():
     """A law that the saved model does not know has no magnitudes of the fitted runs."""
     study = _fast_bench()
     frame = dict(setup_of(study).model.frame)
-    assert list(frame["law_scales"])
-    kept = {f"other_{law}": scale for law, scale in frame["law_scales"].items()}
-    with pytest.raises(ValueError, match="is not in the saved model, which knows other_"):
-        setup_of(replace(study, frame={**frame, "law_scales": kept}))
+    plain = frame["scales"]["plain"]
+    assert any(name.startswith("law ") for name in plain)
+    other = {name.replace("law ", "law other_"): scale for name, scale in plain.items()}
+    kept = {**frame["scales"], "plain": other}
+    with pytest.raises(ValueError, match="is not in the saved model, which knows law other_"):
+        setup_of(replace(study, frame={**frame, "scales": kept}))
 
 
 def test_a_file_with_magnitudes_in_its_facts_is_refused(tmp_path):

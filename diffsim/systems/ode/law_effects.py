@@ -205,7 +205,9 @@ def law_scales(
     if not laws:
         return {}
     if (kept := Scales.kept_in(study)) is not None:
-        return {f"law {law.name}": kept.plain[f"law {law.name}"] for law in laws}
+        names = [f"law {law.name}" for law in laws]
+        kept.require_plain("magnitudes of", names)
+        return {name: kept.plain[name] for name in names}
     pairs = [(law, w) for law in laws for w in (law.of, law.name)]
     read = network.with_readings(
         {f"{law.name} {w}": parse_expression(w, known) for law, w in pairs}

@@ -122,8 +122,8 @@ def scales_of(
         stores: What fills and empties.
     """
     if (kept := Scales.kept_in(study)) is not None:
-        require_kept("place", [place.name for place in places], kept.plain)
-        require_kept("store", [store.name for store in stores], kept.plain)
+        kept.require_plain("place", [place.name for place in places])
+        kept.require_plain("store", [store.name for store in stores])
         return kept
     between = {n: parse_expression(n, known) for n in (*network.inputs, *network.definitions)}
     inside = _read_inside(network, known, places, stores)
@@ -170,19 +170,6 @@ def _moves_at_first(scene: OdeScene, ranges: Mapping[str, tuple[float, float]]) 
         not float(m) <= RESTS * (high - low)
         for m, (low, high) in zip(moved, ranges.values(), strict=True)
     )
-
-
-def require_kept(what: str, names: Sequence[str], kept: Mapping[str, object]) -> None:
-    """Require the magnitudes of everything that opens causes among those of a saved model.
-
-    Raises:
-        ValueError: what was described after the model was fitted.
-    """
-    if missing := [name for name in names if name not in kept]:
-        raise ValueError(
-            f"{what} {missing[0]} is not in the saved model, which knows "
-            f"{', '.join(kept) or 'none'}; leave it out, or fit the model again"
-        )
 
 
 def _read_inside(

@@ -158,8 +158,8 @@ def test_poses_near_the_best_guess_need_no_new_slopes_and_stay_the_same(monkeypa
     q = torch.cat([q, torch.zeros(len(setup.model.base) - len(q), dtype=torch.float64)])
     scene = setup.model.scene(run, q)
     asked = []
-    slopes = statics._slopes
-    monkeypatch.setattr(statics, "_slopes", lambda *a: asked.append(1) or slopes(*a))
+    slopes = statics._compute_slopes
+    monkeypatch.setattr(statics, "_compute_slopes", lambda *a: asked.append(1) or slopes(*a))
     shown = scene.simulate()
     assert not asked
     alone = replace(scene, guess=None).simulate()  # by itself, from straight
