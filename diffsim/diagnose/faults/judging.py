@@ -32,10 +32,9 @@ from diffsim.diagnose.faults.verdict import (
 )
 from diffsim.diagnose.judge.records import Interval
 from diffsim.diagnose.search.evidence import VISIBLE
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.identify.sizes import PRIOR_WIDTH
 from diffsim.identify.whitening import WhiteNoise
 
 Array = NDArray[np.float64]

@@ -18,8 +18,7 @@ from diffsim.diagnose.faults.evidence import Evidence
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, Interval
-from diffsim.identify.effect import Effect
-from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.identify.effect import PRIOR_WIDTH, Effect
 
 Array = NDArray[np.float64]
 SILENT, UNLISTED = "nothing visible", "not in the library"

@@ -13,8 +13,7 @@ from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.search.evidence import Hypothesis, Screen, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
-from diffsim.identify.effect import Effect, effect_coordinates
-from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]

@@ -38,9 +38,8 @@ from scipy import linalg, special
 
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, precision_at
 from diffsim.identify.problem import PredictionError, Problem
-from diffsim.identify.sizes import precision_at
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]

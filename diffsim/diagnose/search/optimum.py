@@ -2,7 +2,7 @@
 simulation.
 
 All in scaled coordinates v: the misfit is v'Gv - 2 b'v + const, the prior |q|^2 of base parameters
-and x(u)^2 of sizes (``identify.sizes``).
+and x(u)^2 of sizes (``identify.effect``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim.identify.sizes import TAIL, coordinate_of, precision_at, scaled_at
+from diffsim.identify.effect import TAIL, coordinate_of, precision_at, scaled_at
 
 Array = NDArray[np.float64]
 MAX_REWEIGHTS = 60

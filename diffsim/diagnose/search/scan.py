@@ -19,7 +19,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Problem
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
@@ -28,7 +28,6 @@ from diffsim.identify.linearization import (
     whitened,
 )
 from diffsim.identify.numerics import NumericalEffect
-from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]
 Members = frozenset[int]

@@ -13,7 +13,7 @@ from diffsim.diagnose import diagnosis as pipeline
 from diffsim.diagnose.judge.gain import LeftOut, gain_over, held_out_residual, validation_of
 from diffsim.diagnose.judge.left_out import Repeats, blocks_of, folds_of, left_out_residual
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel, fit
-from diffsim.identify.sizes import coordinate_of
+from diffsim.identify.effect import coordinate_of
 from tests.diagnose import linear, toy
 
 QUICK = DiagnosisSettings(search=SearchSettings(num_refits=2))
