@@ -18,7 +18,7 @@ CLASS_ROOMS_LEFT = ("systems",)
 # past participles of verbs that do not end in -ed
 IRREGULAR = """
     begun bent blown bound bought brought built caught chosen drawn driven fallen felt flown found
-    given gone ground grown heard held hung kept known laid led left lent lost made meant met moved
+    given gone grown heard held hung kept known laid led left lent lost made meant met moved
     paid proven risen run said seen sent shown shrunk sorted spent split spread stood struck sunk
     swept taken taught thrown told torn understood won worn written
 """

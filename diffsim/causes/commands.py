@@ -56,7 +56,7 @@ def command_cause(
 
     Args:
         name: Name of its row in the table of actuators.
-        group: The commands.
+        group: Commands that the cause changes alike.
         system: Kind of system.
         needs: What a study must have, in place of what the row says.
     """
@@ -80,7 +80,7 @@ def command_causes(
     """All causes on the way of commands that go the same way, in the order in which they act.
 
     Args:
-        group: The commands.
+        group: Commands that the cause changes alike.
         system: Kind of system.
         without: Names of rows that this system leaves out.
     """
@@ -93,7 +93,7 @@ def say_in_unit(effect: Effect, row: Row, unit: str, shown: str | None = None) -
 
     Args:
         effect: Cause on the way of commands.
-        row: Its row.
+        row: Row of the cause in its table.
         unit: Unit of the command.
         shown: Unit in which a user reads it; None: ``unit``.
     """

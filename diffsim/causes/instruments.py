@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -19,6 +20,9 @@ from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Grid, smoothly_delayed
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 #: Rows in whose maps time counts: samples without an order have none of them.
 TIMED_READINGS = ("sensor_lag", "sensor_drift", "sensor_backlash", "sensor_delay")
@@ -81,6 +85,27 @@ class Instruments:
         return signals.mT
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InstrumentedScene:
+    """A scene whose channels instruments show: its ports for readings and clocks.
+
+    Attributes:
+        instruments: What shows the channels.
+    """
+
+    instruments: Instruments = field(default_factory=Instruments)
+
+    play_start = None  # plays begin in their middle
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
+        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
+        return replace(self, instruments=self.instruments.with_reading(channels, change))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
+        """A copy in which some channels show what was ``delay`` ago [s]."""
+        return replace(self, instruments=self.instruments.with_clock(channels, delay))
+
+
 def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: Grid) -> Tensor:
     """Some signals changed, the others as they are.
 
@@ -119,7 +144,7 @@ def instrument_causes(
 
     Args:
         channels: Channels of the study.
-        scales: Usual magnitudes.
+        scales: Usual magnitudes of commands and readings.
         late_record: Whether a record that is late as a whole shows as no late command does.
         without: Names of rows that are left out.
         system: Kind of system.

@@ -69,7 +69,7 @@ def own_causes(rows: Sequence[OwnRow], ports: Ports, study: Study) -> tuple[Effe
     """Effects of rows that a study states under ``effects.own``.
 
     Args:
-        rows: The rows.
+        rows: Rows of the study's own causes.
         ports: What the system offers.
         study: Study that states them.
 

@@ -28,7 +28,7 @@ class Instrument:
     """Channels that causes change alike.
 
     Attributes:
-        channels: The channels.
+        channels: Channels that the instrument shows.
         places: Their indices among all channels of the study.
         scales: Usual magnitudes: ``longest``, duration of the longest run [s]; ``middle`` and
             ``width`` of what the channels have shown.
@@ -53,7 +53,7 @@ def reading_cause(name: str, of: Instrument, *, system: str = ANY) -> Effect:
 
     Args:
         name: Name of its row in the table of sensors.
-        of: The instrument.
+        of: Instrument that the cause changes.
         system: Kind of system.
     """
     row = rows(SENSOR)[name]
@@ -75,7 +75,7 @@ def reading_causes(of: Instrument, *, system: str = ANY) -> list[Effect]:
     """All causes that are tried in an instrument, in the order in which they act.
 
     Args:
-        of: The instrument.
+        of: Instrument that the cause changes.
         system: Kind of system.
     """
     return [reading_cause(n, of, system=system) for n in rows(SENSOR) if n in of.causes]

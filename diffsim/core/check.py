@@ -290,7 +290,7 @@ def require_options(
         what: What the options are of, for the message, such as "CopterHover".
         options: Names of keyword arguments.
         takers: Functions or classes that take them.
-        known: Further names.
+        known: Further names that are allowed.
 
     Raises:
         ValueError: no taker has such an option.

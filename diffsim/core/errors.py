@@ -24,7 +24,7 @@ class Mistakes(ValueError):
     """Mistakes of a user that were found together, told a line each.
 
     Args:
-        lines: What is wrong, and where.
+        lines: What is wrong and where, a line for each mistake.
         most: Lines that are told; how many more there are is told after them. None: all.
 
     Attributes:

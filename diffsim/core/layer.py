@@ -191,7 +191,7 @@ def _callable(
     """An op with derivatives in both modes and an axis to map, called as the op is.
 
     Args:
-        op: The op.
+        op: Op that is called.
         setup, backward, tangent: Of a :class:`torch.autograd.Function` of a :class:`Call` and the
             arguments in a row.
     """

@@ -56,7 +56,7 @@ class ProgressLines:
         initial: Count at the start.
         unit: What is counted; "%": the count is a share; "it": no word for it.
         leave: Whether a line says the end.
-        pace: When lines are due.
+        pace: Says when the next line is due.
     """
 
     disable = False  # as of a bar that is shown

@@ -163,7 +163,7 @@ def warn(message: str, category: type[Warning] = UserWarning, *, stacklevel: int
 
     Args:
         message: The warning's text.
-        category: Its class.
+        category: Class of the warning.
         stacklevel: As of ``warnings.warn``, seen from the caller.
     """
     for each in _listeners.get():
@@ -179,8 +179,8 @@ def verdict(
 
     Args:
         converged: Nonzero where the tolerance was met.
-        residual: Last residuals.
-        num_iters: Iterations done.
+        residual: Residuals of the last iteration.
+        num_iters: Number of iterations that were done.
         budget: Most iterations allowed.
     """
     words: list[Ended] = []

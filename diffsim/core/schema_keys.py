@@ -22,7 +22,7 @@ class Key:
         name: Key as it is written in the file.
         kind: What may stand there, in words.
         default: What holds where it is left out; None: it must be given.
-        meaning: What it says.
+        meaning: What the key says, in a sentence.
         parts: Blocks that its value is made of.
     """
 

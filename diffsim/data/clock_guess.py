@@ -43,7 +43,7 @@ def guess_clock(
 
     Args:
         layout: Columns of the files.
-        tables: The files.
+        tables: Files of the folder, read as tables.
         said: Sentences on what was guessed; more are added.
 
     Returns:

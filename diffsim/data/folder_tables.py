@@ -38,9 +38,9 @@ class FoundTable:
 
     Attributes:
         folder: Folder that is looked at.
-        path: Its file.
+        path: File that holds the table.
         part: Its part of the file; empty: the file is one table.
-        layout: Its columns.
+        layout: What each of its columns seems to be.
         num_parts: Tables in the file.
     """
 

@@ -160,7 +160,7 @@ def make_vector(
 
     Args:
         name: Name of a task, as ``make_task`` takes it.
-        num_envs: Members.
+        num_envs: Number of environments side by side.
         max_episode_steps: Length of an episode, where it is not the registered one; None: the
             task's. gymnasium hands on the registered length with every batch.
         autoreset_mode: What follows the end of an episode; see ``TaskVectorEnv``.

@@ -69,7 +69,7 @@ class Generators:
     """What a batch draws from: one generator for all members, or one for each.
 
     Args:
-        num_envs: Members.
+        num_envs: Number of environments side by side.
     """
 
     def __init__(self, num_envs: int):

@@ -40,7 +40,7 @@ class PictureWindow:
     """Shows pictures one after the other, at most as fast as they happened.
 
     Args:
-        title: Of the window.
+        title: Title of the window.
         fps: Pictures per second.
 
     Raises:

@@ -126,7 +126,7 @@ class BaseValues:
         """Value [unit] of one parameter, (...).
 
         Args:
-            name: Its name.
+            name: Name of the parameter.
             q: Standardized coordinates, (..., num_base).
             linear: Values of those without a logarithm there, (..., num_linear).
         """

@@ -18,7 +18,7 @@ def runs_away(model: SimModel, runs: Iterable[Run], numerics: Numerics | None = 
     """Whether the plain model, at its best guess, leaves all that was measured far behind.
 
     Args:
-        model: Plain model.
+        model: Plain model, without effects.
         runs: Runs that are simulated until one runs away.
         numerics: Factors on its settings; None: its own.
     """

@@ -42,7 +42,7 @@ class Critics(nn.Module):
 
     Args:
         num_observations, discount, seed: The same as for ``Critic``; the first has ``seed`` itself.
-        count: How many.
+        count: Number of critics.
     """
 
     def __init__(self, num_observations: int, discount: float, seed: int, count: int):

@@ -16,7 +16,7 @@ class Explorer(nn.Module):
         """Commands (batch, num_actions), and the entropy (batch,) of their distribution [nat].
 
         Args:
-            net: Controller.
+            net: Controller whose actions are drawn.
             observation: (batch, num_observations).
             noise: Standard normal, (batch, num_actions).
         """

@@ -102,7 +102,7 @@ class Training:
     Attributes:
         setup: Task, seed and budget.
         method: Name of the method.
-        options: Of the method.
+        options: Options of the method.
         folder: Folder of the run; on a cluster one that all machines see.
     """
 

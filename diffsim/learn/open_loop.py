@@ -56,9 +56,9 @@ def fit_open_loop(
 
     Args:
         task: The task to be controlled.
-        controller: First guess.
+        controller: First guess, which the fit changes.
         seed: Seed of the episodes' starts.
-        batch: Episodes.
+        batch: Number of episodes side by side.
         max_iterations: Largest number of iterations of L-BFGS.
 
     Returns:

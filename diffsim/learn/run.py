@@ -28,7 +28,7 @@ class Update:
     """What one update of a method used and measured.
 
     Attributes:
-        steps: Simulation steps.
+        steps: Number of simulation steps that it took.
         gradient_steps: How many of them were differentiated.
         scalars: Numbers for the log, by name.
     """
@@ -89,7 +89,7 @@ def train(
 
     Args:
         setup: Task and budget.
-        learner: Method.
+        learner: Method with its options.
         folder: Folder of results; made if need be.
         resume: Continue from the folder's checkpoint if there is one; otherwise start anew.
         show: Whether to draw a progress bar.

@@ -43,8 +43,8 @@ class SacOptions:
         passes: Steps of Adam per such round.
         minibatch: Transitions per step of Adam.
         learning_rate: Rate of actor, critics and temperature.
-        discount: Per step.
-        keep: Transitions remembered.
+        discount: Weight of a reward per step that it comes later.
+        keep: Number of transitions that are remembered.
         first: Transitions under random commands before training begins.
         soft: Share of the critics that enters the target ones per step of Adam.
         exploration: First standard deviation before the tanh.

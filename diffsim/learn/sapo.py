@@ -58,7 +58,7 @@ def scaled_entropy(entropy: Tensor, target: float) -> Tensor:
 
     Args:
         entropy: H (...), of whole commands.
-        target: T, negative.
+        target: Entropy T that is aimed at, negative.
     """
     return (entropy - target) / (2.0 * abs(target))
 
@@ -107,7 +107,7 @@ class SoftExplorer(Explorer):
     """Normal noise before the controller's last tanh, of a spread that a second network gives.
 
     Args:
-        task: Whose commands.
+        task: Task whose commands are explored.
         options: Options of the method.
         seed: Seed of the second network's weights.
     """

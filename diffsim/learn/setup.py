@@ -127,7 +127,7 @@ def evaluate(task: Task, controller: Controller, episodes: int) -> float:
 
     Args:
         task, controller: Who steers what; without noise.
-        episodes: How many.
+        episodes: Number of episodes.
 
     Returns:
         NaN where the simulation broke down.

@@ -28,7 +28,7 @@ class WindowOptions:
         batch: Episodes side by side; they persist between windows.
         window: Steps through which gradients flow.
         actor_rate, critic_rate: Learning rates of Adam; both fall to a tenth.
-        discount: Per step.
+        discount: Weight of a reward per step that it comes later.
         trace: Lambda of the critic's targets.
         target_keep: Share of a target critic that stays at an update.
         critic_passes, critic_parts: Over the window's data, each in so many parts.
@@ -72,7 +72,7 @@ class ShortHorizonLearner:
         setup: Task and seed.
         options: Options of the method.
         explorer: Makes the one of a task.
-        num_critics: How many.
+        num_critics: Number of critics.
     """
 
     def __init__(

@@ -162,7 +162,7 @@ class TendonSwim(Task):
         """Body and servo arm a sample later.
 
         Args:
-            now: The body.
+            now: State of the body.
             arm: Where the servo's arm is, (batch, 1) [m].
             asked: The command, (batch, 1) [m].
         """
@@ -251,7 +251,7 @@ class Steering:
     """A trained controller at the laboratory: places of markers in, contraction out.
 
     Args:
-        net: The controller.
+        net: Controller that steers.
         task: What it was trained on.
     """
 

@@ -105,7 +105,7 @@ def open_close(
     """Strokes of the real robot (``horizontal_cyclic1``): closed, then open, as fast as allowed.
 
     Args:
-        period_s: Of one stroke [s].
+        period_s: Duration of one stroke [s].
         low_m, high_m: Contraction while open and while closed [m].
         closed: Share of the period that asks for ``high_m``.
         limits: Limits of the servo, which the command respects.

@@ -68,11 +68,11 @@ class FileHardware:
     for ``run_k/study.yaml`` in the study format (:mod:`diffsim.data.study_file`) with one run.
 
     Attributes:
-        folder: Where both lie.
+        folder: Folder in which both lie.
         duration_s: Length of an experiment [s].
         limits: Limits of the servo.
         wait_s: How long to wait for the recording [s]; 0: look once.
-        poll_s: How often to look [s].
+        poll_s: Time between two looks [s].
     """
 
     folder: Path

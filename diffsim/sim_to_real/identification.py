@@ -96,7 +96,7 @@ def identify(
     ``sd_m`` squared): what the model lacks is no white noise.
 
     Args:
-        model: With priors.
+        model: Model with the priors of its parameters.
         runs: Recordings, each with a clock of its own.
         settings: Budget, method and trust of the fit.
         start: Parameters to start at, by name; where a clock or parameter is missing, its prior's.
@@ -162,7 +162,7 @@ def correlation_length(residual: Array, num_channels: int = len(CHANNELS)) -> fl
 
     Args:
         residual: Residual of all valid samples, channels fastest; missing ones are passed over.
-        num_channels: How many interleave.
+        num_channels: Number of channels that interleave.
     """
     rows = residual[: len(residual) // num_channels * num_channels].reshape(-1, num_channels)
     lengths = []

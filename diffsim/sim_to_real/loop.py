@@ -44,7 +44,7 @@ def sim_to_real(
 
     Args:
         model: With priors and first guesses.
-        hardware: Executes commands.
+        hardware: What executes commands and records them.
         command: The hand-made one.
         folder: Folder of the loop: one subfolder per iteration with command, recording and numbers.
         settings: Length of the loop, and budgets of its two optimizations.

@@ -30,7 +30,7 @@ def on_real_recording(study: Study, model: Starfish, settings: FitSettings) -> d
 
     Args:
         study: The starfish's study, as imported.
-        model: With priors.
+        model: Model with the priors of its parameters.
         settings: ``duration_s`` is the length of every window.
 
     Returns:

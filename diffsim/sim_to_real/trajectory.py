@@ -73,7 +73,7 @@ def travel_loss(
         model: Model of the robot.
         values: Parameters of the model.
         period: (num_samples,) contraction of one period [m].
-        periods: How many are simulated.
+        periods: Number of periods that are simulated.
     """
     # one sample more: N is the end of the last period
     contraction = torch.cat([period.repeat(periods), period[:1]])
@@ -95,7 +95,7 @@ def optimize(
 
     Args:
         model: Model of the robot.
-        values: theta.
+        values: Identified parameters theta, by name.
         start: Command to start at; its period is kept.
         limits: Limits of the servo.
         settings: Periods, knots and budget of the search.

@@ -134,7 +134,7 @@ class BoundStep:
         """Derivatives of a converged step along K directions, with one factor of its tangent.
 
         Args:
-            arrays: Of the step, of batch 1.
+            arrays: Arrays of the step, of batch 1.
             x: Its answer, (1, num_nodes, 3) [m].
             directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
                 batch axis; what does not move may be missing.

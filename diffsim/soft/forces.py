@@ -41,7 +41,7 @@ class ElasticGradient:
         loads: Activations, pressures, body and physics, of that shape.
 
     Attributes:
-        loads: As given.
+        loads: Loads as they were given.
     """
 
     def __init__(self, loads: Loads):

@@ -102,7 +102,7 @@ class PreparedBody:
         """Solution of a step's problem, (batch, num_nodes, 3) [m].
 
         Args:
-            arrays: The problem.
+            arrays: Arrays of the implicit problem of a step.
             iterate: Whether it is asked for where the body's own steps are linearly implicit.
         """
         tensors = arrays.tensors()

@@ -203,7 +203,7 @@ class _MovedInTime:
     Args:
         body: The body.
         directions: K directions of the inputs.
-        count: K.
+        count: Number K of directions.
     """
 
     def __init__(self, body: Solid, directions: Directions, count: int):

@@ -132,7 +132,7 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
 
     Args:
         field: The flow.
-        count: How many.
+        count: Number of seeds.
         case: Index of one of the field's cases.
 
     Returns:

@@ -55,7 +55,7 @@ class Quantity(Part):
     )
 
     @model_validator(mode="after")
-    def _one_width(self) -> Quantity:
+    def _check_one_width(self) -> Quantity:
         if self.sd is not None and self.percent is not None:
             raise ValueError("give sd or percent, not both")
         if self.percent is not None and self.value <= 0.0:
@@ -132,6 +132,22 @@ def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> I
             yield Problem(
                 "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
             )
+
+
+def known(value: float, unit: str) -> Quantity:
+    """A number that is known exactly, as the default of a key.
+
+    Args:
+        value: The number, in the unit.
+        unit: SI unit, "-" if none.
+    """
+    return Quantity(value=value, unit=unit)
+
+
+def quantities_of(part: Part, prefix: str = "") -> dict[str, Quantity]:
+    """Quantities among a part's keys, by prefix and key."""
+    found = {key: getattr(part, key) for key in type(part).model_fields}
+    return {f"{prefix}{key}": q for key, q in found.items() if isinstance(q, Quantity)}
 
 
 class EffectChoice(Part):

@@ -94,7 +94,7 @@ def line(
     Args:
         x, y: Samples, (n,); what is not finite is a gap.
         name: Text in the legend and in the hover box.
-        color: CSS color.
+        color: Color of the line, as CSS writes it.
         most: Largest number of samples.
         **options: Passed to plotly's ``Scatter``.
     """

@@ -18,7 +18,7 @@ def write_gif(path: str | Path, pictures: Sequence[NDArray[np.uint8]], fps: floa
     """Write pictures as an animation that repeats.
 
     Args:
-        path: Of the file.
+        path: Path of the file that is written.
         pictures: (height, width, 3) each, at least one.
         fps: Pictures per second, at most 50: players show faster ones at 10.
 

@@ -38,8 +38,8 @@ def write_flight_page(
 
     Args:
         path: File to write.
-        log: The flight.
-        design: What flew.
+        log: Record of the flight.
+        design: Vehicle that flew.
         payload: Carried below the center of mass [kg].
 
     Raises:

@@ -31,7 +31,7 @@ class Deforming:
 
     Attributes:
         name: What the button that hides it says.
-        color: As ``#rrggbb``.
+        color: Color of the part, as ``#rrggbb``.
         triangles: Node indices, (num_triangles, 3).
         nodes_m: Positions over time, z up, (num_frames, num_nodes, 3) [m].
         opacity: Less than 1 where another surface shows through.
@@ -52,7 +52,7 @@ class Rigid:
 
     Attributes:
         name: What the button that hides it says; parts of one name share a button.
-        color: As ``#rrggbb``.
+        color: Color of the part, as ``#rrggbb``.
         triangles: Node indices, (num_triangles, 3).
         nodes_m: Positions in its own frame, (num_nodes, 3) [m].
         turns: Rotations to the world, z up, (num_frames, 3, 3).

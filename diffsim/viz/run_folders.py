@@ -22,7 +22,7 @@ class RunFolder:
     Attributes:
         path: Folder, relative to the folder of all runs.
         kind: Such as "diagnosis"; "files" where it is not recognized.
-        said: Its result in a line.
+        said: Result of the run, in one line.
         progress: How far it is: "finished", or what is done so far.
         changed: Time of the last change [s since 1970].
         files: All files in it that a browser or a viewer shows, by name.

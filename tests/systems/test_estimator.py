@@ -10,7 +10,12 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from diffsim.systems.multicopter.estimator import BlindEstimator, _chained, _followed, _stepped
+from diffsim.systems.multicopter.estimator import (
+    BlindEstimator,
+    _chain_errors,
+    _follow_errors,
+    _step_errors,
+)
 from tests.systems import small_copter
 from tests.systems.small_copter import Causes
 from tests.systems.test_multicopter_description import misfit, study, up
@@ -27,7 +32,7 @@ def rates():
 
 def followed(velocity, force):
     start = torch.zeros(1, 2, 3, dtype=f64)
-    return _followed(velocity[None], force[None], start, rates(), DT)[0]
+    return _follow_errors(velocity[None], force[None], start, rates(), DT)[0]
 
 
 def test_errors_of_a_straight_swing_are_those_of_a_band_pass():
@@ -65,11 +70,11 @@ def test_steps_in_a_chain_are_the_same_and_have_the_same_slopes():
     start = torch.randn(2, 2, 3, generator=generator, dtype=f64).requires_grad_()
     decay = torch.tensor([0.04, 0.1], dtype=f64)
     turning = torch.rand(2, 3, generator=generator, dtype=f64) * 1e-3
-    for follow in (_stepped, _chained):
+    for follow in (_step_errors, _chain_errors):
         start.grad = None
         out = follow(pull, force, start, decay, turning, 0.01)
         out.square().sum().backward()
-        if follow is _stepped:
+        if follow is _step_errors:
             expected, slope = out.detach(), start.grad
     assert out.shape == (2, 91, 2, 3)
     torch.testing.assert_close(out.detach(), expected)
@@ -82,7 +87,7 @@ def test_errors_in_a_window_go_on_where_the_record_left_them():
     generator = torch.Generator().manual_seed(1)
     velocity = torch.randn(1, 61, 3, generator=generator, dtype=f64)
     force = torch.randn(1, 60, 3, generator=generator, dtype=f64) + torch.tensor([0.0, 0.0, -G])
-    whole = _followed(velocity, force, torch.zeros(1, 2, 3, dtype=f64), rates(), DT)
+    whole = _follow_errors(velocity, force, torch.zeros(1, 2, 3, dtype=f64), rates(), DT)
     blind = BlindEstimator(DRAG * one, gains, whole)
     error, turned = blind.in_windows(
         torch.tensor([20]), velocity[:, None, 20:], force[:, None, 20:], DT

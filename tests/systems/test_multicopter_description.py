@@ -15,7 +15,7 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.lag import speed_lagged
-from diffsim.systems.multicopter.loads import _swing
+from diffsim.systems.multicopter.loads import _swing_pendulum
 from diffsim.systems.registry import description_of, setup_of
 from tests.systems import small_copter
 from tests.systems.small_copter import Causes, Flight
@@ -425,7 +425,7 @@ def test_a_load_swings_as_a_driven_pendulum():
     w, v, dt = 4.0, 2.5, 0.005
     t = dt * np.arange(800)
     a = torch.tensor(np.cos(v * t), dtype=f64)[:, None] * torch.tensor([1.0, -2.0, 0.0], dtype=f64)
-    found = _swing(a, dt, torch.full((1, 1, 1), w, dtype=f64))[0]
+    found = _swing_pendulum(a, dt, torch.full((1, 1, 1), w, dtype=f64))[0]
     middle = t + 0.5 * dt
     want = -(np.cos(v * middle) - np.cos(w * middle)) / (w**2 - v**2)
     np.testing.assert_allclose(found[:-1, 0], want[:-1], atol=2e-5)

@@ -355,7 +355,7 @@ def test_catch_of_the_string_keeps_momentum():
     own = scene.parameter("density") * scene.body.nodal_volume
     falling = scene.falling(scene.last_fall_step())
     fall = falling.motion(falling.num_steps())
-    x, v = scene._at_catch(fall, scene.last_fall_step())
+    x, v = scene._interpolate_catch(fall, scene.last_fall_step())
     caught = scene.swinging(fall, scene.last_fall_step())
     after = caught.start_velocity
     down = scene.parameter("gravity") / 9.81

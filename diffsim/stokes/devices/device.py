@@ -33,7 +33,7 @@ class Parameter:
     Attributes:
         name: Description of the parameter.
         lower: Least value, lengths [m] and angles [rad].
-        upper: Largest value.
+        upper: Largest value that a search may try.
     """
 
     name: str

@@ -64,7 +64,7 @@ def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -
 
     Args:
         field: The flow.
-        faces: Outlets.
+        faces: Faces of the box that are outlets.
         target: Wanted velocity [m/s], broadcast against (cases, *node_shape, dim).
     """
     return mean(field, faces, ((field.velocity - target) ** 2).sum(-1)).mean()
@@ -75,7 +75,7 @@ def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None 
 
     Args:
         field: The flow.
-        faces: Outlets.
+        faces: Faces of the box that are outlets.
         region: Nodes that count, (*node_shape,) bool, to look at one of several outlets of a face;
             its border should lie in the solid.
     """

@@ -23,7 +23,7 @@ class DesignDescent:
         designs: Designs in order of evaluation, (num_evaluations, num_parameters).
         losses: Not normalized, (num_evaluations,); infinite where a design had no flow.
         seconds: Mean CPU time of loss and gradient [s].
-        message: Why it stopped.
+        message: Reason of L-BFGS to stop.
     """
 
     designs: Tensor

@@ -65,7 +65,7 @@ def closest(chain: Chain, p: Tensor, rays: Tensor | None) -> Tensor:
     """Parameters (N,) of the points closest to p (N, 2).
 
     Args:
-        chain: The curves.
+        chain: Curves that follow one another.
         p: Points.
         rays: Unit directions in which the chain goes on straight before its start and after its
             end, (2, 2); None if it does not. Parameters on them are -s and num_curves + s, s [m].

@@ -36,14 +36,14 @@ def setup(study: Study) -> DiagnosisSetup:
     Args:
         study: Study as imported, which holds clicks beside the balls.
     """
-    described = RigidBodyDescription.model_validate(_described(study))
-    model = described.balls().model(study, {r.name: _corners(r) for r in study.runs})
+    described = RigidBodyDescription.model_validate(_build_description(study))
+    model = described.balls().model(study, {r.name: _get_corners(r) for r in study.runs})
     settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
     causes = described.balls().causes(study, described.scales(study))
     return DiagnosisSetup(model, causes, settings=settings)
 
 
-def _described(study: Study) -> dict[str, Any]:
+def _build_description(study: Study) -> dict[str, Any]:
     rotation, camera = camera_prior(study)
     shift = [{"value": p.value, "sd": p.sd} for p in camera[-3:]]
 
@@ -56,7 +56,7 @@ def _described(study: Study) -> dict[str, Any]:
             {
                 "name": "struck",
                 # rules of the game: 65.4 to 68.6 mm, felt included
-                "sphere": known(_diameter(study), 0.001),
+                "sphere": known(_get_diameter(study), 0.001),
                 "inertia_ratio": 0.52,
                 "begins": "at_rest",
                 "start": {"place": [known(0.5275, 0.02), known(0.2875, 0.02)]},
@@ -80,7 +80,7 @@ def _described(study: Study) -> dict[str, Any]:
         ],
         "starts": {"per": "once"},
         "camera": {
-            "size": list(_size_px(study)),
+            "size": list(_get_picture_size(study)),
             "focal": {"value": camera[0].value, "percent": 15.0},
             "rotation": rotation.tolist(),
             "shift": shift,
@@ -92,7 +92,7 @@ def _described(study: Study) -> dict[str, Any]:
     }
 
 
-def _corners(run: Run) -> Array:
+def _get_corners(run: Run) -> Array:
     return np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"])
 
 
@@ -126,7 +126,7 @@ def soft_model(
         subdivisions=subdivisions,
         frame_s=float(np.median(np.diff(study.fit_runs[0].time_s))),
     )
-    return SoftBallModel(base, torch.from_numpy(rotation), balls, _size_px(study))
+    return SoftBallModel(base, torch.from_numpy(rotation), balls, _get_picture_size(study))
 
 
 def camera_prior(study: Study) -> tuple[Array, list[Parameter]]:
@@ -152,7 +152,7 @@ def calibrated(study: Study, camera: list[Parameter], rotation: Array) -> list[P
     corners = np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"])[clicked]
     places, turned = torch.from_numpy(corners), torch.from_numpy(rotation)
 
-    plain = plain_camera(_size_px(study))
+    plain = plain_camera(_get_picture_size(study))
 
     def values_at(q: Array) -> dict[str, Tensor]:
         return {p.name: p.value_at(torch.tensor(x)) for p, x in zip(camera, q, strict=True)}
@@ -171,9 +171,9 @@ def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list
     """
     run = study.fit_runs[0]
     values = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in camera}
-    height = 0.5 * _diameter(study)
+    height = 0.5 * _get_diameter(study)
     pixels = torch.from_numpy(run.measured[:10, :4].reshape(-1, 2, 2))
-    plain = {**plain_camera(_size_px(study)), **values}
+    plain = {**plain_camera(_get_picture_size(study)), **values}
     places = on_plane(plain, torch.from_numpy(rotation), pixels, height).numpy()
     seen = np.isfinite(places).all((1, 2))
     if seen.sum() < 3:
@@ -195,12 +195,12 @@ def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list
     ]
 
 
-def _size_px(study: Study) -> tuple[float, float]:
+def _get_picture_size(study: Study) -> tuple[float, float]:
     width, height = study.metadata.get("size_px", (WIDTH_PX, HEIGHT_PX))
     return float(width), float(height)
 
 
-def _diameter(study: Study) -> float:
+def _get_diameter(study: Study) -> float:
     return float(study.runs[0].setup["ball_diameter_m"])
 
 

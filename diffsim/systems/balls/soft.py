@@ -88,7 +88,7 @@ class SoftBalls:
             self.body,
             state,
             (num_frames - 1) * self.steps,
-            external_force=lambda _, now: self._pair_force(values, now),
+            external_force=lambda _, now: self._compute_pair_force(values, now),
             obstacles=contact.floor(friction=values["table_friction"]),
             physics=physics,
         )
@@ -106,7 +106,7 @@ class SoftBalls:
             torch.cat([x + place for place in places]), torch.cat([torch.zeros_like(x), coming])
         )
 
-    def _pair_force(self, values: Mapping[str, Tensor], now: soft.State) -> Tensor:
+    def _compute_pair_force(self, values: Mapping[str, Tensor], now: soft.State) -> Tensor:
         with torch.no_grad():
             a, b = now.x[self.nodes].mean(1)
             if float((a - b).norm()) > 2.0 * self.radius:
@@ -192,7 +192,7 @@ class SoftBallModel(SimModel):
     ):
         self.balls, self.rotation, self.plain = balls, rotation, plain_camera(size_px)
         self.report: Callable[[], object] = lambda: None
-        super().__init__(self._scene, base, "two soft balls, exact table, pinhole camera")
+        super().__init__(self._build_scene, base, "two soft balls, exact table, pinhole camera")
 
     def simulate_scenes(self, scenes: Sequence[SoftBallScene]) -> list[Tensor]:
         """Predictions of several scenes of one run."""
@@ -214,7 +214,9 @@ class SoftBallModel(SimModel):
         }
         return {**self.plain, **fitted_values}
 
-    def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftBallScene:
+    def _build_scene(
+        self, values: Mapping[str, Tensor], run: Run, numerics: Numerics
+    ) -> SoftBallScene:
         if numerics != Numerics():
             raise ValueError(f"soft balls have no finer numerics, got {numerics}")
         frames = np.asarray(run.time_s) / self.balls.frame_s

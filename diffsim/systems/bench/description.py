@@ -43,10 +43,10 @@ class BenchDescription(FormulaKeys):
     def problems(self, study: Study) -> list[Problem]:
         """Mistakes in names, formulas and units, found without a simulation."""
         reader = Reader(study)
-        self._described(study, reader)
+        self._read_model(study, reader)
         return list(reader.problems)
 
-    def _described(self, study: Study, reader: Reader) -> Described:
+    def _read_model(self, study: Study, reader: Reader) -> Described:
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
         inputs = self.inputs or tuple(Input(name=c) for c in commands if c.isidentifier())
         read = Described(self, inputs, Motion(), study, reader)
@@ -56,7 +56,7 @@ class BenchDescription(FormulaKeys):
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         reader = Reader(study)
-        read = self._described(study, reader)
+        read = self._read_model(study, reader)
         reader.finish()
         model = read.model()
         scales = Scales.kept_in(study) or Scales.of_runs(study)

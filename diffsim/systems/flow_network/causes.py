@@ -54,7 +54,7 @@ def stokes_library(device: ChannelDevice | None = None) -> tuple[Effect, ...]:
     device = ChannelDevice() if device is None else device
 
     def cause(name: str, number: int | None = None, **own: Any) -> Effect:
-        return _cause(name, {}, number, system=MANIFOLD, **own)
+        return _make_cause(name, {}, number, system=MANIFOLD, **own)
 
     outlets = range(1, len(device.outlets) + 1)
     return (
@@ -67,7 +67,7 @@ def stokes_library(device: ChannelDevice | None = None) -> tuple[Effect, ...]:
         cause("fluid_inertia"),
         cause("leak_per_depth", needs=needs_flow_and_pressure),
         cause("skewed_inlet", needs=needs_flow),
-        *(_pump_gain(i + 1) for i in range(len(device.inlets))),
+        *(_make_pump_gain(i + 1) for i in range(len(device.inlets))),
         *(cause("meter_gain", i) for i in outlets),
         *(cause("blocked_branch", i) for i in outlets),
         *(cause("pressure_offset", i) for i in outlets),
@@ -85,7 +85,7 @@ def network_library(device: NetworkDevice) -> tuple[Effect, ...]:
     usual = {"narrowest": min(s.width for s in device.segments)}
 
     def cause(name: str, number: int | None = None, **own: Any) -> Effect:
-        return _cause(name, usual, number, smooth=True, **own)
+        return _make_cause(name, usual, number, smooth=True, **own)
 
     outlets = range(1, len(device.outlets) + 1)
     pressures = tuple(f"meter_{len(device.outlets) + i + 1}" for i in range(2))
@@ -99,7 +99,7 @@ def network_library(device: NetworkDevice) -> tuple[Effect, ...]:
         cause("entrance_loss"),
         cause("leak", needs=needs_flow_and_pressure),
         cause("pressure_scale", numbers=pressures, needs=needs_pressure),
-        _pump_gain(1),
+        _make_pump_gain(1),
         *(cause("meter_gain", i) for i in outlets),
         *(cause("blocked_branch", i) for i in outlets),
         *(cause("pressure_offset", i) for i in outlets),
@@ -117,7 +117,7 @@ def lumped_causes(network: LumpedNetwork, scales: Scales) -> tuple[Effect, ...]:
 
     def cause(name: str, number: int | None = None, **own: Any) -> Effect:
         needs = {} if name in _WALLS else {"needs": needs_nothing}
-        return _cause(name, usual, number, smooth=True, **{**needs, **own})
+        return _make_cause(name, usual, number, smooth=True, **{**needs, **own})
 
     is_flow = [m.flow_in is not None for m in network.meters]
     flows = [i + 1 for i, flow in enumerate(is_flow) if flow]
@@ -130,7 +130,7 @@ def lumped_causes(network: LumpedNetwork, scales: Scales) -> tuple[Effect, ...]:
         *((cause("leak"),) if sees_pressure and layout.pumps else ()),
         *(cause("leak_at", ending=f"_{n}", numbers=(f"leak_at_{n}",)) for n in joints),
         *((cause("pressure_scale", numbers=pressures),) if pressures else ()),
-        *(_pump_gain(i + 1) for i in range(len(layout.pumps))),
+        *(_make_pump_gain(i + 1) for i in range(len(layout.pumps))),
         *(cause("meter_gain", k + 1, numbers=(f"meter_{i}",)) for k, i in enumerate(flows)),
         *(cause("blocked_branch", i + 1) for i in range(len(layout.branches))),
         *(cause("pressure_offset", i + 1) for i in range(len(layout.held))),
@@ -203,7 +203,7 @@ def needs_flow(study: Study) -> str | None:
     return None
 
 
-def _cause(
+def _make_cause(
     name: str,
     usual: Mapping[str, float],
     number: int | None = None,
@@ -221,7 +221,7 @@ def _cause(
     return row.effect(on_numbers(row), usual, **own)
 
 
-def _pump_gain(number: int) -> Effect:
+def _make_pump_gain(number: int) -> Effect:
     row = rows(FLOW)["pump_gain"]
     return row.effect(on_commands(row, (f"inlet_{number}",)), ending=f"_{number}")
 

@@ -69,23 +69,23 @@ class FlowNetworkDescription(Description):
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
     @model_validator(mode="after")
-    def _joined(self) -> FlowNetworkDescription:
+    def _check_joints(self) -> FlowNetworkDescription:
         layout_of(self.channels, self.sources, self.meters)
         return self
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands that the description and the study disagree on."""
-        return list(self._problems(study))
+        return list(self._find_problems(study))
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         if found := self.problems(study):
             raise ValueError("\n".join(str(p) for p in found))
-        network = self._network(study)
+        network = self._build_network(study)
         scales = measure_scales(study, network.narrowest)
         causes = lumped_causes(network, scales)
         if self.effects.only or self.samples == "time":
-            causes += self._signal_causes(study, scales)
+            causes += self._list_signal_causes(study, scales)
         model = SimModel(network, network.parameters.base, "flow network")
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
@@ -96,7 +96,7 @@ class FlowNetworkDescription(Description):
 
     def ports(self, study: Study) -> Ports:
         """What the network offers to causes of a user."""
-        network, between = self._network(study), between_samples(self.samples)
+        network, between = self._build_network(study), between_samples(self.samples)
         return Ports(
             scales=measure_scales(study, network.narrowest),
             commands={name: between for name in network.commands if name},
@@ -105,7 +105,7 @@ class FlowNetworkDescription(Description):
             numbers=tuple(network.numbers),
         )
 
-    def _signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
+    def _list_signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
         return signal_causes(
             study,
             scales,
@@ -114,7 +114,7 @@ class FlowNetworkDescription(Description):
             is_in_time=self.samples == "time",
         )
 
-    def _network(self, study: Study) -> LumpedNetwork:
+    def _build_network(self, study: Study) -> LumpedNetwork:
         of = {m.channel: m for m in self.meters}
         meters = tuple(of[c.name] for c in study.channels)
         known = dict(quantities_of(self.viscosity, self.channels, meters, self.nuisances))
@@ -128,7 +128,7 @@ class FlowNetworkDescription(Description):
             shear_rate=self.shear_rate,
         )
 
-    def _problems(self, study: Study) -> Iterator[Problem]:
+    def _find_problems(self, study: Study) -> Iterator[Problem]:
         channels = [c.name for c in study.channels]
         named = [m.channel for m in self.meters]
         for name in named:

@@ -173,10 +173,10 @@ class ChannelDevice:
         middle = 0.5 * (left + right)
         low = min(o.low for o in (*self.inlets, *self.outlets)) - self.fillet
         high = max(o.high for o in (*self.inlets, *self.outlets)) + self.fillet
-        parts = [_rectangle(left, right, low, high)]
+        parts = [_make_rectangle(left, right, low, high)]
         # Channels reach beyond the box and to the middle of the manifold: no wall where they meet.
-        parts += [_rectangle(-length, middle, o.low, o.high) for o in self.inlets]
-        parts += [_rectangle(middle, 2.0 * length, o.low, o.high) for o in self.outlets]
+        parts += [_make_rectangle(-length, middle, o.low, o.high) for o in self.inlets]
+        parts += [_make_rectangle(middle, 2.0 * length, o.low, o.high) for o in self.outlets]
         return SmoothUnion(*parts, radius=self.fillet)(points)
 
     def local_width(self, points: Tensor) -> Tensor:
@@ -203,7 +203,7 @@ class ChannelDevice:
         return torch.where(near, 0.5 + 0.5 * torch.cos(torch.pi * ramp), 0.0)
 
 
-def _rectangle(left: float, right: float, low: float, high: float) -> Box:
+def _make_rectangle(left: float, right: float, low: float, high: float) -> Box:
     return Box(
         (right - left, high - low), (0.5 * (left + right), 0.5 * (low + high)), fluid="inside"
     )

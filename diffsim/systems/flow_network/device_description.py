@@ -87,7 +87,7 @@ class FlowDeviceDescription(Description):
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
     @model_validator(mode="after")
-    def _whole(self) -> FlowDeviceDescription:
+    def _check_one_device(self) -> FlowDeviceDescription:
         if (self.manifold is None) == (self.network is None):
             raise ValueError("give manifold or network (one of them)")
         if any(q.per is not None for q in (self.viscosity, self.wall_offset)):
@@ -105,7 +105,7 @@ class FlowDeviceDescription(Description):
                 raise ValueError(f"{key} needs {count} names (null for none), got {len(names)}")
         if self.manifold is not None and self.back_pressures:
             raise ValueError("back_pressures belong to a network")
-        self._device()
+        self._build_device()
         return self
 
     @property
@@ -117,16 +117,16 @@ class FlowDeviceDescription(Description):
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands that the description and the study disagree on."""
-        return list(self._problems(study))
+        return list(self._find_problems(study))
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         if found := self.problems(study):
             raise ValueError("\n".join(str(p) for p in found))
-        device = self._device()
-        shown = self._shown()
+        device = self._build_device()
+        shown = self._list_shown_channels()
         columns = tuple(shown.index(c.name) for c in study.channels)
-        base = tuple(self._base(device, [r.name for r in study.runs]))
+        base = tuple(self._list_parameters(device, [r.name for r in study.runs]))
         library: tuple[Effect, ...]
         model: SimModel
         if isinstance(device, ChannelDevice):
@@ -143,9 +143,9 @@ class FlowDeviceDescription(Description):
                 corrected=self.is_corrected,
             )
             library = network_library(device)
-        scales = self._scales(study)
+        scales = self._measure_scales(study)
         if self.effects.only or self.samples == "time":
-            library += self._signal_causes(study, scales)
+            library += self._list_signal_causes(study, scales)
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
@@ -158,13 +158,13 @@ class FlowDeviceDescription(Description):
         """Whether what drives is pumps, not regulators of pressure."""
         return self.manifold is None or self.manifold.drive == "flow"
 
-    def _scales(self, study: Study) -> Scales:
+    def _measure_scales(self, study: Study) -> Scales:
         network = self.network
         return measure_scales(
             study, None if network is None else min(c.width.value for c in network.channels)
         )
 
-    def _signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
+    def _list_signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
         held = tuple(name for name in self.back_pressures if name)
         return signal_causes(
             study,
@@ -179,14 +179,14 @@ class FlowDeviceDescription(Description):
         between = between_samples(self.samples)
         commands = (*self.drives, *(name for name in self.back_pressures if name))
         return Ports(
-            scales=self._scales(study),
+            scales=self._measure_scales(study),
             commands=dict.fromkeys(commands, between),
             channels=tuple(c.name for c in study.channels),
             has_clock=self.samples == "time",
             numbers=STOKES_NUMBERS if self.manifold is not None else NETWORK_NUMBERS,
         )
 
-    def _device(self) -> ChannelDevice | NetworkDevice:
+    def _build_device(self) -> ChannelDevice | NetworkDevice:
         if (m := self.manifold) is not None:
             return ChannelDevice(
                 inlets=tuple(Opening(o.y, o.width) for o in m.inlets),
@@ -216,13 +216,13 @@ class FlowDeviceDescription(Description):
             density=self.density,
         )
 
-    def _shown(self) -> list[str | None]:
+    def _list_shown_channels(self) -> list[str | None]:
         """The study's channels in the order in which the model makes readings."""
         taps = len(self.drives) if self.manifold is not None else 2
         flows = self.flows or (None,) * len(self._outlets)
         return [*flows, *(self.pressures or (None,) * taps), *self.velocities]
 
-    def _base(
+    def _list_parameters(
         self, device: ChannelDevice | NetworkDevice, runs: Sequence[str]
     ) -> Iterator[Parameter]:
         keys = self.nuisances
@@ -248,8 +248,11 @@ class FlowDeviceDescription(Description):
         if keys.pump_gain > 0.0:
             yield from (Parameter(f"pump_gain@{run}", 1.0, keys.pump_gain) for run in runs)
 
-    def _problems(self, study: Study) -> Iterator[Problem]:
-        channels, shown = [c.name for c in study.channels], [n for n in self._shown() if n]
+    def _find_problems(self, study: Study) -> Iterator[Problem]:
+        channels, shown = (
+            [c.name for c in study.channels],
+            [n for n in self._list_shown_channels() if n],
+        )
         for name in shown:
             if name not in channels:
                 said = f"no channel {name!r}{did_you_mean(name, channels)}"

@@ -40,7 +40,7 @@ class TubeKeys(Part):
         return "slit" if self.is_slit else "rectangle"
 
     @model_validator(mode="after")
-    def _one_shape(self) -> TubeKeys:
+    def _check_one_shape(self) -> TubeKeys:
         sizes = [self.width, self.height, self.diameter, self.length]
         if self.resistance is not None:
             if any(s is not None for s in sizes):
@@ -64,7 +64,7 @@ class SourceKeys(Part):
     )
 
     @model_validator(mode="after")
-    def _one_kind(self) -> SourceKeys:
+    def _check_one_kind(self) -> SourceKeys:
         if (self.flow is None) == (self.pressure is None):
             raise ValueError(f"source at {self.node}: give flow or pressure (one of them)")
         return self
@@ -84,7 +84,7 @@ class MeterKeys(Part):
     )
 
     @model_validator(mode="after")
-    def _one_kind(self) -> MeterKeys:
+    def _check_one_kind(self) -> MeterKeys:
         given = [self.flow_in, self.pressure_at, self.pressure_in]
         if sum(g is not None for g in given) != 1:
             raise ValueError(

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
+from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
 from diffsim.systems.flow_network.steady import SteadyScene
 
 RTOL, MAX_ITERS = 1e-11, 60
@@ -130,7 +131,7 @@ class _Balance:
 
     def __init__(self, scene: LumpedScene):
         self.scene, layout = scene, scene.layout
-        self.resistance, self.rate = self._tubes()
+        self.resistance, self.rate = self._compute_tubes()
         nodes = 1 + max(*layout.starts, *layout.ends)
         incidence = torch.zeros(nodes, len(layout.starts), dtype=torch.float64)
         for k, (a, b) in enumerate(zip(layout.starts, layout.ends, strict=True)):
@@ -167,17 +168,17 @@ class _Balance:
         """Residual (levels, unknowns) over its scales [-], and its slope."""
         s, layout = self.scene, self.scene.layout
         n = len(layout.free)
-        pressure, flow = self._pressures(y), y[:, n:] * self.flow_scale
+        pressure, flow = self._join_pressures(y), y[:, n:] * self.flow_scale
         free = list(layout.free)
         pumps = torch.zeros(len(self.incidence), dtype=torch.float64)
         given = torch.zeros(len(y), len(pumps), dtype=torch.float64)
         for k, node in enumerate(layout.pumps):
             pumps[node] += 1.0
-            given = given + s.drive[:, k, None] * _one(len(pumps), node)
+            given = given + s.drive[:, k, None] * _make_unit_row(len(pumps), node)
         leaky = s.leak * pumps[free] + s.node_leak
         mass = (flow @ self.incidence.mT + given)[:, free] - leaky * pressure[:, free]
-        widened, steep = self._widened(pressure)
-        used, rise = self._used(flow)
+        widened, steep = linearize_pressure(pressure, self.scene.compliance)
+        used, rise = self._compute_drop(flow)
         drop = widened[:, list(layout.starts)] - widened[:, list(layout.ends)]
         residual = torch.cat([mass / self.flow_scale, (drop - used) / self.pressure_scale], 1)
         slope = y.new_zeros(len(y), y.shape[1], y.shape[1])
@@ -193,8 +194,8 @@ class _Balance:
     def read(self, y: Tensor) -> Tensor:
         """What ideal meters show, (levels, num_channels)."""
         layout, n = self.scene.layout, len(self.scene.layout.free)
-        pressure = self._pressures(y)
-        widened, _ = self._widened(pressure)
+        pressure = self._join_pressures(y)
+        widened, _ = linearize_pressure(pressure, self.scene.compliance)
         out = []
         for reading in layout.readings:
             if reading.node >= 0:
@@ -204,28 +205,31 @@ class _Balance:
             else:
                 a, b = layout.starts[reading.tube], layout.ends[reading.tube]
                 there = widened[:, a] + reading.share * (widened[:, b] - widened[:, a])
-                out.append(self._narrowed(there))
+                out.append(invert_linearized(there, self.scene.compliance))
         return torch.stack(out, 1)
 
-    def _pressures(self, y: Tensor) -> Tensor:
+    def _join_pressures(self, y: Tensor) -> Tensor:
         """Of all nodes, (levels, num_nodes) [Pa]."""
         s, layout = self.scene, self.scene.layout
         out = torch.zeros(len(y), len(self.incidence), dtype=torch.float64)
         for k, node in enumerate(layout.free):
-            out = out + self.pressure_scale * y[:, k, None] * _one(out.shape[1], node)
+            out = out + self.pressure_scale * y[:, k, None] * _make_unit_row(out.shape[1], node)
         held = s.back_pressure + s.outlet_pressure
         for k, node in enumerate(layout.held):
-            out = out + held[:, k, None] * _one(out.shape[1], node)
+            out = out + held[:, k, None] * _make_unit_row(out.shape[1], node)
         return out
 
-    def _tubes(self) -> tuple[Tensor, Tensor]:
+    def _compute_tubes(self) -> tuple[Tensor, Tensor]:
         """Resistance [Pa s/m^3] of each channel at no shear, and its wall rate over the flow."""
         s = self.scene
         narrowing = dict(zip(s.layout.branches, s.narrowing, strict=True))
-        rows = [self._tube(k, shape, narrowing.get(k)) for k, shape in enumerate(s.layout.shapes)]
+        rows = [
+            self._compute_tube(k, shape, narrowing.get(k))
+            for k, shape in enumerate(s.layout.shapes)
+        ]
         return torch.stack([r for r, _ in rows]), torch.stack([g for _, g in rows])
 
-    def _tube(self, k: int, shape: str, narrowing: Tensor | None) -> tuple[Tensor, Tensor]:
+    def _compute_tube(self, k: int, shape: str, narrowing: Tensor | None) -> tuple[Tensor, Tensor]:
         s = self.scene
         if shape == "resistance":
             return s.width[k] * s.viscosity / s.nominal_viscosity, _ZERO
@@ -244,7 +248,7 @@ class _Balance:
                 small, large, around = width, height, 1.0 / width
             conductance = large * small**3 / 12.0 * (1.0 + 6.0 * slip * around)
             if shape == "rectangle":
-                conductance = conductance * _sides(small / large)
+                conductance = conductance * _correct_for_sides(small / large)
             rate, power = 6.0 / (large * small**2), 3
         resistance = s.viscosity * s.length[k] / conductance
         if narrowing is not None:
@@ -254,7 +258,7 @@ class _Balance:
             resistance = resistance * (1.0 + THROAT * (lodged - 1.0))
         return resistance, rate
 
-    def _used(self, flow: Tensor) -> tuple[Tensor, Tensor]:
+    def _compute_drop(self, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Drop of F that flows need (levels, num_tubes) [Pa], and its slope [Pa s/m^3].
 
         A thinning fluid by the dissipation of the Newtonian profile: 3 xi^2 for slits.
@@ -268,32 +272,22 @@ class _Balance:
         k = torch.zeros(flow.shape[1], dtype=torch.float64)
         for branch in s.layout.branches:
             if s.layout.shapes[branch] != "resistance":
-                area = _area(s.layout.shapes[branch], s.width[branch], s.height[branch])
-                k = k + 0.5 * s.density * s.entrance_loss / area**2 * _one(len(k), branch)
+                area = _compute_area(s.layout.shapes[branch], s.width[branch], s.height[branch])
+                k = k + 0.5 * s.density * s.entrance_loss / area**2 * _make_unit_row(len(k), branch)
         used = self.resistance * factor * flow + k * flow * flow.abs()
         return used, self.resistance * bend + 2.0 * k * flow.abs()
 
-    def _widened(self, pressure: Tensor) -> tuple[Tensor, Tensor]:
-        """F(p) and its slope."""
-        x = self.scene.compliance * pressure
-        return pressure * (1.0 + x * (1.5 + x * (1.0 + 0.25 * x))), (1.0 + x) ** 3
 
-    def _narrowed(self, value: Tensor) -> Tensor:
-        """Pressure p of F(p)."""
-        root = (1.0 + 4.0 * self.scene.compliance * value) ** 0.25
-        return 4.0 * value / ((root + 1.0) * (root**2 + 1.0))
-
-
-def _sides(ratio: Tensor) -> Tensor:
+def _correct_for_sides(ratio: Tensor) -> Tensor:
     """Flow of a rectangle over that of a slit without sides (Bruus 2008, eq. 3.57)."""
     n = torch.arange(1.0, 40.0, 2.0, dtype=torch.float64)
     terms = torch.tanh(0.5 * torch.pi * n / ratio) / n**5
     return 1.0 - 192.0 / torch.pi**5 * ratio * terms.sum()
 
 
-def _area(shape: str, width: Tensor, height: Tensor) -> Tensor:
+def _compute_area(shape: str, width: Tensor, height: Tensor) -> Tensor:
     return torch.pi / 4.0 * width**2 if shape == "round" else width * height
 
 
-def _one(count: int, index: int) -> Tensor:
+def _make_unit_row(count: int, index: int) -> Tensor:
     return torch.eye(count, dtype=torch.float64)[index]

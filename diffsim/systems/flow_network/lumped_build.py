@@ -48,7 +48,7 @@ class LumpedNetwork:
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> LumpedScene:
         v = self.parameters.in_run(values, run)
-        drive, back, level = self._levels(run)
+        drive, back, level = self._group_levels(run)
         one, zero = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
 
         def sizes(*names: str) -> Tensor:
@@ -83,7 +83,7 @@ class LumpedNetwork:
         )
 
     @property
-    def _given(self) -> list[str | float | None]:
+    def _source_values(self) -> list[str | float | None]:
         """Command or constant of each pump, then of each pressure."""
         flows = [s.flow for s in self.sources if s.flow is not None]
         return [*flows, *(s.pressure for s in self.sources if s.flow is None)]
@@ -91,7 +91,7 @@ class LumpedNetwork:
     @property
     def commands(self) -> tuple[str, ...]:
         """Command of each pump, then of each pressure; empty where it is constant."""
-        return tuple(given if isinstance(given, str) else "" for given in self._given)
+        return tuple(given if isinstance(given, str) else "" for given in self._source_values)
 
     @property
     def narrowest(self) -> float | None:
@@ -127,11 +127,11 @@ class LumpedNetwork:
                 found[f"length_{tube.name}"] = ("length", i)
         return found
 
-    def _levels(self, run: Run) -> tuple[Tensor, Tensor, Tensor]:
+    def _group_levels(self, run: Run) -> tuple[Tensor, Tensor, Tensor]:
         """Different levels of pumps and of pressures, and which holds at each sample."""
         count, pumps = len(run.time_s), self.layout.pumps
         columns = []
-        for given in self._given:
+        for given in self._source_values:
             value = run.command[given] if isinstance(given, str) else np.full(count, given)
             columns.append(np.asarray(value, dtype=np.float64))
         levels, level = np.unique(np.stack(columns, -1), axis=0, return_inverse=True)

@@ -84,33 +84,35 @@ class StokesScene(SteadyScene):
         """
         # A wall that gives way has its own shape at each level; else one factorization serves all.
         each = 1 if self.compliance is not None else len(self.drive)
-        parts = [self._readings(self._steady(levels)) for levels in self.drive.split(each)]
+        parts = [
+            self._read_sensors(self._solve_steady(levels)) for levels in self.drive.split(each)
+        ]
         shown = torch.cat(parts) * self.channel_gain + self.channel_offset
         if self.columns is not None:
             shown = shown[:, list(self.columns)]
         return self.show(shown)
 
-    def _readings(self, field: FlowField) -> Tensor:
+    def _read_sensors(self, field: FlowField) -> Tensor:
         rig = self.rig
         return torch.cat(
             [rig.outlet_flows(field), rig.tap_pressures(field), rig.profile(field)], -1
         )
 
     @property
-    def _sweeping(self) -> bool:
+    def _needs_sweeps(self) -> bool:
         return any(getattr(self, term) is not None for term in SWEPT)
 
-    def _steady(self, drive: Tensor) -> FlowField:
+    def _solve_steady(self, drive: Tensor) -> FlowField:
         """The flow at some levels, (levels, num_inlets): repeated until the terms agree with it."""
-        flow = self._solve(drive, None, self._rigid)
-        if not self._sweeping:
+        flow = self._solve_linear(drive, None, self._rigid_level_set)
+        if not self._needs_sweeps:
             return flow
         change, phi, loads = float("inf"), flow.phi, dict[str, Tensor]()
         for sweep in range(MAX_SWEEPS):
             if sweep < WALL_SWEEPS:
-                phi = self._moved(flow)
-            loads = self._loads(flow, phi, loads.get("wall_velocity"))
-            before, flow = flow, self._solve(drive, flow, phi, loads)
+                phi = self._move_walls(flow)
+            loads = self._compute_loads(flow, phi, loads.get("wall_velocity"))
+            before, flow = flow, self._solve_linear(drive, flow, phi, loads)
             with torch.no_grad():
                 # Nodes beyond the wall come and go with the cells that need them.
                 inside = self.rig.phi > max(self.rig.grid.spacing)
@@ -121,18 +123,18 @@ class StokesScene(SteadyScene):
                 return flow
         raise ConvergenceError(
             f"the flow changed by {change:.1e} of its largest speed in sweep {MAX_SWEEPS}, needed "
-            f"{self.rtol:.1e}; an effect is too large to be swept (sizes: {self._sizes()})",
+            f"{self.rtol:.1e}; an effect is too large to be swept (sizes: {self._say_sizes()})",
             residual_norm=change,
             tolerance=self.rtol,
             num_iters=MAX_SWEEPS,
         )
 
-    def _sizes(self) -> str:
+    def _say_sizes(self) -> str:
         given = {t: getattr(self, t) for t in SWEPT if getattr(self, t) is not None}
         return ", ".join(f"{name} {float(value.detach()):.3g}" for name, value in given.items())
 
     @property
-    def _rigid(self) -> Tensor:
+    def _rigid_level_set(self) -> Tensor:
         """Level set without the pressure's doing."""
         phi, device = self.rig.phi + self.wall_offset, self.rig.device
         for outlet, share in enumerate(self.narrowing.unbind()):
@@ -141,7 +143,7 @@ class StokesScene(SteadyScene):
                 phi = phi - half * share * device.throat(outlet, self.rig.grid.nodes)
         return phi
 
-    def _solve(
+    def _solve_linear(
         self,
         drive: Tensor,
         before: FlowField | None,
@@ -160,22 +162,22 @@ class StokesScene(SteadyScene):
             inlet, traction = None, rig.traction(drive, self.outlet_pressure)
         return rig.solver(phi, inlet, viscosity=self.viscosity, traction=traction, **(loads or {}))
 
-    def _moved(self, before: FlowField) -> Tensor:
+    def _move_walls(self, before: FlowField) -> Tensor:
         """The level set of walls that give way to the pressure."""
         if self.compliance is None:
-            return self._rigid
+            return self._rigid_level_set
         # Stencils of the rigid shape: cells on the verge would come and go with the sweeps.
-        at_nodes = self.rig.derivatives(self._rigid).pressure_at_nodes(before.pressure)[0]
-        return self._rigid + 0.5 * self.compliance * self.rig.width * at_nodes
+        at_nodes = self.rig.derivatives(self._rigid_level_set).pressure_at_nodes(before.pressure)[0]
+        return self._rigid_level_set + 0.5 * self.compliance * self.rig.width * at_nodes
 
-    def _loads(
+    def _compute_loads(
         self, before: FlowField, phi: Tensor, wall_before: Tensor | None
     ) -> dict[str, Tensor]:
         """Body force and wall velocity by name, as the flow before asks for."""
-        d = self.rig.derivatives(self._rigid)
+        d = self.rig.derivatives(self._rigid_level_set)
         loads: dict[str, Tensor] = {}
         gradient = d.gradient(before.velocity)
-        extra = self._extra_viscosity(gradient, d.centers)
+        extra = self._compute_extra_viscosity(gradient, d.centers)
         if extra is not None:
             loads["body_force"] = d.viscous_force(gradient, extra)
         if self.density is not None:
@@ -192,7 +194,7 @@ class StokesScene(SteadyScene):
                 loads["wall_velocity"] = loads["wall_velocity"] + (1.0 - share) * wall_before
         return loads
 
-    def _extra_viscosity(self, gradient: Tensor, centers: Tensor) -> Tensor | None:
+    def _compute_extra_viscosity(self, gradient: Tensor, centers: Tensor) -> Tensor | None:
         """Viscosity above the nominal one in fluid cells, (levels or 1, n) [Pa s]."""
         if self.viscosity_gradient is None and self.thinning is None:
             return None
@@ -268,7 +270,7 @@ def device_model(
         on_grid = rig(numerics.mesh)
         all_values = {k: torch.tensor(v, dtype=torch.float64) for k, v in nominal.items()}
         all_values |= dict(values)
-        levels, level = _levels(device, run, names)
+        levels, level = _group_levels(device, run, names)
         gains = [all_values[f"drive_gain_{i + 1}"] for i in range(len(device.inlets))]
         meters = [all_values[f"flow_gain_{i + 1}"] for i in range(len(device.outlets))]
         others = [torch.ones((), dtype=torch.float64)] * (
@@ -295,7 +297,7 @@ def device_model(
     return SimModel(build, base, name="stokes device")
 
 
-def _levels(device: ChannelDevice, run: Run, names: Sequence[str]) -> tuple[Tensor, Tensor]:
+def _group_levels(device: ChannelDevice, run: Run, names: Sequence[str]) -> tuple[Tensor, Tensor]:
     """Different levels of the commands (num_levels, num_inlets), and which holds at each sample."""
     missing = [name for name in names if name not in run.command]
     if missing:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.flow_network.network_conditions import NetworkConditions
+from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
 from diffsim.systems.flow_network.unit_flows import Shape
 
 MAX_ITERS = 40
@@ -36,18 +37,18 @@ class Balance:
         self.device = table.device
         shape = Shape(scene.wall_offset, scene.slip_length, scene.narrowing)
         self.unit = table.at(shape)
-        self.kernel = self._kernel()
+        self.kernel = self._build_kernel()
         # what a pascal drives
         self.flow_scale = self.device.depth / float(self.unit.resistance.detach().mean())
         # plane flows [m^2/s] per scaled flow, and viscosity over the nominal one
         self.factor = self.flow_scale / self.device.depth * scene.viscosity / self.device.viscosity
-        self.local = self._local_factor()
+        self.local = self._compute_local_factor()
         self.is_thinning = bool(scene.thinning.detach() != 0.0) or scene.thinning.requires_grad
         if not self.is_thinning:
-            energy, before = self._energies(self.local[None])
+            energy, before = self._compute_energies(self.local[None])
             self.resistance, self.tap = energy, before
 
-    def _kernel(self) -> Tensor:
+    def _build_kernel(self) -> Tensor:
         """What every group of cells adds to the resistance and, in the last columns, to that ahead
         of the tap, (groups, m^2 + m): its dissipation, scaled so that the sums are the unit
         flows' own."""
@@ -57,13 +58,13 @@ class Balance:
         resistance = inside * (unit.resistance / inside.sum(0))
         return torch.cat([resistance.flatten(1), before * (unit.tap / before.sum(0))], 1)
 
-    def _local_factor(self) -> Tensor:
+    def _compute_local_factor(self) -> Tensor:
         """Resistance of the groups by width and temperature over the nominal one, (groups,)."""
         s, groups = self.scene, self.scene.table.groups
         height = groups.height / self.device.size[1] - 0.5
         return s.width_gain[groups.owner] ** -3 * (1.0 + s.viscosity_gradient * height)
 
-    def _energies(self, factor: Tensor) -> tuple[Tensor, Tensor]:
+    def _compute_energies(self, factor: Tensor) -> tuple[Tensor, Tensor]:
         """Resistance (levels, m, m) and that ahead of the tap (levels, m) of groups ``factor``
         (levels, groups) times as viscous; one everywhere gives the simulator's own."""
         m = len(self.unit.tap)
@@ -74,11 +75,11 @@ class Balance:
         """Residual (levels, m + 1) [-, Pa], its slope, and the tap's pressure (levels,) [Pa]."""
         s, m = self.scene, y.shape[1] - 1
         flow, pump = y[:, :m], y[:, m]
-        resistance, tap, extra = self._resistance(flow)
-        lost, lost_slope = self._loss(flow)
+        resistance, tap, extra = self._compute_resistance(flow)
+        lost, lost_slope = self._compute_entrance_loss(flow)
         outlet = s.back_pressure + s.outlet_pressure + lost
-        up, up_slope = self._widened(pump)
-        down, down_slope = self._widened(outlet)
+        up, up_slope = linearize_pressure(pump, self.scene.compliance)
+        down, down_slope = linearize_pressure(outlet, self.scene.compliance)
         drop = (resistance @ flow[..., None])[..., 0] * self.factor
         leak = s.leak / self.flow_scale
         mass = flow.sum(1) + leak * pump - s.drive[:, 0] / self.flow_scale
@@ -89,7 +90,7 @@ class Balance:
         slope[:, 1:, :m] = -((resistance + extra) * self.factor).detach()
         slope[:, 1:, :m] -= torch.diag_embed((down_slope * lost_slope).detach())
         at_tap = up - (tap * flow).sum(1) * self.factor
-        return residual, slope, self._narrowed(at_tap)
+        return residual, slope, invert_linearized(at_tap, self.scene.compliance)
 
     def solved(self) -> Tensor:
         """The unknowns, (levels, m + 1), by Newton's method."""
@@ -113,8 +114,8 @@ class Balance:
             num_iters=MAX_ITERS,
         )
 
-    def _resistance(self, flow: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Resistance and tap, as ``_energies``, and what the slope has more than the resistance."""
+    def _compute_resistance(self, flow: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Resistance and tap, as ``_compute_energies``, and what the slope has besides."""
         s = self.scene
         if not self.is_thinning:
             return self.resistance, self.tap, torch.zeros((), dtype=torch.float64)
@@ -127,7 +128,7 @@ class Balance:
         along = torch.einsum("gij,lj->lgi", form, plane)
         squared = (along * plane[:, None]).sum(-1).clamp(min=0.0)
         thinned = self.local * (1.0 + squared) ** (-0.5 * s.thinning)
-        energy, before = self._energies(thinned)
+        energy, before = self._compute_energies(thinned)
         with torch.no_grad():
             # d R_ij q_j / d q_k: the factor's slope over rate^2, and of rate^2 over the flows
             slope = -s.thinning * thinned / (1.0 + squared)
@@ -136,7 +137,7 @@ class Balance:
             extra = torch.einsum("lgi,lgk->lik", slope[..., None] * drops, along)
         return energy, before, extra
 
-    def _loss(self, flow: Tensor) -> tuple[Tensor, Tensor]:
+    def _compute_entrance_loss(self, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Entrance losses (levels, m) [Pa] and their slopes."""
         device, s = self.device, self.scene
         if not (s.entrance_loss.requires_grad or float(s.entrance_loss)):
@@ -146,18 +147,3 @@ class Balance:
         per = self.flow_scale / device.depth / (width + 2.0 * s.wall_offset)
         factor = 0.5 * device.density * s.entrance_loss * per**2
         return factor * flow * flow.abs(), 2.0 * factor * flow.abs()
-
-    def _widened(self, pressure: Tensor) -> tuple[Tensor, Tensor]:
-        """F(p) and its slope."""
-        c = self.scene.compliance
-        x = c * pressure
-        # ((1 + x)^4 - 1) / 4 c, without a division by c
-        return pressure * (1.0 + x * (1.5 + x * (1.0 + 0.25 * x))), (1.0 + x) ** 3
-
-    def _narrowed(self, value: Tensor) -> Tensor:
-        """Pressure p of F(p)."""
-        c = self.scene.compliance
-        x = 4.0 * c * value
-        # ((1 + x)^(1/4) - 1) / c, without a division by c
-        root = (1.0 + x) ** 0.25
-        return 4.0 * value / ((root + 1.0) * (root**2 + 1.0))

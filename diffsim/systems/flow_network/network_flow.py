@@ -12,8 +12,8 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
-from diffsim.stokes.devices.losses import integral, on_face
 from diffsim.systems.flow_network.corrections import FlowDerivatives
+from diffsim.systems.flow_network.grid_values import average_corners, integrate_face
 from diffsim.systems.flow_network.moving_fit import MovingFit
 from diffsim.systems.flow_network.network import NetworkDevice
 
@@ -66,12 +66,12 @@ class NetworkFlow:
         widest = device.level_set(centers, 2.0 * spacing, (0.0,) * len(device.outlets))
         self.cells = (widest > 0.0).nonzero()[:, 0]
         self.centers = centers[self.cells]
-        deep = (_at_centers(phi) > DEEP * spacing).reshape(-1).nonzero()[:, 0]
+        deep = (average_corners(phi) > DEEP * spacing).reshape(-1).nonzero()[:, 0]
         fit = MovingFit(centers[deep].numpy(), np.array(device.taps), spacing)
         self._taps = deep, fit
         ends = [device.nodes[n][1] for n in device.outlets]
-        self._masks = _nearest(self.grid.nodes[0, :, 1], ends)
-        self._sections = self._cut()
+        self._masks = _mark_nearest(self.grid.nodes[0, :, 1], ends)
+        self._sections = self._cut_outlets()
 
     def solve(
         self, offset: float, slip: float, narrowing: tuple[float, ...]
@@ -90,7 +90,9 @@ class NetworkFlow:
         profile = across + slip * (device.segments[0].width + 2.0 * offset)
         through = torch.zeros(self.grid.num_nodes, dtype=torch.float64)
         through[nodes] = profile
-        profile = profile / self._through(phi, through.reshape(1, *self.grid.node_shape), "x-")
+        profile = profile / integrate_face(
+            self.grid, phi, through.reshape(1, *self.grid.node_shape), "x-"
+        )
         inlet = torch.zeros(m, len(nodes), 2, dtype=torch.float64)
         inlet[0, :, 0], inlet[0, :, 1] = profile, self._slope * profile
         traction = torch.zeros(m, *self.grid.node_shape, 2, dtype=torch.float64)
@@ -100,12 +102,12 @@ class NetworkFlow:
         for k in range(1, m):
             raised[k, k - 1] = scale
             traction[k, -1, :, 0] = -scale * self._masks[k - 1]
-        field = self._slipping(phi, slip, {"inlet": {"in": inlet}, "traction": traction})
-        flows = self._outflow(field)
+        field = self._solve_with_slip(phi, slip, {"inlet": {"in": inlet}, "traction": traction})
+        flows = self._compute_outflow(field)
         taps = self._taps[1].at(field.pressure.flatten(1)[:, self._taps[0]])
         inverse = torch.linalg.inv(flows)  # rows: which cases make a unit flow through an outlet
         resistance = inverse @ (taps[:, :1] - raised)
-        strain = self._strain(field.velocity)
+        strain = self._compute_strain(field.velocity)
         return (
             0.5 * (resistance + resistance.T),  # reciprocity, up to the grid's error
             inverse @ (taps[:, 0] - taps[:, 1]),
@@ -114,13 +116,13 @@ class NetworkFlow:
             * float(self.grid.spacing[0] * self.grid.spacing[1]),
         )
 
-    def _slipping(self, phi: Tensor, slip: float, drive: Mapping[str, Any]) -> FlowField:
+    def _solve_with_slip(self, phi: Tensor, slip: float, drive: Mapping[str, Any]) -> FlowField:
         """The flow with the wall velocity that it asks for, by sweeps."""
         flow = self.solver(phi, **drive)
         if slip == 0.0:
             return flow
         spacing = max(self.grid.spacing)
-        level = _at_centers(phi) / spacing
+        level = average_corners(phi) / spacing
         derivatives = FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
         inside, wall = phi > spacing, torch.zeros(())
         share = 1.0 / (1.0 + 1.5 * abs(slip) / spacing)  # as in ``StokesScene``
@@ -144,7 +146,7 @@ class NetworkFlow:
     def _level_set(self, offset: float, narrowing: tuple[float, ...]) -> Tensor:
         return self.device.level_set(self.grid.nodes, offset, narrowing)
 
-    def _strain(self, velocity: Tensor) -> Tensor:
+    def _compute_strain(self, velocity: Tensor) -> Tensor:
         """sqrt(2) D_xx, sqrt(2) D_yy and 2 D_xy at the kept cells, (cases, cells, 3)."""
         dx, dy = self.grid.spacing
         along_x, along_y = velocity.diff(dim=1) / dx, velocity.diff(dim=2) / dy
@@ -153,13 +155,7 @@ class NetworkFlow:
         root = 2.0**0.5
         return torch.stack([root * x[..., 0], root * y[..., 1], x[..., 1] + y[..., 0]], -1)
 
-    def _through(self, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
-        """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,)."""
-        empty = phi.new_zeros(0)
-        field = FlowField(self.grid, phi, along_x[..., None], empty, empty, {})
-        return integral(field, face, on_face(self.grid, along_x, face))
-
-    def _outflow(self, field: FlowField) -> Tensor:
+    def _compute_outflow(self, field: FlowField) -> Tensor:
         """Flows to every outlet, (cases, m) [m^2/s]: means over many sections of the branches, as a
         single one has kinks where the wall passes its nodes; what the walls lose is shared out."""
         cases, m = len(field.velocity), len(self.device.outlets)
@@ -175,7 +171,7 @@ class NetworkFlow:
         lost = given - total.sum(1)
         return total + lost[:, None] * total.abs() / total.abs().sum(1, keepdim=True)
 
-    def _cut(self) -> list[tuple[int, Tensor]]:
+    def _cut_outlets(self) -> list[tuple[int, Tensor]]:
         """Grid planes across all outlet branches, three widths beyond their junctions or more, and
         which heights belong to which, (m, ny)."""
         device = self.device
@@ -191,16 +187,12 @@ class NetworkFlow:
         for index in planes.tolist():
             x = index * self.grid.spacing[0]
             axes = [y0 + (x - x0) * (y1 - y0) / (x1 - x0) for (x0, y0), (x1, y1) in ends]
-            sections.append((index, _nearest(heights, axes)))
+            sections.append((index, _mark_nearest(heights, axes)))
         return sections
 
 
-def _nearest(heights: Tensor, axes: list[float]) -> Tensor:
+def _mark_nearest(heights: Tensor, axes: list[float]) -> Tensor:
     """(len(axes), len(heights)) one for the nearest axis, else zero."""
     away = (heights - torch.tensor(axes, dtype=torch.float64)[:, None]).abs()
     chosen = torch.arange(len(axes))[:, None]
     return (away.argmin(0) == chosen).to(torch.float64)
-
-
-def _at_centers(nodal: Tensor) -> Tensor:
-    return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])

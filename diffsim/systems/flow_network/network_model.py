@@ -120,7 +120,7 @@ def network_model(
         v = fixed | dict(values)
         one = torch.ones((), dtype=torch.float64)
         gains = [v[f"width_{s.name}"] / s.width for s in device.segments]
-        drive, back, level = _levels(run, pump, back_pressures)
+        drive, back, level = _group_levels(run, pump, back_pressures)
         zeros = torch.zeros(num_flows, dtype=torch.float64)
         return NetworkScene(
             table=table(numerics.mesh),
@@ -148,7 +148,7 @@ def network_model(
     return SimModel(make, base, name="channel network")
 
 
-def _levels(run: Run, pump: str, back: Sequence[str]) -> tuple[Tensor, Tensor, Tensor]:
+def _group_levels(run: Run, pump: str, back: Sequence[str]) -> tuple[Tensor, Tensor, Tensor]:
     """Different levels of the pump (levels, 1) and of the back pressures (levels, m), and which of
     them holds at each sample."""
     if pump not in run.command:

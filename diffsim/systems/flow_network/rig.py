@@ -14,6 +14,7 @@ from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.devices.losses import integral, on_face
 from diffsim.systems.flow_network.corrections import FlowDerivatives
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
+from diffsim.systems.flow_network.grid_values import average_corners, integrate_face
 from diffsim.systems.flow_network.moving_fit import MovingFit
 
 BULK_RATIO = 1e6
@@ -37,7 +38,8 @@ class Rig:
         self.grid = Grid([max(1, round(n / refine)) for n in device.cells], size=device.size)
         if device.drive == "flow":
             inlets = [
-                Inlet("x-", f"in_{i + 1}", self._nodes_near(i)) for i in range(len(device.inlets))
+                Inlet("x-", f"in_{i + 1}", self._select_inlet_nodes(i))
+                for i in range(len(device.inlets))
             ]
             faces: list[Inlet | Open] = [*inlets, Open("x+")]
         else:
@@ -48,11 +50,15 @@ class Rig:
         self.phi = device.level_set(self.grid.nodes)
         self.width = device.local_width(self.grid.nodes)
         heights = self.grid.nodes[0, :, 1]
-        self.inlet_masks = [_between(heights, bounds) for bounds in _territories(device.inlets)]
-        self.outlet_masks = [_between(heights, bounds) for bounds in _territories(device.outlets)]
+        self.inlet_masks = [
+            _mark_between(heights, bounds) for bounds in _divide_openings(device.inlets)
+        ]
+        self.outlet_masks = [
+            _mark_between(heights, bounds) for bounds in _divide_openings(device.outlets)
+        ]
         self._known: tuple[Tensor, FlowDerivatives] | None = None
 
-    def _nodes_near(self, inlet: int) -> Callable[[Tensor], Tensor]:
+    def _select_inlet_nodes(self, inlet: int) -> Callable[[Tensor], Tensor]:
         """The inlet's nodes on its face: those in the fluid and one beyond each wall, on which the
         velocity goes on smoothly."""
         opening = self.device.inlets[inlet]
@@ -63,7 +69,7 @@ class Rig:
         """Derivative stencils of a shape; the last ones are kept. Their sources are cells whose
         center is in the fluid: velocities beyond the wall are held by little."""
         phi = phi.detach()
-        level = _mean_of_corners(phi) / max(self.grid.spacing)
+        level = average_corners(phi) / max(self.grid.spacing)
         fluid, inside = level > 0.0, level > DEEP
         # All that the stencils depend on: small moves of the walls leave them.
         key = torch.cat([m.reshape(-1) for m in (phi > 0.0, fluid, inside)])
@@ -94,7 +100,7 @@ class Rig:
             shape = (0.25 * width**2 + width * slip - y**2) * (1.0 + skew * y / (0.5 * width))
             through = torch.zeros(self.grid.num_nodes, dtype=torch.float64)
             through = through.index_copy(0, nodes, shape)
-            unit = self._through_face(phi, through.reshape(1, *self.grid.node_shape), "x-")
+            unit = integrate_face(self.grid, phi, through.reshape(1, *self.grid.node_shape), "x-")
             along = flow[:, i, None] * shape / unit
             values[name] = torch.stack([along, torch.zeros_like(along)], -1)
         return values
@@ -115,12 +121,6 @@ class Rig:
         along = torch.cat([left[:, None], middle, right[:, None]], 1)
         return torch.stack([along, torch.zeros_like(along)], -1)
 
-    def _through_face(self, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
-        """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,)."""
-        empty = phi.new_zeros(0)
-        field = FlowField(self.grid, phi, along_x[..., None], empty, empty, {})
-        return integral(field, face, on_face(self.grid, along_x, face))
-
     def outlet_flows(self, field: FlowField) -> Tensor:
         """(levels, num_outlets) [m^2/s]."""
         out = on_face(self.grid, field.velocity[..., 0], "x+")
@@ -134,7 +134,7 @@ class Rig:
     @cached_property
     def _taps(self) -> tuple[Tensor, MovingFit]:
         """Cells well inside the fluid, whatever small wall offsets do, and the fit at the taps."""
-        inside = _mean_of_corners(self.phi) > DEEP * max(self.grid.spacing)
+        inside = average_corners(self.phi) > DEEP * max(self.grid.spacing)
         cells = inside.reshape(-1).nonzero()[:, 0]
         sources = self.grid.centers.reshape(-1, 2)[cells].numpy()
         return cells, MovingFit(sources, self.device.tap_points, min(self.grid.spacing))
@@ -144,16 +144,12 @@ class Rig:
         return field.sample(torch.from_numpy(self.device.profile_points))[..., 0]
 
 
-def _mean_of_corners(nodal: Tensor) -> Tensor:
-    return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])
-
-
-def _territories(openings: Sequence[Opening]) -> list[tuple[float, float]]:
+def _divide_openings(openings: Sequence[Opening]) -> list[tuple[float, float]]:
     """Bounds in y that part the openings of one side: middles of the walls between them [m]."""
     middles = [0.5 * (below.high + above.low) for below, above in pairwise(openings)]
     return list(zip([-np.inf, *middles], [*middles, np.inf], strict=True))
 
 
-def _between(heights: Tensor, bounds: tuple[float, float]) -> Tensor:
+def _mark_between(heights: Tensor, bounds: tuple[float, float]) -> Tensor:
     low, high = bounds
     return ((heights > low) & (heights <= high)).to(torch.float64)

@@ -94,24 +94,24 @@ class UnitFlowTable:
     def at(self, shape: Shape) -> UnitFlows:
         """Unit flows of a shape; gradients pass to it through the interpolation."""
         if any(part.requires_grad for part in shape):
-            return self._between(shape)
+            return self._interpolate(shape)
         key = tuple(torch.cat([part.reshape(-1) for part in shape]).tolist())
-        return self._recent(key, lambda: self._between(shape))
+        return self._recent(key, lambda: self._interpolate(shape))
 
-    def _between(self, shape: Shape) -> UnitFlows:
+    def _interpolate(self, shape: Shape) -> UnitFlows:
         coordinates = [
             shape.offset / self.steps[0],
             shape.slip / self.steps[1],
             *(shape.narrowing / self.steps[2]).unbind(),
         ]
-        axes = [_interpolation(c) for c in coordinates]
+        axes = [_weigh_neighbors(c) for c in coordinates]
         parts = []
         for corner in product(*axes):
             # a product of two weights that are zero has neither value nor slope
             if sum(float(w.detach()) == 0.0 for _, w in corner) > 1:
                 continue
             weight = reduce(lambda a, b: a * b, (w for _, w in corner))
-            parts.append((weight, self._solved(tuple(k for k, _ in corner))))
+            parts.append((weight, self._solve_flow(tuple(k for k, _ in corner))))
         if len(parts) == 1 and not parts[0][0].requires_grad:
             return parts[0][1]
         return UnitFlows(
@@ -129,7 +129,7 @@ class UnitFlowTable:
         place = device.coordinates(self.flow.centers)[1][:, 0]
         # the inlet channel in three parts, then the others
         part = torch.where(owner > 0, owner + 2, (place > 0.0).long() + (place > device.tap).long())
-        _, _, strain, volume = self._nominal
+        _, _, strain, volume = self._nominal_flows
         shear = (strain**2).sum((1, 2))
         shear = torch.where(volume > 0.0, shear, torch.inf)  # fluid only where walls move out
         of_cell = torch.zeros(len(part), dtype=torch.int64)
@@ -146,24 +146,24 @@ class UnitFlowTable:
         )
 
     @cached_property
-    def _nominal(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _nominal_flows(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         with torch.no_grad():
             return self.flow.solve(0.0, 0.0, (0.0,) * len(self.device.outlets))
 
     @cached_property
     def _correction(self) -> tuple[Tensor, Tensor]:
         """Factors on resistance and tap."""
-        resistance, tap, *_ = self._nominal
+        resistance, tap, *_ = self._nominal_flows
         if not self.corrected:
             return torch.ones_like(resistance), torch.ones_like(tap)
         finer = UnitFlowTable(self.device, 0.5 * self.refine, corrected=False)
-        fine_resistance, fine_tap, *_ = finer._nominal
+        fine_resistance, fine_tap, *_ = finer._nominal_flows
         return (
             (4.0 * fine_resistance / resistance - 1.0) / 3.0,
             (4.0 * fine_tap / tap - 1.0) / 3.0,
         )
 
-    def _solved(self, key: tuple[int, ...]) -> UnitFlows:
+    def _solve_flow(self, key: tuple[int, ...]) -> UnitFlows:
         wall, slip, narrowing = self.steps
         return self._kept(
             key,
@@ -177,7 +177,7 @@ class UnitFlowTable:
         """Unit flows of a shape without interpolation; lengths in [m], narrowing relative."""
         is_nominal = not any((offset, slip, *narrowing))
         resistance, tap, strain, volume = (
-            self._nominal if is_nominal else self.flow.solve(offset, slip, narrowing)
+            self._nominal_flows if is_nominal else self.flow.solve(offset, slip, narrowing)
         )
         groups, m = self.groups, len(tap)
         count = len(groups.owner)
@@ -191,7 +191,7 @@ class UnitFlowTable:
         )
 
 
-def _interpolation(at: Tensor) -> list[tuple[int, Tensor]]:
+def _weigh_neighbors(at: Tensor) -> list[tuple[int, Tensor]]:
     """Whole numbers around a coordinate and their weights: the quintic between two nodes whose
     values, central slopes and central second derivatives it takes, so that both stay continuous.
     Nodes with neither weight nor, where it is asked for, slope are left out."""

@@ -44,9 +44,9 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         of: Description of the multicopter.
         study: Study whose channels and commands the description names.
     """
-    design, rotor = _designed(of, study), _rotor(of)
+    design, rotor = _load_vehicle(of, study), _load_rotor(of)
     frames = Frames(of.frames.world, of.frames.body)
-    parameters = BaseParameters(dict(_quantities(of, design, rotor)), study.runs)
+    parameters = BaseParameters(dict(_list_quantities(of, design, rotor)), study.runs)
     law = ThrustLaw(commands=of.commands, thrust=of.thrust, rotor=rotor, battery=of.battery)
     known = {k: torch.tensor(q.value).double() for k, q in parameters.quantities.items()}
     mass, count = float(known["mass"]), len(of.commands.columns)
@@ -74,7 +74,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
             longest_s=LONGEST_S if kept is None else kept.facts[LONGEST],
         ),
         substeps=of.windows.substeps,
-        radius=_radius(of, rotor),
+        radius=_find_radius(of, rotor),
         max_thrust=of.max_thrust,
         full_thrust=full_thrust,
         thrust_coefficient=float(known["thrust_coefficient"])
@@ -109,12 +109,12 @@ def usual_magnitudes(flights: DescribedFlights, study: Study) -> Scales:
     }
     return replace(
         Scales.of_runs(replace(study, runs=tuple(asked))),
-        plain={VEHICLE: vehicle, **_axes(flights, study)},
+        plain={VEHICLE: vehicle, **_find_axis_magnitudes(flights, study)},
         facts={LONGEST: flights.cutter.longest_s},
     )
 
 
-def _axes(flights: DescribedFlights, study: Study) -> dict[str, dict[str, float]]:
+def _find_axis_magnitudes(flights: DescribedFlights, study: Study) -> dict[str, dict[str, float]]:
     """Magnitudes along each axis of the recording's world, at which forces may act."""
     cutter = flights.cutter
     states = torch.cat([cutter.record(run).states for run in study.fit_runs or study.runs])
@@ -216,7 +216,7 @@ def vehicle_of(
     )
 
 
-def _quantities(
+def _list_quantities(
     of: MulticopterKeys, design: Multicopter | None, rotor: RotorModel | None
 ) -> Iterator[tuple[str, Quantity]]:
     """Everything that may be fitted, by name of the base parameter."""
@@ -237,15 +237,15 @@ def _quantities(
             yield f"inertia_{entry}", getattr(of.inertia, entry)
     if of.thrust is not None and of.thrust.coefficient is not None:
         yield "thrust_coefficient", of.thrust.coefficient
-    if (ratio := _torque_ratio(of, rotor)) is not None:
+    if (ratio := _find_torque_ratio(of, rotor)) is not None:
         yield "torque_ratio", ratio
-    yield from _gains(of)
+    yield from _list_gains(of)
     if of.motor_lag is not None:
         yield "motor_lag", of.motor_lag
-    yield from _nuisances(of)
+    yield from _list_nuisances(of)
 
 
-def _gains(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
+def _list_gains(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
     """Factors; each is held by default where what it multiplies is fitted itself."""
     inertia = of.inertia
     fitted = {
@@ -262,7 +262,7 @@ def _gains(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
         yield name, default if given is None else given
 
 
-def _nuisances(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
+def _list_nuisances(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
     keys = of.nuisances
     gain = 100.0 * keys.run_thrust_gain
     yield (
@@ -293,7 +293,7 @@ def _sees_attitude(of: MulticopterKeys) -> bool:
     return of.sensors.quaternion is not None or of.sensors.roll_pitch_yaw is not None
 
 
-def _torque_ratio(of: MulticopterKeys, rotor: RotorModel | None) -> Quantity | None:
+def _find_torque_ratio(of: MulticopterKeys, rotor: RotorModel | None) -> Quantity | None:
     if of.torque_ratio is not None:
         given: Quantity = of.torque_ratio
         return given
@@ -308,17 +308,17 @@ def _torque_ratio(of: MulticopterKeys, rotor: RotorModel | None) -> Quantity | N
     return None
 
 
-def _radius(of: MulticopterKeys, rotor: RotorModel | None) -> float:
+def _find_radius(of: MulticopterKeys, rotor: RotorModel | None) -> float:
     if of.radius is not None:
         return float(of.radius)
     return 0.0 if rotor is None else float(rotor.radius)
 
 
-def _rotor(of: MulticopterKeys) -> RotorModel | None:
+def _load_rotor(of: MulticopterKeys) -> RotorModel | None:
     return None if of.rotor_model is None else rotor_model(of.rotor_model)
 
 
-def _designed(of: MulticopterKeys, study: Study) -> Multicopter | None:
+def _load_vehicle(of: MulticopterKeys, study: Study) -> Multicopter | None:
     """The vehicle of the design file, beside study.yaml or shipped."""
     if of.design is None:
         return None

@@ -31,7 +31,7 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
         flights: Recipe of the scenes; its nominal vehicle flies under feedback about hover.
         runs: Recorded runs; the first one's set-up and other commands are kept.
     """
-    vehicle = _vehicle(flights)
+    vehicle = _build_vehicle(flights)
     if vehicle.num_rotors < _FEWEST:  # nothing that such feedback could hold
         return ()
     payload = _PAYLOAD * float(vehicle.mass)
@@ -41,13 +41,13 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
     out = []
     for name, flying, path, load in wanted:
         try:
-            out.append(_flown(name, flights, flying, path, runs[0], load))
+            out.append(_fly_path(name, flights, flying, path, runs[0], load))
         except DiffsimError:  # nothing to record there, and no reason to stop
             continue
     return tuple(out)
 
 
-def _vehicle(flights: DescribedFlights) -> Multicopter:
+def _build_vehicle(flights: DescribedFlights) -> Multicopter:
     fleet = flights.nominal_fleet()
     values = {
         name: getattr(fleet, name)[0].detach()
@@ -65,7 +65,7 @@ def _vehicle(flights: DescribedFlights) -> Multicopter:
     return Multicopter(**values, max_thrusts=top)
 
 
-def _flown(
+def _fly_path(
     name: str,
     flights: DescribedFlights,
     vehicle: Multicopter,
@@ -94,11 +94,11 @@ def _flown(
     for other, values in like.command.items():
         command.setdefault(other, np.full(count, float(np.asarray(values)[0])))
     setup = dict(like.setup) | ({"payload_kg": payload} if payload else {})
-    measured = _readings(flights, vehicle, thrusts, state, dt)
+    measured = _read_channels(flights, vehicle, thrusts, state, dt)
     return Run(name, time.numpy(), measured, command, name, setup=setup)
 
 
-def _readings(
+def _read_channels(
     flights: DescribedFlights, vehicle: Multicopter, thrusts: Tensor, state: FlightState, dt: float
 ) -> np.ndarray:
     """Channels of the study at the start of every step, (num_samples, num_channels)."""

@@ -109,12 +109,12 @@ class Vehicle:
     @property
     def thrusts(self) -> CommandGroup:
         """What all rotors are asked for."""
-        return _thrusts(self.scales)
+        return _list_asked_thrusts(self.scales)
 
 
 def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
     """All candidates, their usual sizes by the mass and size of the vehicle."""
-    out = [flight_cause(name, of.scales, **_own_words(name, of)) for name in _names(of)]
+    out = [flight_cause(name, of.scales, **_find_own_words(name, of)) for name in _list_names(of)]
     if of.has_thrust:
         out.insert(0, command_cause("quantization", of.thrusts, system=SYSTEM))
     out += rotor_causes(of.num_rotors)
@@ -144,7 +144,7 @@ def copter_library(num_rotors: int = 4) -> tuple[Effect, ...]:
         num_rotors: Number of rotors.
     """
     usual = usual_scales(1.0, 0.25, num_rotors)
-    thrusts = _thrusts(usual)
+    thrusts = _list_asked_thrusts(usual)
     needed = {"voltage_exponent": _needs_voltage, "gyroscopic": _needs_four_rotors}
     return (
         command_cause("quantization", thrusts, system=SYSTEM),
@@ -172,7 +172,7 @@ def flight_cause(name: str, scales: Mapping[str, float], **own: Any) -> Effect:
         **own: Fields of the effect that differ from the row.
     """
     if name == "sensor_scale":
-        return _position_scale()
+        return _make_position_scale()
     row = next(rows(table)[name] for table in ("flight", "camera") if name in rows(table))
     if row.at == "number":
         own = {"apply": on_numbers(row), **own}
@@ -188,13 +188,13 @@ def rotor_causes(num_rotors: int) -> list[Effect]:
         num_rotors: Number of rotors.
     """
     return [
-        _rotor_cause(name, index, rotor)
+        _make_rotor_cause(name, index, rotor)
         for index, rotor in enumerate(rotor_names(num_rotors))
         for name in ("weak_rotor", *_OF_ROTOR)
     ]
 
 
-def _rotor_cause(name: str, index: int, rotor: str) -> Effect:
+def _make_rotor_cause(name: str, index: int, rotor: str) -> Effect:
     row = rows("flight")[name]
     if row.at == "command":
         apply = on_commands(row, (rotor,))
@@ -245,7 +245,7 @@ def _apply_there(
     return inner(scene, size, run) if is_there else scene
 
 
-def _names(of: Vehicle) -> Iterator[str]:
+def _list_names(of: Vehicle) -> Iterator[str]:
     """Rows that a flight can show, without those of single rotors and of commands."""
     yield from ("rotor_drag", "body_drag", "parasitic_drag", "wind", "body_tilt")
     yield from ("inflow", "wake", "thrust_curvature")
@@ -292,7 +292,7 @@ def _names_in_sensors(of: Vehicle) -> Iterator[str]:
         yield "accelerometer_scale"
 
 
-def _own_words(name: str, of: Vehicle) -> dict[str, Any]:
+def _find_own_words(name: str, of: Vehicle) -> dict[str, Any]:
     """What a cause's row says otherwise of this vehicle."""
     if name == "wind" and of.frames.world == "NED":
         return _NORTH_EAST
@@ -302,7 +302,7 @@ def _own_words(name: str, of: Vehicle) -> dict[str, Any]:
     return {}
 
 
-def _position_scale() -> Effect:
+def _make_position_scale() -> Effect:
     return rows(SENSOR)["sensor_scale"].effect(
         _scale_positions,
         typical=0.02,
@@ -319,7 +319,7 @@ def _lag_speeds(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.with_command((), SignalChange(speed_lagged, size))
 
 
-def _thrusts(scales: Mapping[str, float]) -> CommandGroup:
+def _list_asked_thrusts(scales: Mapping[str, float]) -> CommandGroup:
     """Thrusts that all rotors are asked for: never below zero."""
     return CommandGroup((), scales, "held", is_one_sided=True, unit="N")
 

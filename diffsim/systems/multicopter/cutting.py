@@ -109,21 +109,21 @@ class Cutter:
         idle = None if vehicle is None else idle_thrusts(vehicle)
         dt = spacing(run)
         length = min(max(FEWEST, round((self.window_s or self.longest_s) / dt)), len(run.time_s))
-        windows = self._windows(run, past, length, idle)
+        windows = self._cut_windows(run, past, length, idle)
         while self.window_s is None and length > FEWEST:
             try:
                 scene(windows).settled(_EASY_STEPS)
                 break
             except DiffsimError:  # the model leaves the record within a window
                 length = max(FEWEST, length // 2)
-                windows = self._windows(run, past, length, idle)
+                windows = self._cut_windows(run, past, length, idle)
         try:  # thrusts before the record may be at a bound of this model, and not of another
             found = scene(windows.with_thrusts_held()).settled()
         except DiffsimError:
             return windows
         return replace(windows, start=found.states)
 
-    def _windows(self, run: Run, past: Tensor, length: int, idle: Tensor | None) -> Windows:
+    def _cut_windows(self, run: Run, past: Tensor, length: int, idle: Tensor | None) -> Windows:
         """Start one sample early, for the accelerometer shows the mean over the step before."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
         if measured.shape[1] != len(self.sd):
@@ -152,11 +152,11 @@ class Cutter:
     def record(self, run: Run) -> Recorded:
         """The motion that a run's record shows by itself."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
-        dt, groups = spacing(run), self._groups(filled(measured))
+        dt, groups = spacing(run), self._group_readings(filled(measured))
         states = states_of(groups, self.frames, dt)
         return Recorded(states, acceleration_of(groups, self.frames, states, dt))
 
-    def _groups(self, whole: Tensor) -> dict[str, Tensor]:
+    def _group_readings(self, whole: Tensor) -> dict[str, Tensor]:
         """Readings by group; NaN in columns that were not recorded."""
         widths = [len(SENSORS[g]) for g in self.sensors]
         if self.columns is not None:

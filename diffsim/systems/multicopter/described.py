@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -22,6 +22,7 @@ from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import Windows
 from diffsim.systems.multicopter.thrust_law import ThrustLaw, described_fleet, designed_fleet
+from diffsim.systems.multicopter.vectors import stack_points, vector_of
 
 ESTIMATOR_GAINS = ("velocity", "tilt", "heading")
 PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
@@ -62,17 +63,17 @@ class DescribedFlights:
     known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        return self._scene(values, run, numerics, self.windows(run))
+        return self._build_scene(values, run, numerics, self.windows(run))
 
     def windows(self, run: Run) -> Windows:
         """The record of a run in windows."""
-        return self.known(run, lambda: self._cut(run))
+        return self.known(run, lambda: self._cut_run(run))
 
-    def _cut(self, run: Run) -> Windows:
+    def _cut_run(self, run: Run) -> Windows:
         nominal = self.nominal()
         past = self.asked(run, self.in_run(nominal, run)).mean(1)
         return self.cutter.cut(
-            run, past, partial(self._scene, nominal, run, Numerics()), self.nominal_fleet()
+            run, past, partial(self._build_scene, nominal, run, Numerics()), self.nominal_fleet()
         )
 
     def nominal(self) -> dict[str, Tensor]:
@@ -112,18 +113,20 @@ class DescribedFlights:
     def nominal_fleet(self) -> Fleet:
         """The vehicle as best known beforehand, (1, ...)."""
         known = {k: q.value for k, q in self.parameters.quantities.items()}
-        return self._fleet({k: torch.tensor(v, dtype=torch.float64) for k, v in known.items()})
+        return self._build_fleet(
+            {k: torch.tensor(v, dtype=torch.float64) for k, v in known.items()}
+        )
 
-    def _fleet(self, v: Mapping[str, Tensor]) -> Fleet:
+    def _build_fleet(self, v: Mapping[str, Tensor]) -> Fleet:
         if self.design is None:
             return described_fleet(v, self.rotors, self.cutter.frames, self.radius)
         return designed_fleet(v, self.design, self.cutter.frames)
 
-    def _scene(
+    def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
     ) -> CopterScene:
         v = self.in_run(values, run)
-        fleet = self._fleet(v)
+        fleet = self._build_fleet(v)
         fleet = fleet.replace(
             mass=fleet.mass + fact_in(run, PAYLOAD, "kg"),
             inertia=fleet.inertia * v["inertia_gain"].reshape(-1, 1, 1),
@@ -141,20 +144,20 @@ class DescribedFlights:
             substeps=max(1, round(self.substeps / numerics.time_step)),
             terrain_height=fact_in(run, TERRAIN, "m"),
             thrust_coefficient=self.thrust_coefficient,
-            attitude_offset=_vector(v, "attitude_offset"),
-            body_rates_offset=_vector(v, "body_rates_offset"),
-            accelerometer_offset=_vector(v, "specific_force_offset"),
+            attitude_offset=vector_of(v, "attitude_offset"),
+            body_rates_offset=vector_of(v, "body_rates_offset"),
+            accelerometer_offset=vector_of(v, "specific_force_offset"),
         )
         scene = scene.changed(
             sling_length=v["sling_length"].reshape(-1) if "sling_length" in v else None,
             gust_frequency=v["gust_frequency"].reshape(-1) if "gust_frequency" in v else None,
-            estimator_gains=_together(v[f"estimator_{name}"] for name in ESTIMATOR_GAINS)
+            estimator_gains=stack_points(v[f"estimator_{name}"] for name in ESTIMATOR_GAINS)
             if "estimator_velocity" in v
             else None,
         )
-        return self._on_the_way(scene, v)
+        return self._delay_signals(scene, v)
 
-    def _on_the_way(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
+    def _delay_signals(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
         """Clock and lag of the commands, clocks of sensors."""
         if "clock" in v:
             late = v["clock"].reshape(-1, 1)
@@ -167,14 +170,3 @@ class DescribedFlights:
         for name, channels in self.clocks.items():
             scene = scene.with_clock(channels, v[name])
         return scene
-
-
-def _vector(v: Mapping[str, Tensor], name: str) -> Tensor:
-    """(points, 3) of the quantities name_x, name_y, name_z; 0 where there are none."""
-    zero = torch.zeros(1, dtype=torch.float64)
-    return _together(v.get(f"{name}_{axis}", zero) for axis in "xyz")
-
-
-def _together(quantities: Iterable[Tensor]) -> Tensor:
-    """Some quantities beside each other, (points, number of them)."""
-    return torch.stack(torch.broadcast_tensors(*(q.reshape(-1) for q in quantities)), -1)

@@ -52,7 +52,7 @@ class MulticopterDescription(MulticopterKeys):
         found = [
             *sensor_problems(self.sensors, study),
             *clock_problems(study.channels, self.clocks),
-            *self._command_problems(study),
+            *self._find_command_problems(study),
         ]
         if not found:
             try:
@@ -69,8 +69,10 @@ class MulticopterDescription(MulticopterKeys):
         flights = assembled(self, study)
         scales = usual_magnitudes(flights, study)
         vehicle = vehicle_of(self, flights, scales, states_sensors=states_sensors(study))
-        library = self._library(study, flights, scales, vehicle)
-        effects = chosen_effects(library, self.effects, study, self._ports(study, flights, scales))
+        library = self._list_causes(study, flights, scales, vehicle)
+        effects = chosen_effects(
+            library, self.effects, study, self._list_ports(study, flights, scales)
+        )
         names = [e.name for e in effects]
         if "gust" in names and self.gust_frequency is None:
             scales = with_gust(flights, study, scales)
@@ -88,7 +90,7 @@ class MulticopterDescription(MulticopterKeys):
             study=study,
         )
 
-    def _ports(self, study: Study, flights: DescribedFlights, scales: Scales) -> Ports:
+    def _list_ports(self, study: Study, flights: DescribedFlights, scales: Scales) -> Ports:
         """What causes of a user may change; commands are the rotors' thrusts, whatever asks for
         them."""
         return Ports(
@@ -100,7 +102,7 @@ class MulticopterDescription(MulticopterKeys):
             places={axis: scales.plain[axis] for axis in AXES},
         )
 
-    def _library(
+    def _list_causes(
         self, study: Study, flights: DescribedFlights, scales: Scales, vehicle: Vehicle
     ) -> tuple[Effect, ...]:
         """Causes that are judged, and those that are where ``effects.only`` asks for them."""
@@ -113,7 +115,7 @@ class MulticopterDescription(MulticopterKeys):
         offered = (*offered_causes(vehicle, scales), *judge(causes=WHOLE))
         return (*judged, *(e for e in offered if e.name not in known))
 
-    def _beyond(self, values: NDArray[np.float64]) -> str:
+    def _find_command_beyond(self, values: NDArray[np.float64]) -> str:
         """How a throttle lies outside of its range for half of the samples; empty: it does not."""
         keys, found = self.commands, values[np.isfinite(values)]
         if keys.meaning != "throttle" or not len(found):
@@ -126,7 +128,7 @@ class MulticopterDescription(MulticopterKeys):
             "these a unit, such as `low: 1000 us`"
         )
 
-    def _command_problems(self, study: Study) -> Iterator[Problem]:
+    def _find_command_problems(self, study: Study) -> Iterator[Problem]:
         # new runs of a saved model need not be of those in which its causes act
         for fact, value in self.causes_act_in.items():
             if not study.frame and not any(run.setup.get(fact) == value for run in study.runs):
@@ -144,7 +146,9 @@ class MulticopterDescription(MulticopterKeys):
                         f"run {run.name} has no command {name!r}{did_you_mean(name, run.command)}",
                     )
                     break
-                if key == "commands.columns" and (said := self._beyond(run.command[name])):
+                if key == "commands.columns" and (
+                    said := self._find_command_beyond(run.command[name])
+                ):
                     yield Problem("error", "model.commands", f"run {run.name}: {name} {said}")
                     break
                 if not np.isfinite(run.command[name]).all():

@@ -64,12 +64,14 @@ class BlindEstimator:
         drag, gains = known
         velocity = states[None, :, 6:9]
         blind = cls(drag, gains, velocity.new_zeros(1))
-        square = (_flat(acceleration) ** 2).sum() / (_flat(velocity) ** 2).sum().clamp(min=1e-12)
+        square = (_project_to_ground(acceleration) ** 2).sum() / (
+            _project_to_ground(velocity) ** 2
+        ).sum().clamp(min=1e-12)
         frequency = square.sqrt().clamp(min=_SLOWEST)[None]
-        start = blind._swinging(velocity[0, :1], acceleration[:1], frequency)[:, 0]
+        start = blind._compute_steady_swing(velocity[0, :1], acceleration[:1], frequency)[:, 0]
         # the record shows the sum of velocity and error: what drives is less by the error
         shown = (drag, gains[:, 0] + drag, gains)
-        return cls(drag, gains, _followed(velocity, force[:, :-1], start, shown, dt))
+        return cls(drag, gains, _follow_errors(velocity, force[:, :-1], start, shown, dt))
 
     def by_state_alone(self, states: Tensor, force: Tensor, share: float = 1.0) -> BlindEstimator:
         """With errors that follow from each sample by itself, whatever was before.
@@ -84,7 +86,7 @@ class BlindEstimator:
         """
         gravity = force.new_tensor([0.0, 0.0, GRAVITY])
         frequency = GRAVITY * self.gains[:, 1].sqrt()
-        errors = self._swinging(states[:, 6:9], (force + gravity)[0], frequency)
+        errors = self._compute_steady_swing(states[:, 6:9], (force + gravity)[0], frequency)
         return BlindEstimator(self.drag, self.gains, share * errors)
 
     def in_windows(
@@ -103,10 +105,12 @@ class BlindEstimator:
         """
         start = self.errors[:, rows]
         drag, gains = self.drag[:, None], self.gains[:, None]
-        errors = _followed(velocity, force, start, (drag, gains[..., 0], gains), dt)
+        errors = _follow_errors(velocity, force, start, (drag, gains[..., 0], gains), dt)
         return errors[..., 0, :], errors[..., 1, :]
 
-    def _swinging(self, velocity: Tensor, acceleration: Tensor, frequency: Tensor) -> Tensor:
+    def _compute_steady_swing(
+        self, velocity: Tensor, acceleration: Tensor, frequency: Tensor
+    ) -> Tensor:
         """Errors of steady swings that pass through states, (points, num_states, 2, 3).
 
         With e = E v and E = size s / (s^2 + a s + b g^2) at s = i w.
@@ -115,7 +119,11 @@ class BlindEstimator:
             velocity, acceleration: Shown, (num_states, 3).
             frequency: w, (points or 1,) [rad/s].
         """
-        along, change, s = _flat(velocity), _flat(acceleration), 1j * frequency
+        along, change, s = (
+            _project_to_ground(velocity),
+            _project_to_ground(acceleration),
+            1j * frequency,
+        )
         known = s**2 + self.gains[:, 0] * s + self.gains[:, 1] * GRAVITY**2
         share = self.drag * s / (known + self.drag * s)  # of the shown velocity
 
@@ -140,7 +148,7 @@ def force_of(states: Tensor, push: Tensor) -> Tensor:
     return -push[..., None] * matrix_from_rpy(states[:, 3:6])[..., 2]
 
 
-def _followed(
+def _follow_errors(
     velocity: Tensor,
     force: Tensor,
     start: Tensor,
@@ -158,12 +166,12 @@ def _followed(
     """
     drag, decay, gains = rates
     turning = torch.stack([gains[..., 1], gains[..., 1], gains[..., 2]], -1)
-    pull = dt * drag[..., None, None] * _flat(velocity)[..., : force.shape[-2], :]
-    follow = _stepped if force.shape[-2] <= _FEW_STEPS else _chained
+    pull = dt * drag[..., None, None] * _project_to_ground(velocity)[..., : force.shape[-2], :]
+    follow = _step_errors if force.shape[-2] <= _FEW_STEPS else _chain_errors
     return follow(pull, force, start, dt * decay, dt * turning, dt)
 
 
-def _stepped(
+def _step_errors(
     pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
 ) -> Tensor:
     """Step after step."""
@@ -171,20 +179,20 @@ def _stepped(
     out = [start]
     for k in range(force.shape[-2]):
         thrust = force[..., k, :]
-        lean, change = _flat(cross(attitude, thrust)), turning * cross(thrust, error)
+        lean, change = _project_to_ground(cross(attitude, thrust)), turning * cross(thrust, error)
         error = error + dt * lean + pull[..., k, :] - decay[..., None] * error
         attitude = attitude - change
         out.append(torch.stack(torch.broadcast_tensors(error, attitude), -2))
     return torch.stack(torch.broadcast_tensors(*out), -3)
 
 
-def _chained(
+def _chain_errors(
     pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
 ) -> Tensor:
     """All steps at once: they are linear in the errors, and are chained in pairs."""
     across = skew(force)  # f x
     keep = torch.eye(3, dtype=force.dtype).expand_as(across)
-    lean = -dt * _flat(across.mT).mT  # (d x f) along the ground
+    lean = -dt * _project_to_ground(across.mT).mT  # (d x f) along the ground
     upper = torch.cat([(1.0 - decay[..., None, None, None]) * keep, lean.expand_as(keep)], -1)
     lower = torch.cat([-turning[..., None, :, None] * across, keep], -1)
     factor = torch.cat(torch.broadcast_tensors(upper, lower), -2)
@@ -208,6 +216,6 @@ def _chained(
     return torch.cat([start[..., None, :, :].expand(*shape[:-1], 1, 2, 3), after], -3)
 
 
-def _flat(vectors: Tensor) -> Tensor:
+def _project_to_ground(vectors: Tensor) -> Tensor:
     """Vectors along the ground: their height is told by the accelerometer."""
     return vectors * vectors.new_tensor([1.0, 1.0, 0.0])

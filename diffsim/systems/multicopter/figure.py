@@ -29,19 +29,19 @@ def figure_of(scene: CopterFlight, channels: Tensor) -> MovingShape | None:
     Returns:
         None where position or attitude are not among the channels.
     """
-    position = _group(scene, channels, "position")
-    rotation = _rotation(scene, channels)
+    position = _pick_group(scene, channels, "position")
+    rotation = _pick_rotation(scene, channels)
     if position is None or rotation is None:
         return None
     turn = _UP @ scene.frames.rotation(rotation).numpy()
     place = scene.frames.in_world(position).numpy() @ _UP
-    nodes, triangles = _stand_in(scene.vehicle)
+    nodes, triangles = _build_stand_in(scene.vehicle)
     return MovingShape(
         triangles=triangles, nodes_m=nodes @ turn.transpose(0, 2, 1) + place[:, None]
     )
 
 
-def _group(scene: CopterFlight, channels: Tensor, group: str) -> Tensor | None:
+def _pick_group(scene: CopterFlight, channels: Tensor, group: str) -> Tensor | None:
     """Readings of a group, (num_samples, width); None where one of them is not recorded."""
     if group not in scene.sensors:
         return None
@@ -53,16 +53,16 @@ def _group(scene: CopterFlight, channels: Tensor, group: str) -> Tensor | None:
     return channels[:, [known.index(column) for column in wanted]]
 
 
-def _rotation(scene: CopterFlight, channels: Tensor) -> Tensor | None:
+def _pick_rotation(scene: CopterFlight, channels: Tensor) -> Tensor | None:
     """World from body as recorded, (num_samples, 3, 3)."""
-    turns = _group(scene, channels, "quaternion")
+    turns = _pick_group(scene, channels, "quaternion")
     if turns is not None:
         return matrix_from_quaternion(turns / turns.norm(dim=-1, keepdim=True))
-    angles = _group(scene, channels, "attitude")
+    angles = _pick_group(scene, channels, "attitude")
     return None if angles is None else matrix_from_rpy(angles)
 
 
-def _stand_in(fleet: Fleet) -> tuple[Array, NDArray[np.int64]]:
+def _build_stand_in(fleet: Fleet) -> tuple[Array, NDArray[np.int64]]:
     """Nodes (num_nodes, 3) in the body frame [m] and triangles of arms and discs."""
     hubs, axes = fleet.positions[0].numpy(), fleet.directions[0].numpy()
     radii = fleet.radii[0].numpy()

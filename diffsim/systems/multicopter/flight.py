@@ -40,11 +40,11 @@ Schedule = Callable[[Motion, Tensor], Tensor]
 Air = Callable[[Motion], Tensor]
 
 
-def _origin() -> Tensor:
+def _make_origin() -> Tensor:
     return torch.zeros(1, 3, dtype=torch.float64)
 
 
-def _unit() -> Tensor:
+def _make_unit() -> Tensor:
     return torch.ones(1, dtype=torch.float64)
 
 
@@ -113,16 +113,16 @@ class CopterFlight:
     command_maps: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     schedules: tuple[Schedule, ...] = ()
     air: tuple[Air, ...] = ()
-    world_force: Tensor = field(default_factory=lambda: _origin()[None])
-    marker: Tensor = field(default_factory=_origin)
-    center_of_mass: Tensor = field(default_factory=_origin)
-    imu_tilt: Tensor = field(default_factory=_origin)
-    position_scale: Tensor = field(default_factory=_unit)
-    accelerometer_scale: Tensor = field(default_factory=_unit)
-    ground_scale: Tensor = field(default_factory=_unit)
-    attitude_offset: Tensor = field(default_factory=_origin)
-    body_rates_offset: Tensor = field(default_factory=_origin)
-    accelerometer_offset: Tensor = field(default_factory=_origin)
+    world_force: Tensor = field(default_factory=lambda: _make_origin()[None])
+    marker: Tensor = field(default_factory=_make_origin)
+    center_of_mass: Tensor = field(default_factory=_make_origin)
+    imu_tilt: Tensor = field(default_factory=_make_origin)
+    position_scale: Tensor = field(default_factory=_make_unit)
+    accelerometer_scale: Tensor = field(default_factory=_make_unit)
+    ground_scale: Tensor = field(default_factory=_make_unit)
+    attitude_offset: Tensor = field(default_factory=_make_origin)
+    body_rates_offset: Tensor = field(default_factory=_make_origin)
+    accelerometer_offset: Tensor = field(default_factory=_make_origin)
     camera_delay: Tensor | None = None
     late: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
     readers: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()

@@ -44,7 +44,7 @@ class Flyer:
             dt=scene.dt,
             substeps=scene.substeps,
             clamp=False,
-            effects=self._effects(),
+            effects=self._make_effects(),
         )
 
     def __call__(self, start: Tensor) -> Tensor:
@@ -60,10 +60,10 @@ class Flyer:
         windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
         # no rotor pulls backwards; what a gain or a cause makes of its thrust may lie beyond limits
-        thrusts = self._delivered(start[:, 0, RIGID:]).clamp(min=0.0)
+        thrusts = self._deliver_thrusts(start[:, 0, RIGID:]).clamp(min=0.0)
         return self.fly_thrusts(start[..., :RIGID], windowed(thrusts, windows, length))
 
-    def _delivered(self, past: Tensor) -> Tensor:
+    def _deliver_thrusts(self, past: Tensor) -> Tensor:
         """Thrusts as of ``CopterFlight.delivered``; those of equal starts once."""
         if not self.is_one or self.points == 1:
             return self.scene.delivered(past)
@@ -87,7 +87,7 @@ class Flyer:
             record = self._fly(start, flown, air if air.dim() > 1 else None)
             motion = record.motion(scene.vehicle, flown, thrusts, scene.dt)
             before, air_before = flown, air
-            flown, air = self._scheduled(motion, thrusts), self._air(motion)
+            flown, air = self._schedule_thrusts(motion, thrusts), self._sum_air_forces(motion)
             with torch.no_grad():
                 change = float(max((flown - before).abs().max(), (air - air_before).abs().max()))
             still += change < _SETTLED
@@ -103,12 +103,12 @@ class Flyer:
             num_iters=_MAX_PASSES,
         )
 
-    def _scheduled(self, motion: Motion, thrusts: Tensor) -> Tensor:
+    def _schedule_thrusts(self, motion: Motion, thrusts: Tensor) -> Tensor:
         for change in self.scene.schedules:
             thrusts = change(motion, thrusts)
         return thrusts
 
-    def _air(self, motion: Motion) -> Tensor:
+    def _sum_air_forces(self, motion: Motion) -> Tensor:
         total = torch.zeros_like(motion.velocity)
         for force in self.scene.air:
             total = total + force(motion)
@@ -118,14 +118,14 @@ class Flyer:
         """Flights under thrusts, and forces ``air`` in the world, (points, ..., 3) [N]."""
         scene, points = self.scene, self.points
         _, windows, length, rotors = thrusts.shape
-        force = self._world_force(windows, length)
+        force = self._sum_world_forces(windows, length)
         force = force if air is None else force + air
         pull = force / scene.vehicle.mass[:, None, None, None]
         frame = _Frame.of(pull, scene.dt)
         flight = self._prepared.fly(
             flight_state(start.reshape(-1, RIGID)),
             thrusts.expand(points, -1, -1, -1).reshape(-1, length, rotors).contiguous(),
-            wind=self._wind(windows, length, frame),
+            wind=self._sum_wind(windows, length, frame),
         )
         state = flight.state
 
@@ -140,14 +140,14 @@ class Flyer:
             shaped(state.body_rates),
         )
 
-    def _world_force(self, windows: int, length: int) -> Tensor:
+    def _sum_world_forces(self, windows: int, length: int) -> Tensor:
         """(points or 1, num_windows or 1, length, 3) [N]."""
         force = self.scene.world_force
         if force.shape[1] == 1:
             return force[:, None].expand(-1, 1, length, 3)
         return windowed(torch.cat([force[:, :1], force[:, :-1]], 1), windows, length)
 
-    def _effects(self) -> FlightEffects:
+    def _make_effects(self) -> FlightEffects:
         """The scene's effects, one per window."""
         windows, repeated = len(self.scene.windows.measured), dict[str, Any]()
         for name, effect in self.scene.flight_effects.present():
@@ -156,7 +156,7 @@ class Flyer:
             repeated[name] = replace(effect, **rows)
         return FlightEffects(**repeated)
 
-    def _wind(self, windows: int, length: int, frame: _Frame) -> Tensor | None:
+    def _sum_wind(self, windows: int, length: int, frame: _Frame) -> Tensor | None:
         """Of the accelerating frames, where anything feels it."""
         if not self._prepared.has_drag:
             return None

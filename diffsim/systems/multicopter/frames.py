@@ -42,41 +42,45 @@ class Frames:
 
     def in_world(self, vectors: Tensor) -> Tensor:
         """World vectors (..., 3) of the model as the recording writes them, and back."""
-        return vectors if self.world == "NED" else vectors @ _matrix(self.world)
+        return vectors if self.world == "NED" else vectors @ _make_turn_of_vectors(self.world)
 
     def in_body(self, vectors: Tensor) -> Tensor:
         """Body vectors (..., 3) of the model as the recording writes them, and back."""
-        return vectors if self.body == "FRD" else vectors @ _matrix(self.body)
+        return vectors if self.body == "FRD" else vectors @ _make_turn_of_vectors(self.body)
 
     def rotation(self, rotation: Tensor) -> Tensor:
         """World from body (..., 3, 3) of the model as the recording writes it, and back."""
         if self.world != "NED":
-            rotation = _matrix(self.world) @ rotation
-        return rotation if self.body == "FRD" else rotation @ _matrix(self.body)
+            rotation = _make_turn_of_vectors(self.world) @ rotation
+        return rotation if self.body == "FRD" else rotation @ _make_turn_of_vectors(self.body)
 
     def quaternion(self, quaternion: Tensor) -> Tensor:
         """World from body (w, x, y, z), (..., 4), of the model as the recording writes it."""
-        return quaternion if self == Frames() else quaternion @ _turned(self.world, self.body)
+        return (
+            quaternion
+            if self == Frames()
+            else quaternion @ _make_turn_matrix(self.world, self.body)
+        )
 
     def inertia(self, inertia: Tensor) -> Tensor:
         """Inertia (..., 3, 3) about body axes of the recording in those of the model."""
-        turn = _matrix(self.body)
+        turn = _make_turn_of_vectors(self.body)
         return turn @ inertia @ turn.mT
 
 
 @cache
-def _turn(name: str) -> Tensor:
+def _make_turn(name: str) -> Tensor:
     return torch.tensor(_TURNS[name], dtype=torch.float64)
 
 
 @cache
-def _turned(world: str, body: str) -> Tensor:
+def _make_turn_matrix(world: str, body: str) -> Tensor:
     """(4, 4): products with the turns of both frames are linear in the quaternion between them."""
-    units = quaternion_product(_turn(world), torch.eye(4, dtype=torch.float64))
-    return quaternion_product(units, quaternion_conjugate(_turn(body)))
+    units = quaternion_product(_make_turn(world), torch.eye(4, dtype=torch.float64))
+    return quaternion_product(units, quaternion_conjugate(_make_turn(body)))
 
 
 @cache
-def _matrix(name: str) -> Tensor:
+def _make_turn_of_vectors(name: str) -> Tensor:
     """The half turn (3, 3): symmetric, and its own inverse."""
-    return matrix_from_quaternion(_turn(name)).round()
+    return matrix_from_quaternion(_make_turn(name)).round()

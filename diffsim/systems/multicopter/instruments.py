@@ -61,7 +61,7 @@ def instrument_causes(
     """
     if not states_sensors(study):
         return []
-    by_name = {j.channel.name: j for j in _judged(study, cutter)}
+    by_name = {j.channel.name: j for j in _list_judged(study, cutter)}
     out: list[Effect] = []
     for group in channel_groups(study.channels, late_record=False):
         if len(group.channels) == len(by_name):
@@ -87,7 +87,7 @@ def instrument_causes(
     return list(pace(out, usual_sample(study.runs)))
 
 
-def _judged(study: Study, cutter: Cutter) -> list[_Judged]:
+def _list_judged(study: Study, cutter: Cutter) -> list[_Judged]:
     groups = [group for group in cutter.sensors for _ in SENSORS[group]]
     columns = range(len(groups)) if cutter.columns is None else cutter.columns
     return [

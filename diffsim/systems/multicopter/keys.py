@@ -51,8 +51,8 @@ class InertiaKeys(Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_list(cls, given: Any) -> Any:
-        return _named("inertia", given, ("xx", "yy", "zz", "xy", "xz", "yz"), (3, 6))
+    def _read_list(cls, given: Any) -> Any:
+        return _map_by_name("inertia", given, ("xx", "yy", "zz", "xy", "xz", "yz"), (3, 6))
 
 
 class PlaceKeys(Part):
@@ -64,8 +64,8 @@ class PlaceKeys(Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_list(cls, given: Any) -> Any:
-        return _named("a place", given, ("x", "y", "z"), (3,))
+    def _read_list(cls, given: Any) -> Any:
+        return _map_by_name("a place", given, ("x", "y", "z"), (3,))
 
 
 class RotorKeys(Part):
@@ -104,13 +104,13 @@ class ThrustKeys(Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _coefficient(cls, given: Any) -> Any:
+    def _read_coefficient(cls, given: Any) -> Any:
         if isinstance(given, Mapping) and isinstance(given.get("coefficient"), (int, float, str)):
             return {**given, "coefficient": {"value": float(given["coefficient"])}}
         return given
 
     @model_validator(mode="after")
-    def _one_law(self) -> ThrustKeys:
+    def _check_one_law(self) -> ThrustKeys:
         if (self.coefficient is None) == (not self.curve):
             raise ValueError("give either coefficient or curve")
         if self.curve and any(b[0] <= a[0] for a, b in pairwise(self.curve)):
@@ -143,7 +143,7 @@ class CommandKeys(Part):
     )
 
     @model_validator(mode="after")
-    def _range(self) -> CommandKeys:
+    def _check_range(self) -> CommandKeys:
         if self.high <= self.low:
             raise ValueError(f"high must be above low, got {self.high:g} and {self.low:g}")
         if len(set(self.columns)) < len(self.columns):
@@ -184,7 +184,7 @@ class SensorKeys(Part):
     )
 
     @model_validator(mode="after")
-    def _enough(self) -> SensorKeys:
+    def _check_enough_channels(self) -> SensorKeys:
         if self.position is None and self.velocity is None:
             raise ValueError("name the channels of position or velocity; a flight needs one")
         names = self.names
@@ -262,7 +262,7 @@ class EstimatorKeys(Part):
     )
 
 
-def _named(what: str, given: Any, names: Sequence[str], counts: Sequence[int]) -> Any:
+def _map_by_name(what: str, given: Any, names: Sequence[str], counts: Sequence[int]) -> Any:
     """A list of numbers as a mapping."""
     if not isinstance(given, (list, tuple)):
         return given

@@ -22,7 +22,7 @@ def hang_load(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     mass, dt = amount(size, 2), scene.dt
     length = torch.full_like(mass, SLING_M) if scene.sling_length is None else scene.sling_length
     stiffness = GRAVITY / length.reshape(-1, 1, 1)
-    swing = _swing(scene.windows.acceleration, dt, stiffness.sqrt())
+    swing = _swing_pendulum(scene.windows.acceleration, dt, stiffness.sqrt())
     sideways = mass * stiffness * swing * swing.new_tensor([1.0, 1.0, 0.0])
 
     def weight(motion: Motion) -> Tensor:
@@ -32,7 +32,7 @@ def hang_load(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.changed(world_force=scene.world_force + sideways).with_air(weight)
 
 
-def _swing(acceleration: Tensor, dt: float, rate: Tensor) -> Tensor:
+def _swing_pendulum(acceleration: Tensor, dt: float, rate: Tensor) -> Tensor:
     """Swing of a pendulum in the middle of every step, (points, num_samples, 3) [m].
 
     Exact for accelerations that are held over steps; a convolution, by Fourier transforms.

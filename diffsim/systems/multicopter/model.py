@@ -26,6 +26,7 @@ from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, MOST_RUNS, Cutt
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
+from diffsim.systems.multicopter.vectors import vector_of
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -87,8 +88,8 @@ class CopterModel(SimModel):
         it is known again: sizes come from two formulas that differ in the last one."""
         if may_be_differentiated():
             return super().scene(run, q, sizes, numerics)
-        q = _rounded(q)
-        there = {e: _rounded(s) for e, s in (sizes or {}).items() if s.any()}
+        q = _round_values(q)
+        there = {e: _round_values(s) for e, s in (sizes or {}).items() if s.any()}
         made = super().scene(run, q, there, numerics)
         assert isinstance(made, CopterScene)
         digits = ((e, s.numpy().tobytes()) for e, s in there.items())
@@ -142,15 +143,15 @@ class CopterModel(SimModel):
         )
         kinds, kind = torch.unique(present, dim=0, return_inverse=True)
         out = q.new_empty(len(q), *run.measured.shape)
-        shooting = self._scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
+        shooting = self._build_scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
         for k, row in enumerate(kinds[:, 1:]):
             mine = torch.nonzero(kind == k)[:, 0]
             mine_only = {e: s[mine] for e, s in sizes.items()}
-            scene = self._scene(run, q[mine], mine_only, row, numerics)
+            scene = self._build_scene(run, q[mine], mine_only, row, numerics)
             out[mine] = scene.simulate_many(len(mine), shooting)
         return out
 
-    def _scene(
+    def _build_scene(
         self,
         run: Run,
         q: Tensor,
@@ -164,7 +165,7 @@ class CopterModel(SimModel):
         return scene
 
 
-def _rounded(values: Tensor) -> Tensor:
+def _round_values(values: Tensor) -> Tensor:
     """Values to 13 digits."""
     bits = values.contiguous().view(torch.int64)
     return ((bits + (1 << 7)) >> 8 << 8).view(torch.float64)
@@ -250,20 +251,20 @@ class Flights:
     known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        return self._scene(values, run, numerics, self.windows(run))
+        return self._build_scene(values, run, numerics, self.windows(run))
 
     def windows(self, run: Run) -> Windows:
         """The record of a run in windows."""
-        return self.known(run, lambda: self._cut(run))
+        return self.known(run, lambda: self._cut_run(run))
 
-    def _cut(self, run: Run) -> Windows:
-        past = _columns(run, self.commands).mean(1)
+    def _cut_run(self, run: Run) -> Windows:
+        past = _stack_columns(run, self.commands).mean(1)
         nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
         return self.cutter.cut(
-            run, past, partial(self._scene, nominal, run, Numerics()), self.vehicle
+            run, past, partial(self._build_scene, nominal, run, Numerics()), self.vehicle
         )
 
-    def _scene(
+    def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
     ) -> CopterScene:
         def of(name: str) -> Tensor:
@@ -279,10 +280,10 @@ class Flights:
                 inertia=self.vehicle.inertia * of("inertia_gain")[:, None, None],
                 torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
             ),
-            commands=_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
-            attitude_offset=_vector(values, "attitude_offset"),
-            body_rates_offset=_vector(values, "body_rates_offset"),
-            accelerometer_offset=_vector(values, "accelerometer_offset"),
+            commands=_stack_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
+            attitude_offset=vector_of(values, "attitude_offset"),
+            body_rates_offset=vector_of(values, "body_rates_offset"),
+            accelerometer_offset=vector_of(values, "accelerometer_offset"),
             dt=spacing(run),
             sensors=self.cutter.sensors,
             windows=windows,
@@ -296,14 +297,7 @@ class Flights:
         return scene
 
 
-def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
-    """(points, 3) of the parameters name_x, name_y, name_z; 0 where there are none."""
-    zero = torch.zeros(1, dtype=torch.float64)
-    parts = [values.get(f"{name}_{axis}", zero).reshape(-1) for axis in "xyz"]
-    return torch.stack(torch.broadcast_tensors(*parts), -1)
-
-
-def _columns(run: Run, names: Sequence[str]) -> Tensor:
+def _stack_columns(run: Run, names: Sequence[str]) -> Tensor:
     """(1, num_samples, n_rotors) [N]."""
     for name in names:
         require_choice(f"run {run.name}: command", name, run.command)

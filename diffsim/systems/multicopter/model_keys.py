@@ -103,7 +103,7 @@ class MulticopterKeys(Description):
     nuisances: NuisanceKeys = Field(NuisanceKeys(), description="Offsets and clocks")
 
     @model_validator(mode="after")
-    def _whole(self) -> MulticopterKeys:
+    def _check_vehicle(self) -> MulticopterKeys:
         if self.design is None:
             missing = [k for k in ("mass", "inertia", "rotors") if not getattr(self, k)]
             if missing:

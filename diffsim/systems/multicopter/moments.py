@@ -34,7 +34,7 @@ def with_moment(scene: CopterScene, moment: Moment) -> CopterScene:
     )
 
 
-def _lever(velocity: Tensor) -> Tensor:
+def _find_lever(velocity: Tensor) -> Tensor:
     """Direction of the moment of a force against the velocity that acts one meter above the center
     of mass: -e_up x v, in the model's frame (z down)."""
     x, y, z = velocity.unbind(-1)
@@ -43,7 +43,7 @@ def _lever(velocity: Tensor) -> Tensor:
 
 def pitch_in_flow(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     sizes = vector(size)[:, None, None]
-    return with_moment(scene, lambda motion: sizes * _lever(motion.body_velocity))
+    return with_moment(scene, lambda motion: sizes * _find_lever(motion.body_velocity))
 
 
 def pitch_less_in_climb(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
@@ -51,7 +51,7 @@ def pitch_less_in_climb(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
 
     def moment(motion: Motion) -> Tensor:
         velocity = motion.body_velocity
-        return -sizes * -velocity[..., 2:] * _lever(velocity)
+        return -sizes * -velocity[..., 2:] * _find_lever(velocity)
 
     return with_moment(scene, moment)
 

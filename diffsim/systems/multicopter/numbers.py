@@ -52,14 +52,14 @@ def change_number(flight: Flight, name: str, change: Change) -> Flight:
         return flight.changed(**{name: change(getattr(flight, name))})
     if name == "camera_delay":
         delay = flight.camera_delay
-        return flight.changed(camera_delay=change(_zero() if delay is None else delay))
+        return flight.changed(camera_delay=change(_make_zero() if delay is None else delay))
     if name in _ADDED:
         return _change_drag(flight, name, change)
     vector, axis = name.rsplit("_", 1)
     return _change_component(flight, vector, axis, change)
 
 
-def _zero() -> Tensor:
+def _make_zero() -> Tensor:
     return torch.zeros(1, dtype=torch.float64)
 
 
@@ -73,13 +73,13 @@ def _change_drag(flight: Flight, name: str, change: Change) -> Flight:
     there = flight.flight_effects
     if name == "rotor_drag":
         rotors = there.rotor_drag
-        coefficient = change(_zero() if rotors is None else rotors.coefficient)
+        coefficient = change(_make_zero() if rotors is None else rotors.coefficient)
         drags = replace(there, rotor_drag=RotorDrag(coefficient=coefficient))
     else:
-        none = _zero().expand(1, 3)
+        none = _make_zero().expand(1, 3)
         body = there.body_drag or BodyDrag(linear=none, quadratic=none)
         x, y, z = (body.linear[..., i] for i in range(3))
-        drags = replace(there, body_drag=replace(body, linear=_beside(change(x), change(y), z)))
+        drags = replace(there, body_drag=replace(body, linear=_stack_axes(change(x), change(y), z)))
     return flight.changed(flight_effects=drags)
 
 
@@ -92,7 +92,7 @@ def _change_component(flight: Flight, vector: str, axis: str, change: Change) ->
     parts = list(before.unbind(-1))
     place = AXES.index(axis)
     parts[place] = _change_points(parts[place], change)
-    after = _beside(*parts)
+    after = _stack_axes(*parts)
     changed = flight.changed(**{field: turn(after)})
     if field != "center_of_mass":
         return changed
@@ -101,7 +101,7 @@ def _change_component(flight: Flight, vector: str, axis: str, change: Change) ->
     return changed.changed(vehicle=vehicle.replace(positions=vehicle.positions - shift))
 
 
-def _beside(*parts: Tensor) -> Tensor:
+def _stack_axes(*parts: Tensor) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 

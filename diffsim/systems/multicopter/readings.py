@@ -52,18 +52,18 @@ class Record:
             delay: (points,) [s].
             dt: Time between two steps [s].
         """
-        quaternion = _ago(self.quaternion, delay, dt)  # integrated: no sign jumps
+        quaternion = _look_back(self.quaternion, delay, dt)  # integrated: no sign jumps
         quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
         return Record(
-            _ago(self.position, delay, dt),
-            _ago(self.velocity, delay, dt),
+            _look_back(self.position, delay, dt),
+            _look_back(self.velocity, delay, dt),
             matrix_from_quaternion(quaternion),
             quaternion,
-            _ago(self.body_rates, delay, dt),
+            _look_back(self.body_rates, delay, dt),
         )
 
 
-def _ago(values: Tensor, delay: Tensor, dt: float) -> Tensor:
+def _look_back(values: Tensor, delay: Tensor, dt: float) -> Tensor:
     """Values (points, num_windows, length + 1, width) at every step, ``delay`` earlier."""
     last = values.shape[2] - 1
     slope = torch.gradient(values, dim=2)[0]  # per step, central inside
@@ -108,8 +108,8 @@ class _Shown:
         states = record.position, record.velocity, record.rotation, record.quaternion
         shown = cls(scene, record, *(state[:, :, 1:] for state in states))
         if scene.estimator is not None:
-            shown = shown._mistaken(scene.estimator)
-        return shown if scene.camera_delay is None else shown._late(_wide(scene.camera_delay))
+            shown = shown._estimate(scene.estimator)
+        return shown if scene.camera_delay is None else shown._delay(_widen(scene.camera_delay))
 
     @property
     def body_rates(self) -> Tensor:
@@ -134,7 +134,7 @@ class _Shown:
             return self.halfway
         return matrix_from_quaternion(self.turn[:, :, :-1]) @ self.halfway
 
-    def _mistaken(self, estimator: BlindEstimator) -> _Shown:
+    def _estimate(self, estimator: BlindEstimator) -> _Shown:
         """As an estimator shows it."""
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         axis = self.halfway[..., 2]
@@ -147,7 +147,7 @@ class _Shown:
         velocity = self.velocity + error[:, :, 1:]
         return replace(self, velocity=velocity, rotation=rotation, quaternion=quaternion, turn=turn)
 
-    def _late(self, delay: Tensor) -> _Shown:
+    def _delay(self, delay: Tensor) -> _Shown:
         """As it was a time ago, (points, 1, 1) [s]."""
         late = delay[..., None]
         position = self.position - late * (self.velocity - 0.5 * late * self.acceleration)
@@ -161,17 +161,17 @@ class _Shown:
 
     def in_unit(self, value: Tensor) -> Tensor:
         """A body vector in the axes of the inertial unit."""
-        tilt, value = torch.broadcast_tensors(_wide(self.scene.imu_tilt), value)
+        tilt, value = torch.broadcast_tensors(_widen(self.scene.imu_tilt), value)
         return value - torch.linalg.cross(tilt, value)
 
     def shown_position(self) -> Tensor:
         """Place of the marker in the recording's world."""
         scene = self.scene
-        seen = self.position + turned(self.rotation, _wide(scene.marker))
-        scale = scene.position_scale[:, None] * self._ground()
-        return scene.frames.in_world(_wide(scale) * seen)
+        seen = self.position + turned(self.rotation, _widen(scene.marker))
+        scale = scene.position_scale[:, None] * self._make_axis_scale()
+        return scene.frames.in_world(_widen(scale) * seen)
 
-    def _ground(self) -> Tensor:
+    def _make_axis_scale(self) -> Tensor:
         """Scale of the three axes by what holds along the ground alone, (points, 3)."""
         along = self.scene.ground_scale[:, None]
         return torch.cat([along, along, torch.ones_like(along)], -1)
@@ -183,15 +183,15 @@ class _Shown:
     def shown_attitude(self) -> Tensor:
         """Roll, pitch, yaw; whole turns as in the record."""
         rpy = rpy_from_matrix(self.scene.frames.rotation(self.rotation))
-        rpy = rpy + _wide(self.scene.attitude_offset)
-        measured = self._measured("attitude")
+        rpy = rpy + _widen(self.scene.attitude_offset)
+        measured = self._pick_measured("attitude")
         return rpy + _CIRCLE * ((measured - rpy) / _CIRCLE).nan_to_num(0.0).round().detach()
 
     def shown_quaternion(self) -> Tensor:
         """Quaternion of the recorded sign and length: neither says anything of the attitude."""
-        back = quaternion_from_rotation_vector(_wide(self.scene.attitude_offset))
+        back = quaternion_from_rotation_vector(_widen(self.scene.attitude_offset))
         shown = quaternion_product(self.scene.frames.quaternion(self.quaternion), back)
-        measured = self._measured("quaternion")
+        measured = self._pick_measured("quaternion")
         sign = (measured * shown.detach()).nan_to_num(0.0).sum(-1, keepdim=True)
         length = measured.norm(dim=-1, keepdim=True)
         length = torch.where(torch.isfinite(length) & (length > 0.0), length, 1.0)
@@ -200,15 +200,15 @@ class _Shown:
     def shown_body_rates(self) -> Tensor:
         """Gyro in the recording's body frame."""
         rates = self.scene.frames.in_body(self.in_unit(self.body_rates))
-        return rates + _wide(self.scene.body_rates_offset)
+        return rates + _widen(self.scene.body_rates_offset)
 
     def shown_specific_force(self) -> Tensor:
         """Accelerometer in the recording's body frame, mean over the step before."""
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         specific = turned_back(self.halfway, self.acceleration - gravity)
-        scale = _wide(self.scene.accelerometer_scale)[..., None]
+        scale = _widen(self.scene.accelerometer_scale)[..., None]
         shown = self.scene.frames.in_body(scale * self.in_unit(specific))
-        return shown + _wide(self.scene.accelerometer_offset)
+        return shown + _widen(self.scene.accelerometer_offset)
 
     def shown_specific_force_in_world(self) -> Tensor:
         """The accelerometer's reading, turned into the recording's world."""
@@ -221,7 +221,7 @@ class _Shown:
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         return self.shown_specific_force_in_world() + self.scene.frames.in_world(gravity)
 
-    def _measured(self, group: str) -> Tensor:
+    def _pick_measured(self, group: str) -> Tensor:
         """Readings of a group in the record, (num_windows, length, width); NaN where none."""
         scene = self.scene
         start = sum(len(SENSORS[g]) for g in scene.sensors[: scene.sensors.index(group)])
@@ -274,9 +274,11 @@ class WindowGrid(Grid):
 
 def read(scene: CopterFlight, record: Record) -> Tensor:
     """Readings of the sensors, (points, num_windows, length, num_channels)."""
-    out = _channels(scene, record, range(scene.windows.measured.shape[-1]))
+    out = _show_at_once(scene, record, range(scene.windows.measured.shape[-1]))
     for channels, delay in delays_of(scene.late).items():
-        out = _put(out, channels, _channels(scene, record.before(delay, scene.dt), channels))
+        out = _replace_channels(
+            out, channels, _show_at_once(scene, record.before(delay, scene.dt), channels)
+        )
     if not scene.readers:
         return out
     grid, signals = WindowGrid.of_flight(scene), out.permute(1, 0, 3, 2)
@@ -285,7 +287,7 @@ def read(scene: CopterFlight, record: Record) -> Tensor:
     return signals.permute(1, 0, 3, 2)
 
 
-def _channels(scene: CopterFlight, record: Record, channels: Sequence[int]) -> Tensor:
+def _show_at_once(scene: CopterFlight, record: Record, channels: Sequence[int]) -> Tensor:
     """What some channels would show at once, (points, num_windows, length, len(channels))."""
     shown = _Shown.of(scene, record)
     columns = channels if scene.columns is None else [scene.columns[k] for k in channels]
@@ -300,13 +302,13 @@ def _channels(scene: CopterFlight, record: Record, channels: Sequence[int]) -> T
     return torch.cat(parts, -1)[..., [place[column] for column in columns]]
 
 
-def _put(out: Tensor, channels: tuple[int, ...], changed: Tensor) -> Tensor:
+def _replace_channels(out: Tensor, channels: tuple[int, ...], changed: Tensor) -> Tensor:
     """Some channels of ``changed``, (..., len(channels)), the others of ``out``."""
     whole = out.expand(*changed.shape[:-1], -1).clone()
     whole[..., list(channels)] = changed
     return whole
 
 
-def _wide(value: Tensor) -> Tensor:
+def _widen(value: Tensor) -> Tensor:
     """(points, ...) against (points, num_windows, length, ...)."""
     return value[:, None, None]

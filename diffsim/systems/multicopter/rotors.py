@@ -52,20 +52,20 @@ def lose_thrust(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> Co
     Causes that depend on a rotor's speed take the lost thrust for lost speed, an error of second
     order.
     """
-    kept = 1.0 - amount(size, 1) * _mark(scene, index)
+    kept = 1.0 - amount(size, 1) * _mark_rotor(scene, index)
     weaker = scene.with_command((), lambda u, grid: u * kept[..., None])
     return _scale_torques(weaker, 1.0 / kept)
 
 
 def lose_torque(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
-    return _scale_torques(scene, 1.0 - amount(size, 1) * _mark(scene, index))
+    return _scale_torques(scene, 1.0 - amount(size, 1) * _mark_rotor(scene, index))
 
 
 def tilt_rotor(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
-    return tilt_axes(scene, vector(size)[:, None] * _mark(scene, index)[:, None])
+    return tilt_axes(scene, vector(size)[:, None] * _mark_rotor(scene, index)[:, None])
 
 
-def _mark(scene: CopterScene, index: int) -> Tensor:
+def _mark_rotor(scene: CopterScene, index: int) -> Tensor:
     """1 for a certain rotor, else 0, (n_rotors,)."""
     share = torch.zeros(scene.vehicle.num_rotors, dtype=torch.float64)
     share[index] = 1.0

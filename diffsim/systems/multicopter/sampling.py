@@ -27,13 +27,13 @@ def evenly_sampled(study: Study, rate_hz: float | None, means: Sequence[bool]) -
         rate_hz: Samples per second; None: as recorded, and runs that are even stay as they are.
         means: Which channels are means over the step before: accelerations are.
     """
-    runs = tuple(_even(run, rate_hz, np.array(means)) for run in study.runs)
+    runs = tuple(_make_even(run, rate_hz, np.array(means)) for run in study.runs)
     if all(a is b for a, b in zip(runs, study.runs, strict=True)):
         return study
     return replace(study, runs=runs)
 
 
-def _even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
+def _make_even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
     steps = np.diff(run.time_s)
     usual = float(np.median(steps))
     mean = float(steps.mean())
@@ -45,11 +45,11 @@ def _even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
     time = run.time_s[0] + dt * np.arange(count)
     limit = _GAP * max(dt, usual)
     columns = [
-        _shown(run.time_s, values, time, dt, limit, is_mean=bool(m))
+        _resample_channel(run.time_s, values, time, dt, limit, is_mean=bool(m))
         for values, m in zip(run.measured.T, means, strict=True)
     ]
     command = {
-        name: _mean(
+        name: _average_held(
             run.time_s, np.asarray(values, dtype=np.float64), time, time + dt, is_before=False
         )
         for name, values in run.command.items()
@@ -57,7 +57,7 @@ def _even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
     return replace(run, time_s=time, measured=np.stack(columns, 1), command=command)
 
 
-def _shown(
+def _resample_channel(
     old: Array, values: Array, time: Array, dt: float, limit: float, *, is_mean: bool
 ) -> Array:
     """One channel at new times; NaN where no reading is near."""
@@ -66,7 +66,9 @@ def _shown(
         return np.full(len(time), np.nan)
     at, there = old[good], values[good]
     out = (
-        _mean(at, there, time - dt, time, is_before=True) if is_mean else np.interp(time, at, there)
+        _average_held(at, there, time - dt, time, is_before=True)
+        if is_mean
+        else np.interp(time, at, there)
     )
     after = np.searchsorted(at, time).clip(1, len(at) - 1)
     inside = at[after] - at[after - 1] > limit
@@ -74,7 +76,7 @@ def _shown(
     return np.where(inside & ~near, np.nan, out)
 
 
-def _mean(old: Array, values: Array, start: Array, end: Array, *, is_before: bool) -> Array:
+def _average_held(old: Array, values: Array, start: Array, end: Array, *, is_before: bool) -> Array:
     """Means over intervals of what is held between samples; ends held.
 
     Args:

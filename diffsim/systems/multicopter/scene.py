@@ -35,10 +35,10 @@ class CopterScene(CopterFlight):
         """Best initial states of one point and their tangents there, found within some steps; those
         of the last points are kept."""
         if self.point is None:
-            return self._searched(max_steps)
-        return self.windows.known(self.point, lambda: self._searched(max_steps))
+            return self._search_starts(max_steps)
+        return self.windows.known(self.point, lambda: self._search_starts(max_steps))
 
-    def _searched(self, max_steps: int) -> Shooting:
+    def _search_starts(self, max_steps: int) -> Shooting:
         flyers: dict[int, Flyer] = {}
 
         def predict(starts: Tensor) -> Tensor:

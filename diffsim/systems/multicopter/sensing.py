@@ -50,7 +50,7 @@ def sensing_of(keys: SensorKeys, study: Study) -> Sensing:
     place: dict[str, tuple[int, float]] = {}
     start = 0
     for key, (group, _, sd) in _KINDS.items():
-        names = _columns(keys, key)
+        names = _list_columns(keys, key)
         if not any(names):
             continue
         order = (
@@ -76,7 +76,7 @@ def are_means(keys: SensorKeys, study: Study) -> list[bool]:
     named = {
         name
         for key in ("specific_force", "specific_force_in_world", "acceleration")
-        for name in _columns(keys, key)
+        for name in _list_columns(keys, key)
     }
     return [c.name in named for c in study.channels]
 
@@ -85,7 +85,7 @@ def sensor_problems(keys: SensorKeys, study: Study) -> Iterator[Problem]:
     """Channels that are not there, not named, or of another unit."""
     units = {c.name: c.unit for c in study.channels}
     for key, (_, unit, _) in _KINDS.items():
-        for name in _columns(keys, key):
+        for name in _list_columns(keys, key):
             if name is None:
                 continue
             where = f"model.sensors.{key}"
@@ -96,7 +96,7 @@ def sensor_problems(keys: SensorKeys, study: Study) -> Iterator[Problem]:
                     f"no channel {name!r}{did_you_mean(name, units)}; the study has "
                     f"{', '.join(units)}",
                 )
-            elif not _is(units[name], unit):
+            elif not _is_in_unit(units[name], unit):
                 yield Problem(
                     "error",
                     where,
@@ -111,7 +111,7 @@ def sensor_problems(keys: SensorKeys, study: Study) -> Iterator[Problem]:
             )
 
 
-def _is(have: str, want: str) -> bool:
+def _is_in_unit(have: str, want: str) -> bool:
     """Whether numbers of a study are in a unit; studies are in SI units when they are read."""
     try:
         return abs(factor(have, want) - 1.0) < 1e-9
@@ -119,7 +119,7 @@ def _is(have: str, want: str) -> bool:
         return False
 
 
-def _columns(keys: SensorKeys, key: str) -> tuple[str | None, ...]:
+def _list_columns(keys: SensorKeys, key: str) -> tuple[str | None, ...]:
     if key == "quaternion":
         return () if keys.quaternion is None else keys.quaternion.columns
     given: tuple[str | None, ...] | None = getattr(keys, key)

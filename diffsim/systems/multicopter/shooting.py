@@ -161,18 +161,18 @@ class Windows:
             starts = [(self, self.guess)]
             near = self.start if near is None else near
             if near is not None:
-                starts.insert(0, self._at_zero(near, near[0, RIGID:] == 0.0))
+                starts.insert(0, self._hold_at_zero(near, near[0, RIGID:] == 0.0))
             for windows, states in starts:
                 for _ in range(_MAX_FREED):
-                    shooting, size, states = windows._bounded(predict, states, max_steps)
+                    shooting, size, states = windows._take_bounded_steps(predict, states, max_steps)
                     if size >= _SETTLED:
                         break
                     wanted = shooting.windows._wants_thrust(predict, states)
                     if not wanted.any():
                         return shooting
-                    windows = self._at_zero(self.guess, shooting.windows.held & ~wanted)[0]
+                    windows = self._hold_at_zero(self.guess, shooting.windows.held & ~wanted)[0]
             if max_steps >= MAX_STEPS:
-                shooting, size = self._crept(predict, starts[0][1] - self.guess)
+                shooting, size = self._creep(predict, starts[0][1] - self.guess)
                 if size < _LINEAR:
                     return shooting
         raise ConvergenceError(
@@ -183,7 +183,7 @@ class Windows:
             num_iters=max_steps,
         )
 
-    def _bounded(
+    def _take_bounded_steps(
         self, predict: Predict, states: Tensor, max_steps: int
     ) -> tuple[Shooting, float, Tensor]:
         """Steps with new tangents each, as long as ``Secants`` says. A thrust that a step takes
@@ -195,29 +195,29 @@ class Windows:
         windows, secants, last = self, Secants.none(len(self.guess), self.spread), None
         for _ in range(max_steps):
             change = states - windows.guess
-            shooting, step = windows._step(predict, change)
+            shooting, step = windows._find_step(predict, change)
             if last is not None:
                 secants = secants.learned(change - last[0], last[1], step)
-            size = windows._size(step)
+            size = windows._measure_step(step)
             if size < _SETTLED:
                 break
             last = change, step
             if max_steps >= MAX_STEPS:
-                step = windows._shortened(predict, change, secants.ahead(step))
+                step = windows._shorten_step(predict, change, secants.ahead(step))
             else:
                 step = step / max(1.0, size)
             states = states + step
             below = states[0, RIGID:] < 0.0
             if below.any():
-                windows, states = windows._at_zero(states, below)
+                windows, states = windows._hold_at_zero(states, below)
                 secants, last = Secants.none(len(self.guess), self.spread), None
         return shooting, size, states
 
-    def _size(self, step: Tensor) -> float:
+    def _measure_step(self, step: Tensor) -> float:
         """Largest entry of a step over its spread."""
         return float((step / self.spread).abs().max())
 
-    def _at_zero(self, states: Tensor, zero: Tensor) -> tuple[Windows, Tensor]:
+    def _hold_at_zero(self, states: Tensor, zero: Tensor) -> tuple[Windows, Tensor]:
         """The same windows with some thrusts before the record held at zero, and states there."""
         if not zero.any():
             return self, states
@@ -230,12 +230,12 @@ class Windows:
         """The same windows with the thrusts before the record as guessed."""
         return replace(self, held=torch.ones_like(self.held), is_at_zero=False)
 
-    def _shortened(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
+    def _shorten_step(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
         """A step as long as it may be: beyond the spread only in windows that it makes better."""
         sizes = (step / self.spread).abs().amax(1)
         if float(sizes.max()) <= 1.0:
             return step
-        better = self._costs(predict, change + step) < self._costs(predict, change)
+        better = self._compute_costs(predict, change + step) < self._compute_costs(predict, change)
         return step / torch.where(better, 1.0, sizes.clamp(min=1.0))[:, None]
 
     def _wants_thrust(self, predict: Predict, states: Tensor) -> Tensor:
@@ -249,7 +249,7 @@ class Windows:
         cost = off.nan_to_num(0.0).square().flatten(1).sum(1)
         return torch.zeros_like(self.held).index_put((rotors,), cost[1:] < cost[0])
 
-    def _crept(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
+    def _creep(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
         """Steps that are halved until the fit is better; slower, and sure to go down.
 
         Where that has no end the states lie on a kink: a rotor whose thrust before the record wants
@@ -259,13 +259,13 @@ class Windows:
             Tangents at the best states found, and the step that was wanted there, over the spread.
         """
         for _ in range(_MAX_CREEPING):
-            shooting, step = self._step(predict, change)
+            shooting, step = self._find_step(predict, change)
             size = float((step / self.spread).abs().max())
             if size < _SETTLED:
                 break
-            here, share = self._costs(predict, change).sum(), 1.0 / max(1.0, size)
+            here, share = self._compute_costs(predict, change).sum(), 1.0 / max(1.0, size)
             while share > _LEAST_SHARE:
-                if self._costs(predict, change + share * step).sum() <= here:
+                if self._compute_costs(predict, change + share * step).sum() <= here:
                     break
                 share *= 0.5
             if share <= _LEAST_SHARE:
@@ -274,7 +274,7 @@ class Windows:
         states = self.guess + change
         below = ((states < 0.0) | (states + step < 0.0))[0, RIGID:] & ~self.held
         if below.any():
-            windows, states = self._at_zero(states, below)
+            windows, states = self._hold_at_zero(states, below)
         elif size < _LINEAR or self.held.all():
             return shooting, size
         else:  # another kink: thrusts before the record stay where they are
@@ -283,13 +283,15 @@ class Windows:
             windows = replace(self, guess=guess).with_thrusts_held()
         return windows.settled(predict, near=states), 0.0
 
-    def _costs(self, predict: Predict, change: Tensor) -> Tensor:
+    def _compute_costs(self, predict: Predict, change: Tensor) -> Tensor:
         """Misfit and departure from the guess over their spreads, squared, (num_windows,)."""
         off = (predict((self.guess + change)[None])[0] - self.measured) / self.sd
         off = off.where(torch.isfinite(self.measured), 0.0)
         return off.square().sum((1, 2)) + (change @ self.precision * change).sum(1)
 
-    def _step(self, predict: Callable[[Tensor], Tensor], change: Tensor) -> tuple[Shooting, Tensor]:
+    def _find_step(
+        self, predict: Callable[[Tensor], Tensor], change: Tensor
+    ) -> tuple[Shooting, Tensor]:
         """Tangents by central differences, and the step to be taken, (num_windows, m)."""
         windows, length, channels = self.measured.shape
         spread = self.spread

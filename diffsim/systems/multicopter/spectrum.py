@@ -30,17 +30,17 @@ def strongest_frequency(flights: DescribedFlights, runs: Sequence[Run]) -> tuple
         flights: Recipe of the scenes, whose nominal vehicle the forces are left over by.
         runs: Runs that are fitted.
     """
-    records = [_left_over(flights, run) for run in runs]
+    records = [_find_residuals(flights, run) for run in runs]
     longest = max(float(t[-1] - t[0]) for t, _, _ in records)
     step = 1.0 / (_PER_PERIOD * longest)
     tried = np.arange(1.0 / longest, _HIGHEST_HZ, step)
     if len(tried) == 0:
         return 1.0, 0.5
-    left = [sum(_misfit(f, *record) for record in records) for f in tried]
+    left = [sum(_compute_misfit(f, *record) for record in records) for f in tried]
     return float(tried[int(np.argmin(left))]), 0.5 / longest
 
 
-def _left_over(flights: DescribedFlights, run: Run) -> tuple[Array, Array, Array]:
+def _find_residuals(flights: DescribedFlights, run: Run) -> tuple[Array, Array, Array]:
     """Times, accelerations (num_samples, 2) and velocities (num_samples, 2) of a run."""
     record = flights.cutter.record(run)
     known = {
@@ -56,7 +56,7 @@ def _left_over(flights: DescribedFlights, run: Run) -> tuple[Array, Array, Array
     return run.time_s, left[:, :2].numpy(), record.states[:, 6:8].numpy()
 
 
-def _misfit(frequency: float, time: Array, left: Array, velocity: Array) -> float:
+def _compute_misfit(frequency: float, time: Array, left: Array, velocity: Array) -> float:
     angle = 2.0 * np.pi * frequency * time
     known = np.column_stack([np.ones_like(time), velocity, np.sin(angle), np.cos(angle)])
     best = np.linalg.lstsq(known, left, rcond=None)[0]

@@ -29,11 +29,11 @@ def states_of(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> Tensor
         frames: Frames of the recording.
         dt: Time between two samples [s].
     """
-    position, velocity = _way(groups, frames, dt)
+    position, velocity = _find_path(groups, frames, dt)
     rates = groups.get("body_rates")
     if rates is not None:
         rates = None if bool(rates.isnan().any()) else frames.in_body(rates)
-    rpy = _attitude(groups, frames, velocity, dt)
+    rpy = _find_attitude(groups, frames, velocity, dt)
     states = guess_states(position, rpy, rates, dt)
     states[:, 6:9] = velocity
     return states
@@ -57,11 +57,11 @@ def acceleration_of(
         rotation = matrix_from_rpy(states[:, 3:6])
         found = (rotation * frames.in_body(specific)[:, None]).sum(-1)
     else:
-        found = _thrust(groups, frames, states[:, 6:9], dt)
+        found = _find_thrust_acceleration(groups, frames, states[:, 6:9], dt)
     return found + _DOWN
 
 
-def _way(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> tuple[Tensor, Tensor]:
+def _find_path(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> tuple[Tensor, Tensor]:
     """Position and velocity, (num_samples, 3) each."""
     place, speed = groups.get("position"), groups.get("velocity")
     if place is None:
@@ -76,7 +76,9 @@ def _way(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> tuple[Tenso
     return frames.in_world(place), frames.in_world(shown)
 
 
-def _attitude(groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: float) -> Tensor:
+def _find_attitude(
+    groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: float
+) -> Tensor:
     """Roll, pitch and yaw without jumps, (num_samples, 3)."""
     quaternion, rpy = groups.get("quaternion"), groups.get("attitude")
     if quaternion is not None and not bool(quaternion.isnan().any()):
@@ -87,12 +89,16 @@ def _attitude(groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt
             return rpy
         rotation = frames.rotation(matrix_from_rpy(rpy))
     else:
-        rotation = _by_thrust(_thrust(groups, frames, velocity, dt), rpy, frames)
+        rotation = _find_rotation_by_thrust(
+            _find_thrust_acceleration(groups, frames, velocity, dt), rpy, frames
+        )
     angles = rpy_from_matrix(rotation).numpy()
     return torch.from_numpy(np.unwrap(angles, axis=0))
 
 
-def _thrust(groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: float) -> Tensor:
+def _find_thrust_acceleration(
+    groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: float
+) -> Tensor:
     """Force over mass besides gravity, world frame of the model, (num_samples, 3) [m/s^2]."""
     for name, gravity in (("acceleration", _DOWN), ("specific_force_in_world", 0.0 * _DOWN)):
         given = groups.get(name)
@@ -101,7 +107,7 @@ def _thrust(groups: Mapping[str, Tensor], frames: Frames, velocity: Tensor, dt: 
     return slope(velocity, dt) - _DOWN
 
 
-def _by_thrust(thrust: Tensor, rpy: Tensor | None, frames: Frames) -> Tensor:
+def _find_rotation_by_thrust(thrust: Tensor, rpy: Tensor | None, frames: Frames) -> Tensor:
     """World from body of the model, (num_samples, 3, 3): what was recorded of roll, pitch and yaw,
     the rest by the direction of the thrust."""
     known = torch.full_like(thrust, torch.nan) if rpy is None else rpy

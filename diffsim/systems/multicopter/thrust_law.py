@@ -16,6 +16,7 @@ from diffsim.core.check import require_choice
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.keys import CommandKeys, RotorKeys, ThrustKeys
+from diffsim.systems.multicopter.vectors import stack_points
 
 Values = Mapping[str, Tensor]
 
@@ -43,7 +44,7 @@ class ThrustLaw:
             run: Recorded run.
             values: ``thrust_coefficient``, () or (points,), where the law has one.
         """
-        u = self._input(run)
+        u = self._compute_input(run)
         if self.thrust is None:
             if self.commands.meaning == "thrust":
                 return u.clamp(min=0.0)
@@ -90,7 +91,7 @@ class ThrustLaw:
         has_coefficient = self.thrust is not None and self.thrust.coefficient is not None
         return self.commands.meaning == "speed" and has_coefficient and self.exponent == 2.0
 
-    def _input(self, run: Run) -> Tensor:
+    def _compute_input(self, run: Run) -> Tensor:
         """The law's u, (1, num_samples, n_rotors)."""
         keys = self.commands
         for name in (*keys.columns, *([self.battery] if self.battery else [])):
@@ -125,7 +126,7 @@ def described_fleet(
     """
 
     def vector(stem: str) -> Tensor:
-        return _stacked([values[f"{stem}_{axis}"] for axis in "xyz"])
+        return stack_points([values[f"{stem}_{axis}"] for axis in "xyz"])
 
     up = [0.0, 0.0, 1.0 if frames.body == "FLU" else -1.0]
     axes = torch.tensor([r.axis or up for r in rotors], dtype=torch.float64)
@@ -133,7 +134,7 @@ def described_fleet(
     entries = [
         values[f"inertia_{e}"] for e in ("xx", "xy", "xz", "xy", "yy", "yz", "xz", "yz", "zz")
     ]
-    inertia = _stacked(entries).reshape(-1, 3, 3)
+    inertia = stack_points(entries).reshape(-1, 3, 3)
     places = [vector(f"rotor_{i + 1}") for i in range(len(rotors))]
     places = [place - vector("center_of_mass") for place in places]
     positions = torch.stack(torch.broadcast_tensors(*places), 1)
@@ -153,14 +154,9 @@ def described_fleet(
 
 def designed_fleet(values: Values, design: Multicopter, frames: Frames) -> Fleet:
     """The vehicle of a design file, its mass and center of mass moved by named quantities."""
-    shift = _stacked([values[f"center_of_mass_{axis}"] for axis in "xyz"])
+    shift = stack_points([values[f"center_of_mass_{axis}"] for axis in "xyz"])
     fleet = Fleet.of([design])
     return fleet.replace(
         mass=values["mass"].reshape(-1),
         positions=fleet.positions - frames.in_body(shift)[:, None],
     )
-
-
-def _stacked(values: list[Tensor]) -> Tensor:
-    """(points, k)."""
-    return torch.stack(torch.broadcast_tensors(*(v.reshape(-1) for v in values)), -1)

@@ -25,7 +25,7 @@ _KNOT_S = 0.2
 _MOST_KNOTS = 30
 
 
-def _push(
+def _push_vehicle(
     scene: CopterScene, size: Tensor, run: Run, *, num_knots: int, spacing: float
 ) -> CopterScene:
     """World force [N] and body torque [0.02 N m], straight lines between knots of time.
@@ -54,7 +54,7 @@ def unknown_wrench(num_knots: int, until_s: float) -> Effect:
         unit="N",
         typical=0.1,
         also_looks_like=("anything",),
-        apply=partial(_push, num_knots=num_knots, spacing=spacing),
+        apply=partial(_push_vehicle, num_knots=num_knots, spacing=spacing),
         components=tuple(f"{a}_{k}" for a in axes for k in range(num_knots)),
     )
 

@@ -26,10 +26,10 @@ def by_formulas(change: Change, *symbols: str) -> Apply:
         change: Formulas in which the sizes are called ``symbols``.
         symbols: One for each component, in order.
     """
-    return partial(_changed, change=change, symbols=symbols)
+    return partial(_apply_change, change=change, symbols=symbols)
 
 
-def _changed(
+def _apply_change(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
 ) -> OdeScene:
     return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
@@ -71,7 +71,7 @@ class Groups:
         own = size[..., 0]
         if self.per is None or len(self.labels) < 2:
             return own
-        label = _label(self.per, run)
+        label = _label_run(self.per, run)
         if label not in self.labels:
             return own
         return own + size[..., 1 + self.labels.index(label)]
@@ -80,19 +80,19 @@ class Groups:
 def labels_of(per: str, study: Study) -> tuple[str, ...]:
     """Values of a fact in the runs of a study, or in those that its ``frame`` is from."""
     kept = study.frame.get(LABELS, {}).get(per)
-    return tuple(kept or dict.fromkeys(_label(per, run) for run in study.runs))
+    return tuple(kept or dict.fromkeys(_label_run(per, run) for run in study.runs))
 
 
-def _label(per: str, run: Run) -> str:
+def _label_run(per: str, run: Run) -> str:
     return run.name if per == "run" else str(run.setup.get(per))
 
 
 def by_formulas_in(change: Change, symbol: str, groups: Groups) -> Apply:
     """An effect that changes formulas, its size that of the run's group."""
-    return partial(_changed_in, change=change, symbol=symbol, groups=groups)
+    return partial(_apply_in_run, change=change, symbol=symbol, groups=groups)
 
 
-def _changed_in(
+def _apply_in_run(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: Groups
 ) -> OdeScene:
     return scene.with_change(change, {symbol: groups.size_in(run, size)})

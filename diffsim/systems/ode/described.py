@@ -81,23 +81,25 @@ class Described:
         self.keys, self.motion, self.study = keys, motion, study
         self._reader, self._given = reader, inputs
         open_ = (i for i in inputs if i.held is None)
-        moving = {i.name for i in open_ if moves_on(study.runs, self._commands_of(i))}
-        self.input_held = self._held(moving)
-        self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
+        moving = {i.name for i in open_ if moves_on(study.runs, self._list_commands_of(i))}
+        self.input_held = self._find_held_inputs(moving)
+        self.unsure = frozenset(
+            i.name for i in inputs if i.held is None and self._list_commands_of(i)
+        )
         taken = {name for name, held in self.input_held.items() if held}
         self.assumed = self.unsure & taken & moving
         self.unsure -= taken
-        self.clocks = self._clocks()
-        self.quantities = self._quantities()
+        self.clocks = self._list_clocks()
+        self.quantities = self._list_quantities()
         facts = fact_names(study)
         self._check_names(facts)
         numbers = (*self.quantities, *facts, *data_names(study, keys.rest))
         between = (*keys.define, *keys.tables)
         self.known = (TIME, *motion.states, *self.input_held, *between, *numbers)
-        self.starts = {s: self._start(s, v, numbers) for s, v in motion.states.items()}
-        self.inputs = self._inputs(numbers)
-        rates = self._parsed("rates", motion.rates)
-        readings = self._parsed("readings", keys.readings)
+        self.starts = {s: self._parse_start(s, v, numbers) for s, v in motion.states.items()}
+        self.inputs = self._list_inputs(numbers)
+        rates = self._parse_formulas("rates", motion.rates)
+        readings = self._parse_formulas("readings", keys.readings)
         if motion != Motion():
             self._check_places()
             self._check_events()
@@ -105,11 +107,11 @@ class Described:
         own = keys.effects.formulas
         self.own = own_effects(own, study, self.known, states, reader) if own else ()
         limits = dict(motion.limits)
-        self.network = Network(rates, readings, self._definitions(), self.input_held, limits)
+        self.network = Network(rates, readings, self._parse_definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
-        self.parts = self._parts()
+        self.parts = self._count_parts()
 
-    def _parsed(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
+    def _parse_formulas(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
 
     def _check_names(self, facts: Iterable[str]) -> None:
@@ -138,13 +140,15 @@ class Described:
             if name not in states:
                 reader.report(f"limits.{name}", "no such state")
 
-    def _start(self, state: str, given: str | Quantity, numbers: tuple[str, ...]) -> Expression:
+    def _parse_start(
+        self, state: str, given: str | Quantity, numbers: tuple[str, ...]
+    ) -> Expression:
         if isinstance(given, Quantity):
             return named(f"{state}_start")
         return self._reader.parse(f"states.{state}", given, (*numbers, *self.input_held))
 
-    def _definitions(self) -> dict[str, Expression]:
-        made = self._parsed("define", self.keys.define)
+    def _parse_definitions(self) -> dict[str, Expression]:
+        made = self._parse_formulas("define", self.keys.define)
         for name, table in self.keys.tables.items():
             made[name] = piecewise(
                 self._reader.parse(f"tables.{name}.of", table.of, self.known),
@@ -158,12 +162,12 @@ class Described:
             return {}
         return made
 
-    def _commands_of(self, given: Input) -> list[str]:
+    def _list_commands_of(self, given: Input) -> list[str]:
         """Commands that an input is made of."""
         words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
         return sorted(words & {c for run in self.study.runs for c in run.command})
 
-    def _held(self, moving: Collection[str]) -> dict[str, bool]:
+    def _find_held_inputs(self, moving: Collection[str]) -> dict[str, bool]:
         """Inputs, with whether they keep their value until the next sample.
 
         Args:
@@ -171,7 +175,7 @@ class Described:
         """
         out = {}
         for i, given in enumerate(self._given):
-            commands = self._commands_of(given)
+            commands = self._list_commands_of(given)
             out[given.name] = given.held or False
             kept = self.study.frame.get(HELD, {}).get(given.name)
             if given.held is None and kept is not None:
@@ -187,7 +191,7 @@ class Described:
                 )
         return out
 
-    def _inputs(self, numbers: tuple[str, ...]) -> dict[str, Expression]:
+    def _list_inputs(self, numbers: tuple[str, ...]) -> dict[str, Expression]:
         """Formula of every input, in commands, facts and parameters."""
         reader, runs = self._reader, self.study.runs
         commands = tuple(dict.fromkeys(c for run in runs for c in run.command))
@@ -212,13 +216,13 @@ class Described:
                     )
         return out
 
-    def _quantities(self) -> dict[str, Quantity]:
+    def _list_quantities(self) -> dict[str, Quantity]:
         """Parameters, then what states, inputs and effects ask for beside them."""
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
         if motion != Motion():
-            given |= self._quantities_of_motion()
+            given |= self._list_quantities_of_motion()
         given |= {clock_of(name): q for name, q in motion.clocks.items()}
         if motion.states and self._may_have_play():
             given[PLAY_START] = START_IN_PLAY
@@ -230,7 +234,7 @@ class Described:
             )
         return given
 
-    def _quantities_of_motion(self) -> dict[str, Quantity]:
+    def _list_quantities_of_motion(self) -> dict[str, Quantity]:
         """Parameters of events, stores and places; what they need is loaded only for motion."""
         from diffsim.systems.ode.event_effects import timings
         from diffsim.systems.ode.place_effects import shapes
@@ -244,7 +248,7 @@ class Described:
             given |= shapes(place)
         return given
 
-    def _clocks(self) -> dict[str, tuple[str, ...]]:
+    def _list_clocks(self) -> dict[str, tuple[str, ...]]:
         """Channels that are late together, by the parameter that says how much."""
         out = {}
         for name in self.motion.clocks:
@@ -306,7 +310,7 @@ class Described:
                         f"{did_you_mean(name, known)}",
                     )
 
-    def _parts(self) -> int:
+    def _count_parts(self) -> int:
         """Steps of the integrator per sample, where the description leaves that open."""
         kept = self.study.frame.get(PARTS)
         if kept is not None or self._reader.has_errors:
@@ -334,9 +338,9 @@ class Described:
 
     def model(self) -> SimModel:
         """The model without effects."""
-        return SimModel(self._build, self.base.base, self.study.name, batched=True)
+        return SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
 
-    def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
+    def _build_scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
         if PLAY_START in self.quantities:
             values = with_play_start(values, run)
         known = {
@@ -354,7 +358,7 @@ class Described:
             grid=grid,
             values=known,
             starts=self.starts,
-            inputs={name: self._input(name, run, grid, known) for name in self.inputs},
+            inputs={name: self._evaluate_input(name, run, grid, known) for name in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
             ranges=self.keys.ranges,
         )
@@ -363,7 +367,9 @@ class Described:
             scene = scene.with_clock(places, known[name])
         return scene
 
-    def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:
+    def _evaluate_input(
+        self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]
+    ) -> Tensor:
         formula, held = self.inputs[name], self.input_held[name]
         columns = {
             c: grid.resampled(run.command[c], held=held) for c in formula.names if c in run.command

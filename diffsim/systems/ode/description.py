@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -30,6 +29,7 @@ from diffsim.systems.ode.keys import (
     Place,
     States,
     Store,
+    read_names_as_text,
 )
 from diffsim.systems.ode.law_effects import (
     check_laws,
@@ -81,13 +81,10 @@ class OdeDescription(FormulaKeys):
     )
     clocks: dict[str, Time] = Field({}, description=CLOCKS)
 
-    @field_validator("states", "rates", mode="before")
-    @classmethod
-    def _names_as_text(cls, given: Any) -> Any:
-        return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+    _read_state_names = field_validator("states", "rates", mode="before")(read_names_as_text)
 
     @model_validator(mode="after")
-    def _one_way(self) -> OdeDescription:
+    def _check_one_way(self) -> OdeDescription:
         if bool(self.rates) == (self.function is not None):
             raise ValueError("give rates, or function: FILE.py:NAME instead of them")
         return self
@@ -95,16 +92,16 @@ class OdeDescription(FormulaKeys):
     def problems(self, study: Study) -> list[Problem]:
         """Mistakes in names, formulas and units, found without a simulation."""
         if self.function is not None:
-            return [Problem("warning", f"{where_of(study)}.function", self._not_run())]
+            return [Problem("warning", f"{where_of(study)}.function", self._say_not_run())]
         reader = Reader(study)
-        self._described(study, reader)
+        self._read_model(study, reader)
         return [*reader.problems, *reader.notes]
 
-    def _not_run(self) -> str:
+    def _say_not_run(self) -> str:
         file = str(self.function).partition(":")[0]
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
-    def _described(self, study: Study, reader: Reader) -> Described:
+    def _read_model(self, study: Study, reader: Reader) -> Described:
         motion = Motion(
             states=self.states,
             rates=self.rates,
@@ -123,9 +120,9 @@ class OdeDescription(FormulaKeys):
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         if self.function is not None:
-            raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
+            raise ValueError(f"{where_of(study)}.function: {self._say_not_run()}")
         reader = Reader(study)
-        read = self._described(study, reader)
+        read = self._read_model(study, reader)
         reader.finish()
         model = read.model()
         scales = scales_of(study, model, read.network, read.known, self.places, self.stores)

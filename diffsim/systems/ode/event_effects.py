@@ -114,19 +114,19 @@ def event_effects(
         model: Plain model, whose scenes are :class:`OdeScene`.
         events: Blocks of the description.
     """
-    return tuple(e for one in events for e in _of_one(library, model, one))
+    return tuple(e for one in events for e in _list_of_one(library, model, one))
 
 
-def _of_one(library: Library, model: SimModel, events: Events) -> Iterator[Effect]:
+def _list_of_one(library: Library, model: SimModel, events: Events) -> Iterator[Effect]:
     knots = knots_of(events, library.study)
-    ways = [_way(library, events, name) for name in events.at]
-    for way in _told_apart(ways, model, library.study.runs[0]):
-        course = _course(events, way, knots)
+    ways = [_find_way(library, events, name) for name in events.at]
+    for way in _drop_alike(ways, model, library.study.runs[0]):
+        course = _make_curve(events, way, knots)
         for form in events.forms:
-            yield _effect(events, way, form, course, knots)
+            yield _make_effect(events, way, form, course, knots)
 
 
-def _told_apart(ways: Sequence[_Way], model: SimModel, run: Run) -> list[_Way]:
+def _drop_alike(ways: Sequence[_Way], model: SimModel, run: Run) -> list[_Way]:
     """Ways whose responses differ; those that only differ by a factor are said with the first."""
     plain = model.scene(run, model.at_prior())
     assert isinstance(plain, OdeScene)
@@ -154,7 +154,7 @@ def _is_alike(a: Array, b: Array) -> bool:
     return lengths > 0.0 and abs(float(a @ b)) > (1.0 - SAME) * lengths
 
 
-def _way(library: Library, events: Events, name: str) -> _Way:
+def _find_way(library: Library, events: Events, name: str) -> _Way:
     """Where an event may enter, by the name of a place, input, definition or channel."""
     place = next(((p, s) for p, s in library.places if p.name == name), None)
     if place is not None:
@@ -162,7 +162,7 @@ def _way(library: Library, events: Events, name: str) -> _Way:
 
         def pushed(own: str) -> Entry:
             term = filled(parse_expression("u/inertia"), {"u": named(own), "inertia": inertia})
-            return _input(own, Change(rates={place[0].velocity: term}, inputs=(own,)))
+            return _enter_as_input(own, Change(rates={place[0].velocity: term}, inputs=(own,)))
 
         typical = SHARE_OF_USUAL * place[1].force
         return _Way(name, "force", place[0].unit, typical, pushed)
@@ -170,7 +170,7 @@ def _way(library: Library, events: Events, name: str) -> _Way:
 
         def changed(own: str) -> Entry:
             total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
-            return _input(own, Change(names={name: total}, inputs=(own,)))
+            return _enter_as_input(own, Change(names={name: total}, inputs=(own,)))
 
         typical = SHARE_OF_USUAL * library.usual[name]
         return _Way(name, "actuator", "command", typical, changed)
@@ -185,12 +185,12 @@ def _way(library: Library, events: Events, name: str) -> _Way:
     return _Way(name, "sensor", unit, SENSOR_SHARE * spread, read)
 
 
-def _input(own: str, change: Change) -> Entry:
+def _enter_as_input(own: str, change: Change) -> Entry:
     # each cause has an input of its own: of one name, the last would stand for all
     return lambda scene, values: scene.with_further_input(own, values, change)
 
 
-def _effect(events: Events, way: _Way, form: str, course: Effect, knots: Array) -> Effect:
+def _make_effect(events: Events, way: _Way, form: str, course: Effect, knots: Array) -> Effect:
     names = {timing: f"{events.name}_{timing}" for timing in TIMINGS[form]}
     name = f"{form}_{events.name}_at_{way.name}"
     add = way.entry(f"course of {name}")
@@ -202,18 +202,18 @@ def _effect(events: Events, way: _Way, form: str, course: Effect, knots: Array) 
         unit=way.unit,
         typical=way.typical,
         also_looks_like=("anything else of that course in time",),
-        apply=partial(_acted, events=events, form=form, names=names, add=add),
-        says=partial(_said, form=form, names=names, way=way),
+        apply=partial(_apply_event, events=events, form=form, names=names, add=add),
+        says=partial(_say_event, form=form, names=names, way=way),
         locate=Locator(
             course=course,
             times=knots,
             acts_in=partial(_is_meant, events),
-            propose=partial(_proposals, form=form, names=names, usual=way.typical),
+            propose=partial(_propose_places, form=form, names=names, usual=way.typical),
         ),
     )
 
 
-def _acted(
+def _apply_event(
     scene: OdeScene,
     size: Tensor,
     run: Run,
@@ -231,7 +231,7 @@ def _acted(
     return add(scene, size[..., :1] * shape_of(form, times, timing, edge))
 
 
-def _proposals(
+def _propose_places(
     course: Course, *, form: str, names: Mapping[str, str], usual: float
 ) -> list[Proposal]:
     return [
@@ -240,12 +240,14 @@ def _proposals(
     ]
 
 
-def _said(
+def _say_event(
     size: float, values: Mapping[str, float], *, form: str, names: Mapping[str, str], way: _Way
 ) -> str:
     """In words: how large, where, of what form, from when to when."""
     ways = [(way.name, way.unit, 1.0), *way.alike]
-    much = " or ".join(f"{size * factor:.4g}{_shown(u)} at {name}" for name, u, factor in ways)
+    much = " or ".join(
+        f"{size * factor:.4g}{_format_unit(u)} at {name}" for name, u, factor in ways
+    )
     at = {timing: values.get(name, math.nan) for timing, name in names.items()}
     since = f"from {at[ONSET]:.3f} s"
     if form == "step":
@@ -258,11 +260,11 @@ def _said(
     return f"a {form.replace('_', ' ')} of {much} {until}"
 
 
-def _shown(unit: str) -> str:
+def _format_unit(unit: str) -> str:
     return "" if unit in ("-", "command") else f" {unit}"
 
 
-def _course(events: Events, way: _Way, knots: Array) -> Effect:
+def _make_curve(events: Events, way: _Way, knots: Array) -> Effect:
     """Values at the knots, straight lines between them."""
     name = f"course_of_{events.name}_at_{way.name}"
     first, step = float(knots[0]), float(knots[1] - knots[0])
@@ -273,11 +275,11 @@ def _course(events: Events, way: _Way, knots: Array) -> Effect:
         unit=way.unit,
         typical=way.typical,
         components=tuple(f"knot_{k}" for k in range(len(knots))),
-        apply=partial(_drawn, add=way.entry(name), first=first, step=step),
+        apply=partial(_apply_curve, add=way.entry(name), first=first, step=step),
     )
 
 
-def _drawn(
+def _apply_curve(
     scene: OdeScene, size: Tensor, run: Run, *, add: Entry, first: float, step: float
 ) -> OdeScene:
     place = ((scene.grid.times - first) / step).clamp(0.0, size.shape[-1] - 1.0)

@@ -87,35 +87,35 @@ def placed(form: str, course: Course, usual: float) -> list[tuple[float, dict[st
         usual: Size that would be no surprise [unit].
     """
     step = float(course.times[1] - course.times[0])
-    starts = _starts(form, course, usual, step)
+    starts = _list_starts(form, course, usual, step)
     if not len(starts):
         return []
     found: list[tuple[float, Array]] = []
     for start in starts:
-        best = _refined(form, course, start, step)
+        best = _refine_place(form, course, start, step)
         if all(np.abs(best[1] - other).max() > 2.0 * step for _, other in found):
             found.append(best)
     names = TIMINGS[form]
     out = []
     for _, at in sorted(found, key=lambda f: -f[0])[:NUM_PLACED]:
-        size = course.sizes(_shapes(form, course.times, at[None], step))[0]
+        size = course.sizes(_evaluate_shapes(form, course.times, at[None], step))[0]
         out.append((float(size), dict(zip(names, at.tolist(), strict=True))))
     return out
 
 
-def _shapes(form: str, times: Array, places: Array, edge: float) -> Array:
+def _evaluate_shapes(form: str, times: Array, places: Array, edge: float) -> Array:
     """(K, C) of places (C, num_timings)."""
     columns = torch.from_numpy(np.ascontiguousarray(places.T))
     timing = dict(zip(TIMINGS[form], columns, strict=True))
     return shape_of(form, torch.from_numpy(times), timing, edge).numpy().T
 
 
-def _starts(form: str, course: Course, usual: float, step: float) -> Array:
+def _list_starts(form: str, course: Course, usual: float, step: float) -> Array:
     """Places to start from, (C, num_timings) [s]."""
     if form in ("step", "pulse"):
-        return _boxes(course, form, step)
+        return _find_boxes(course, form, step)
     if form == "train":
-        return _trains(course, usual, step)
+        return _find_trains(course, usual, step)
     t, span = course.times, float(np.ptp(course.times))
     onsets = np.linspace(t[0] - 0.05 * span, t[-1], 48)
     widths = np.geomspace(4.0 * step, span, 12)
@@ -131,11 +131,11 @@ def _starts(form: str, course: Course, usual: float, step: float) -> Array:
         )
     else:
         places = np.array(list(product(onsets, widths)))
-    gains = course.gains(_shapes(form, t, places, step))
+    gains = course.gains(_evaluate_shapes(form, t, places, step))
     return places[np.argsort(-gains)[:NUM_PLACED]]
 
 
-def _boxes(course: Course, form: str, step: float) -> Array:
+def _find_boxes(course: Course, form: str, step: float) -> Array:
     """The best boxes among all that begin and end at knots, by integral images."""
     edges = np.concatenate([[0.0], np.cumsum(course.score)])
     power = np.zeros((len(edges), len(edges)))
@@ -159,7 +159,7 @@ def _boxes(course: Course, form: str, step: float) -> Array:
     return np.array(out)
 
 
-def _trains(course: Course, usual: float, step: float) -> Array:
+def _find_trains(course: Course, usual: float, step: float) -> Array:
     """Trains of pulses by folding the course that the data ask for (box least squares).
 
     Reference: Kovacs, Zucker, Mazeh 2002, "A box-fitting algorithm in the search for periodic
@@ -173,7 +173,7 @@ def _trains(course: Course, usual: float, step: float) -> Array:
     away = force - weights @ force
     span = float(np.ptp(t))
     periods = np.geomspace(6.0 * step, 0.6 * span, COARSE_PERIODS)
-    best = [_folded(t, weights, away, p, step) for p in periods]
+    best = [_score_folded(t, weights, away, p, step) for p in periods]
     order = np.argsort([-b[0] for b in best])
     out: list[tuple[float, float, float]] = []
     for k in order:
@@ -185,7 +185,7 @@ def _trains(course: Course, usual: float, step: float) -> Array:
     return np.array(out)
 
 
-def _folded(
+def _score_folded(
     t: Array, weights: Array, away: Array, period: float, step: float
 ) -> tuple[float, float, float]:
     """Score of the best pulse in a course folded by a period; its phase and width."""
@@ -204,17 +204,17 @@ def _folded(
     return float(scores[i, j]), float(i / bins * period), width
 
 
-def _refined(form: str, course: Course, start: Array, step: float) -> tuple[float, Array]:
+def _refine_place(form: str, course: Course, start: Array, step: float) -> tuple[float, Array]:
     """Pattern search from a place: gain and place at its end."""
     at, t = start.astype(float), course.times
-    gain = float(course.gains(_shapes(form, t, at[None], step))[0])
+    gain = float(course.gains(_evaluate_shapes(form, t, at[None], step))[0])
     reach = np.full(len(at), 4.0 * step)
     while reach[0] > FINEST * step:
         moves = np.array([m for m in product((-1.0, 0.0, 1.0), repeat=len(at)) if any(m)])
         tried = at + moves * reach
         if len(at) > 1:
             tried[:, 1:] = np.maximum(tried[:, 1:], 2.0 * step)
-        gains = course.gains(_shapes(form, t, tried, step))
+        gains = course.gains(_evaluate_shapes(form, t, tried, step))
         k = int(np.argmax(gains))
         if gains[k] > gain * (1.0 + 1e-9):
             gain, at = float(gains[k]), tried[k]

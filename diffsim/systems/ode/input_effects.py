@@ -29,7 +29,7 @@ def input_effects(library: Library) -> tuple[Effect, ...]:
     for name in library.held:
         ending = "" if len(library.held) == 1 else f"_of_{name}"
         out += _list_causes(library, name, ending)
-        out.append(_drift_gain(name, ending, len({r.order for r in library.study.fit_runs})))
+        out.append(_make_gain_drift(name, ending, len({r.order for r in library.study.fit_runs})))
     return tuple(out)
 
 
@@ -60,16 +60,16 @@ def _list_causes(library: Library, name: str, ending: str) -> list[Effect]:
         effect if effect.name == f"quantization{ending}" else replace(effect, needs=needs_nothing)
         for effect in command_causes(group_of(library, name, ending), system="ode")
     ]
-    found.append(_slow_share(name, ending))
+    found.append(_make_slow_share(name, ending))
     # after all that changes the input on its way, which it is a copy of
     if name in library.unsure:
-        return [*found, _go_between(f"held_between_samples{ending}", name, held=True)]
+        return [*found, _make_between(f"held_between_samples{ending}", name, held=True)]
     if name in library.assumed:
-        return [*found, _go_between(f"straight_between_samples{ending}", name, held=False)]
+        return [*found, _make_between(f"straight_between_samples{ending}", name, held=False)]
     return found
 
 
-def _go_between(own: str, name: str, *, held: bool) -> Effect:
+def _make_between(own: str, name: str, *, held: bool) -> Effect:
     """What an input does between samples, other than the model says."""
     other = f"{name} {'held' if held else 'straight'}"
     parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
@@ -80,18 +80,18 @@ def _go_between(own: str, name: str, *, held: bool) -> Effect:
         held_inputs=(other,) if held else (),
     )
     apply = partial(
-        _put_instead,
+        _replace_input,
         name=name,
         other=other,
         change=change,
         symbol=symbol(own),
-        between=_hold if held else _join,
+        between=_hold_input if held else _join_samples,
     )
     row = rows("ode")["held_between_samples" if held else "straight_between_samples"]
     return row.effect(apply, name=own)
 
 
-def _put_instead(
+def _replace_input(
     scene: OdeScene,
     size: Tensor,
     run: Run,
@@ -106,13 +106,13 @@ def _put_instead(
     return scene.with_further_input(other, values, change, {symbol: size[..., 0]})
 
 
-def _hold(u: Tensor, grid: Grid) -> Tensor:
+def _hold_input(u: Tensor, grid: Grid) -> Tensor:
     """An input that keeps its value until the next sample, (..., num_times)."""
     before = torch.searchsorted(grid.samples, torch.arange(len(grid.times)), right=True) - 1
     return u[..., grid.samples][..., before]
 
 
-def _join(u: Tensor, grid: Grid) -> Tensor:
+def _join_samples(u: Tensor, grid: Grid) -> Tensor:
     """An input that goes straight from sample to sample, (..., num_times)."""
     places, last = torch.arange(len(grid.times)), len(grid.samples) - 1
     before = torch.searchsorted(grid.samples, places, right=True) - 1
@@ -121,7 +121,7 @@ def _join(u: Tensor, grid: Grid) -> Tensor:
     return u[..., low] + (grid.times - grid.times[low]) / step * (u[..., high] - u[..., low])
 
 
-def _slow_share(name: str, ending: str) -> Effect:
+def _make_slow_share(name: str, ending: str) -> Effect:
     own = "slow_share" + ending
     state = f"slow state of {own}"
     parts = {"u": named(name), "z": named(state), "size": named(symbol(own))}
@@ -135,7 +135,7 @@ def _slow_share(name: str, ending: str) -> Effect:
     return rows("ode")["slow_share"].effect(by_formulas(change, symbol(own)), ending=ending)
 
 
-def _drift_gain(name: str, ending: str, num_runs: int) -> Effect:
+def _make_gain_drift(name: str, ending: str, num_runs: int) -> Effect:
     own = "gain_drift" + ending
     parts = {"u": named(name), "size": named(symbol(own)), "n": named("run_order")}
     change = Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)})

@@ -22,7 +22,7 @@ from diffsim.identify.effect import KINDS
 from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Part, Quantity
 
 
-def _checked(text: str) -> str:
+def _check_formula(text: str) -> str:
     try:
         parse_expression(text)
     except ValueError as error:
@@ -32,10 +32,15 @@ def _checked(text: str) -> str:
 
 
 #: A formula: its spelling is checked here, its names where the study is known.
-Formula = Annotated[str, BeforeValidator(str), AfterValidator(_checked)]
+def read_names_as_text(given: Any) -> Any:
+    """A mapping with names as text: YAML reads some names, such as 1 or on, as something else."""
+    return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
 
-def _quantity(given: Any) -> Any:
+Formula = Annotated[str, BeforeValidator(str), AfterValidator(_check_formula)]
+
+
+def _read_quantity(given: Any) -> Any:
     """A number with whatever unit it has, in SI."""
     if isinstance(given, Quantity):
         return given
@@ -55,17 +60,17 @@ def _quantity(given: Any) -> Any:
 
 
 #: A quantity in any unit.
-AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]
+AnyQuantity = Annotated[Quantity, BeforeValidator(_read_quantity)]
 
 
-def _start(given: Any) -> Any:
+def _read_start(given: Any) -> Any:
     """A quantity where it has a prior or a unit, else a formula."""
     if isinstance(given, (Quantity, Mapping)):
-        return _quantity(given)
+        return _read_quantity(given)
     try:
         parse_expression(str(given))
     except ValueError:
-        return _quantity(given)
+        return _read_quantity(given)
     return str(given)
 
 
@@ -89,7 +94,7 @@ class Input(Part):
     )
 
 
-def _as_input(given: Any) -> Any:
+def _read_input(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
 
 
@@ -197,7 +202,7 @@ class Table(Part):
     values: tuple[float, ...] = Field(description="Values there, equally many")
 
     @model_validator(mode="after")
-    def _pairs(self) -> Table:
+    def _check_pairs(self) -> Table:
         if len(self.at) != len(self.values):
             raise ValueError(f"{len(self.at)} places, but {len(self.values)} values")
         if any(b <= a for a, b in zip(self.at, self.at[1:], strict=False)):
@@ -260,7 +265,7 @@ class OwnEffect(Part):
         return words
 
     @model_validator(mode="after")
-    def _one_way(self) -> OwnEffect:
+    def _check_one_way(self) -> OwnEffect:
         if self.adds_to is not None and self.multiplies is not None:
             raise ValueError("give adds_to or multiplies, not both")
         has_target = self.adds_to is not None or self.multiplies is not None
@@ -271,14 +276,14 @@ class OwnEffect(Part):
         return self
 
 
-def _way_of(given: Any) -> str:
+def _tell_form(given: Any) -> str:
     is_row = "at" in given if isinstance(given, Mapping) else isinstance(given, OwnRow)
     return "<row>" if is_row else "<formulas>"
 
 
 AnyOwn = Annotated[
     Annotated[OwnRow, Tag("<row>")] | Annotated[OwnEffect, Tag("<formulas>")],
-    Discriminator(_way_of),
+    Discriminator(_tell_form),
 ]
 
 
@@ -314,11 +319,8 @@ class FormulaKeys(Description):
         None, description="Window of rest: the mean of a channel in it is rest_CHANNEL in formulas"
     )
 
-    @field_validator("define", "readings", mode="before")
-    @classmethod
-    def _plain_keys(cls, given: Any) -> Any:
-        return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+    _read_names = field_validator("define", "readings", mode="before")(read_names_as_text)
 
 
-States = dict[str, Annotated[str | Quantity, BeforeValidator(_start)]]
-Inputs = tuple[Annotated[Input, BeforeValidator(_as_input)], ...]
+States = dict[str, Annotated[str | Quantity, BeforeValidator(_read_start)]]
+Inputs = tuple[Annotated[Input, BeforeValidator(_read_input)], ...]

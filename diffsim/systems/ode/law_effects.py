@@ -104,7 +104,7 @@ class _Bender:
             name, said = f"{row.name}_of_{law.name}", row.form
         else:
             name, said = f"part_of_{other.name}_in_{law.name}", row.form.format(other=other.name)
-        parts = self._letters(law, name, other)
+        parts = self._list_letters(law, name, other)
         formula = parse_expression(row.said("law"), (*parts, *self.known))
         further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
         change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
@@ -113,20 +113,20 @@ class _Bender:
         apply = _Bent(by_formulas_in(change, symbol(name), groups), tuple(further), swept)
         return row.effect(
             apply,
-            self._magnitudes(law, other),
+            self._list_magnitudes(law, other),
             name=name,
             form=f"{law.name}: {said}",
             family=f"{row.family}_of_{law.name}",
-            unit=_unit(row.unit, law, other),
+            unit=_compute_unit(row.unit, law, other),
             components=groups.components,
         )
 
-    def _magnitudes(self, law: Law, other: Law | None) -> dict[str, float]:
+    def _list_magnitudes(self, law: Law, other: Law | None) -> dict[str, float]:
         runs = float(max(len({run.order for run in self.study.fit_runs}), 1))
         own = {**self.scales.plain[f"law {law.name}"], "runs": runs}
         return own if other is None else {**own, "z": self.scales.plain[f"law {other.name}"]["y"]}
 
-    def _letters(self, law: Law, name: str, other: Law | None) -> dict[str, Expression]:
+    def _list_letters(self, law: Law, name: str, other: Law | None) -> dict[str, Expression]:
         """What the letters of a law's formula stand for."""
         scale = self.scales.plain[f"law {law.name}"]
         numbers = {"x0": scale["x"], "least": LEAST * scale["x"], "most": scale["most"]}
@@ -142,7 +142,7 @@ class _Bender:
         }
 
 
-def _unit(pattern: str, law: Law, other: Law | None) -> str:
+def _compute_unit(pattern: str, law: Law, other: Law | None) -> str:
     """Unit of a size: "Y/X" is that of y over that of x."""
     if other is not None:
         return f"{law.unit}/{other.unit}" if law.unit != other.unit else "-"
@@ -164,14 +164,14 @@ class _Bent:
     swept: Network
 
     def __call__(self, scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
-        signals = {name: self._signal(name, scene) for name in self.further}
+        signals = {name: self._fill_signal(name, scene) for name in self.further}
         scene = self.plain(scene, size, run)
         return replace(scene, inputs={**scene.inputs, **signals})
 
-    def _signal(self, name: str, scene: OdeScene) -> Tensor:
+    def _fill_signal(self, name: str, scene: OdeScene) -> Tensor:
         """Share of the run; 1 where x rises, -1 where it falls; or that, fading to both ends."""
         if name == _SHARE:
-            return _share(scene)
+            return _compute_share_of_run(scene)
         x = replace(scene, changes=()).solved(self.swept)[0]
         path = x.reshape(-1, x.shape[-2])[0].detach().numpy()
         way = np.sign(np.gradient(path))
@@ -182,7 +182,7 @@ class _Bent:
         return torch.from_numpy(way)
 
 
-def _share(scene: OdeScene) -> Tensor:
+def _compute_share_of_run(scene: OdeScene) -> Tensor:
     since = scene.grid.times - scene.grid.times[0]
     return since / since[-1] if since[-1] > 0.0 else since
 

@@ -126,7 +126,7 @@ def scales_of(
         require_kept("store", [store.name for store in stores], kept.plain)
         return kept
     between = {n: parse_expression(n, known) for n in (*network.inputs, *network.definitions)}
-    inside = _inside(network, known, places, stores)
+    inside = _read_inside(network, known, places, stores)
     read = network.with_readings({**inside, **{f"usual {n}": e for n, e in between.items()}})
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, CommandScale] = {}
@@ -142,9 +142,9 @@ def scales_of(
         inputs |= {name: _widen_scale(inputs.get(name), scene, name) for name in scene.inputs}
         begins_moving = begins_moving or _moves_at_first(scene, recorded.channels)
     plain: dict[str, dict[str, float]] = {
-        **{p.name: asdict(_place_scale(p, columns)) for p in places},
-        **{s.name: asdict(_store_scale(s, columns)) for s in stores},
-        USUAL: {name: _rms(columns[f"usual {name}"]) for name in between},
+        **{p.name: asdict(_measure_place(p, columns)) for p in places},
+        **{s.name: asdict(_measure_store(s, columns)) for s in stores},
+        USUAL: {name: _compute_rms(columns[f"usual {name}"]) for name in between},
     }
     return replace(recorded, commands=inputs, plain=plain, facts={"begins_moving": begins_moving})
 
@@ -185,7 +185,7 @@ def require_kept(what: str, names: Sequence[str], kept: Mapping[str, object]) ->
         )
 
 
-def _inside(
+def _read_inside(
     network: Network, known: Sequence[str], places: Sequence[Place], stores: Sequence[Store]
 ) -> dict[str, Expression]:
     """Readings of the magnitudes inside: forces, inertias, positions, velocities, levels."""
@@ -202,37 +202,39 @@ def _inside(
     return out
 
 
-def _finite(parts: Sequence[Array]) -> Array:
+def _join_finite(parts: Sequence[Array]) -> Array:
     values = np.concatenate(parts)
     return np.asarray(values[np.isfinite(values)])
 
 
-def _rms(parts: Sequence[Array]) -> float:
+def _compute_rms(parts: Sequence[Array]) -> float:
     """Rms; 1 where that is no number or zero, at most ``MOST``: its cube is a number, too."""
-    values = _finite(parts)
+    values = _join_finite(parts)
     with np.errstate(over="ignore"):
         found = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
     return min(found, MOST) if np.isfinite(found) and found > 0.0 else 1.0
 
 
-def _place_scale(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
+def _measure_place(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
     path = columns[f"{place.name} position"]
-    away = _finite([p - p[0] for p in path])
-    usual = _rms([away])
+    away = _join_finite([p - p[0] for p in path])
+    usual = _compute_rms([away])
     return PlaceScale(
-        force=_rms(columns[f"{place.name} force"]),
-        inertia=_rms([i[:1] for i in columns[f"{place.name} inertia"]]),
+        force=_compute_rms(columns[f"{place.name} force"]),
+        inertia=_compute_rms([i[:1] for i in columns[f"{place.name} inertia"]]),
         position=usual,
-        velocity=_rms(columns[f"{place.name} velocity"]),
-        low=float(_finite(path).min(initial=0.0)),
-        high=float(_finite(path).max(initial=0.0)),
+        velocity=_compute_rms(columns[f"{place.name} velocity"]),
+        low=float(_join_finite(path).min(initial=0.0)),
+        high=float(_join_finite(path).max(initial=0.0)),
         below=max(-float(away.min(initial=0.0)), 0.1 * usual),
         above=max(float(away.max(initial=0.0)), 0.1 * usual),
     )
 
 
-def _store_scale(store: Store, columns: Mapping[str, list[Array]]) -> StoreScale:
+def _measure_store(store: Store, columns: Mapping[str, list[Array]]) -> StoreScale:
     levels = columns[f"{store.name} level"]
     return StoreScale(
-        _rms(levels), _rms(columns[f"{store.name} rate"]), float(_finite(levels).max(initial=0.0))
+        _compute_rms(levels),
+        _compute_rms(columns[f"{store.name} rate"]),
+        float(_join_finite(levels).max(initial=0.0)),
     )

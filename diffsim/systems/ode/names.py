@@ -65,8 +65,8 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
         seen = column[np.isfinite(column)]
         out[f"first_{channel.name}"] = float(seen[0]) if len(seen) else 0.0
         if rest is not None:
-            low = -math.inf if rest.from_s is None else _fact(rest.from_s, run)
-            high = _fact(rest.until_s, run)
+            low = -math.inf if rest.from_s is None else _evaluate_fact(rest.from_s, run)
+            high = _evaluate_fact(rest.until_s, run)
             inside = column[(run.time_s >= low) & (run.time_s <= high) & np.isfinite(column)]
             if not len(inside):
                 raise ValueError(
@@ -77,7 +77,7 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
     return out
 
 
-def _fact(formula: str, run: Run) -> float:
+def _evaluate_fact(formula: str, run: Run) -> float:
     facts = facts_of(run)
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in facts.items()}
     return float(parse_expression(formula, facts)(values))
@@ -117,10 +117,10 @@ class Reader:
         try:
             return parse_expression(text, known)
         except ValueError as error:
-            self.report(key, f"{error}{self._about_facts(text, known)}")
+            self.report(key, f"{error}{self._find_unstated_facts(text, known)}")
             return parse_expression("0")
 
-    def _about_facts(self, text: str, known: Iterable[str]) -> str:
+    def _find_unstated_facts(self, text: str, known: Iterable[str]) -> str:
         """Facts that a formula names and that are no numbers in all runs, as the end of a message.
 
         It is said of the first one; may be empty.

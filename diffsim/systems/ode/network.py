@@ -91,14 +91,14 @@ class Network:
         """The integrator of the formulas as changed; made once for each set of changes."""
         with self._lock:
             if changes not in self._made:
-                self._made[changes] = self._compiled(changes)
+                self._made[changes] = self._compile_solver(changes)
             return self._made[changes]
 
     def with_readings(self, readings: Mapping[str, Expression]) -> Network:
         """The same system, read otherwise."""
         return Network(self.rates, readings, self.definitions, self.inputs, self.limits)
 
-    def _compiled(self, changes: tuple[Change, ...]) -> Solver:
+    def _compile_solver(self, changes: tuple[Change, ...]) -> Solver:
         rates = {s: e.root for s, e in self.rates.items()}
         readings = {c: e.root for c, e in self.readings.items()}
         bodies = {n: e.root for n, e in self.definitions.items()}
@@ -117,14 +117,16 @@ class Network:
                 # what is made of the name means in its new formula what it was before
                 old = _Resolved(bodies)
                 parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
-                circular = {n: e for n, e in parts.items() if name in _needed_by(n, bodies)}
-                bodies[name] = _substituted(formula.root, {**circular, name: before}, {})
+                circular = {n: e for n, e in parts.items() if name in _list_needed_by(n, bodies)}
+                bodies[name] = _substitute_names(formula.root, {**circular, name: before}, {})
             for channel, formula in change.readings.items():
-                readings[channel] = _substituted(formula.root, {READING: readings[channel]}, {})
+                readings[channel] = _substitute_names(
+                    formula.root, {READING: readings[channel]}, {}
+                )
         raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
         resolved = _Resolved(bodies)
-        own_rates = {s: _expression(resolved(n)) for s, n in rates.items()}
-        own_readings = {c: _expression(resolved(n)) for c, n in readings.items()}
+        own_rates = {s: _make_expression(resolved(n)) for s, n in rates.items()}
+        own_readings = {c: _make_expression(resolved(n)) for c, n in readings.items()}
         needed = dict.fromkeys(
             n for e in (*own_rates.values(), *own_readings.values()) for n in e.names
         )
@@ -142,12 +144,12 @@ class Network:
         return Solver(ode, tuple(of_kernel.values()), tuple(parameters.values()), starts)
 
 
-def _needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
+def _list_needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
     """All names that a definition needs, directly or by other definitions."""
     found: set[str] = set()
     left = [name]
     while left:
-        for needed in _expression(bodies[left.pop()]).names:
+        for needed in _make_expression(bodies[left.pop()]).names:
             if needed not in found:
                 found.add(needed)
                 left += [needed] if needed in bodies else []
@@ -164,7 +166,7 @@ class _Resolved:
 
     def __call__(self, node: Node) -> Node:
         if isinstance(node, Name):
-            return self._of_name(node)
+            return self._resolve_name(node)
         if not isinstance(node, Apply):
             return node
         if id(node) not in self._memo:
@@ -172,7 +174,7 @@ class _Resolved:
             self._memo[id(node)] = (node, made)
         return self._memo[id(node)][1]
 
-    def _of_name(self, node: Name) -> Node:
+    def _resolve_name(self, node: Name) -> Node:
         if node.name not in self._bodies:
             return node
         if node.name not in self._done:
@@ -180,7 +182,7 @@ class _Resolved:
         return self._done[node.name]
 
 
-def _substituted(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> Node:
+def _substitute_names(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> Node:
     """A formula with names replaced, their replacements left as they are."""
     if isinstance(node, Name):
         return new.get(node.name, node)
@@ -188,12 +190,12 @@ def _substituted(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> 
         return node
     if id(node) not in memo:
         memo[id(node)] = Apply(
-            node.operation, tuple(_substituted(part, new, memo) for part in node.parts)
+            node.operation, tuple(_substitute_names(part, new, memo) for part in node.parts)
         )
     return memo[id(node)]
 
 
-def _expression(root: Node) -> Expression:
+def _make_expression(root: Node) -> Expression:
     names: dict[str, None] = {}
     seen: set[int] = set()
 
@@ -216,12 +218,14 @@ def named(name: str) -> Expression:
 
 def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
     """A formula with names of it replaced by formulas."""
-    return _expression(_substituted(formula.root, {k: e.root for k, e in parts.items()}, {}))
+    return _make_expression(
+        _substitute_names(formula.root, {k: e.root for k, e in parts.items()}, {})
+    )
 
 
 def product(a: Expression, b: Expression) -> Expression:
     """a times b."""
-    return _expression(Apply("mul", (a.root, b.root)))
+    return _make_expression(Apply("mul", (a.root, b.root)))
 
 
 def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> Expression:
@@ -238,7 +242,7 @@ def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> E
         inside = Apply("min", (above, NumberNode(high - low)))
         slope = NumberNode((after - before) / (high - low))
         total = Apply("add", (total, Apply("mul", (slope, inside))))
-    return _expression(total)
+    return _make_expression(total)
 
 
 def ordered(definitions: Mapping[str, Expression]) -> list[str]:

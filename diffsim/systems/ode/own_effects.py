@@ -28,12 +28,12 @@ def own_effects(
         reader: Receives the mistakes.
     """
     return tuple(
-        _effect(f"effects.own[{i}]", block, study, known, states, reader)
+        _make_effect(f"effects.own[{i}]", block, study, known, states, reader)
         for i, block in enumerate(own)
     )
 
 
-def _effect(
+def _make_effect(
     where: str,
     block: OwnEffect,
     study: Study,
@@ -45,7 +45,7 @@ def _effect(
     groups = Groups.of(block.per, study)
     return Effect(
         name=block.name,
-        form=block.form or _form(block),
+        form=block.form or _say_form(block),
         family=block.family,
         kind=block.kind,
         unit=block.unit,
@@ -56,12 +56,12 @@ def _effect(
         words=None if block.words is None else block.words.format,
         components=groups.components,
         apply=by_formulas_in(
-            _change(where, block, study, known, states, reader), symbol(block.name), groups
+            _make_change(where, block, study, known, states, reader), symbol(block.name), groups
         ),
     )
 
 
-def _form(block: OwnEffect) -> str:
+def _say_form(block: OwnEffect) -> str:
     if block.adds_to is not None:
         return f"{block.term} is added to {block.adds_to}."
     if block.multiplies is not None:
@@ -69,7 +69,7 @@ def _form(block: OwnEffect) -> str:
     return "; ".join(f"{k} becomes {v}" for k, v in block.changes.items()) + "."
 
 
-def _change(
+def _make_change(
     where: str,
     block: OwnEffect,
     study: Study,

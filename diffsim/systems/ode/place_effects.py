@@ -80,7 +80,7 @@ def shapes(place: Place) -> dict[str, Quantity]:
     }
 
 
-def _numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
+def _list_numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
     return {
         "width": place.stick_velocity or STICK * scale.velocity,
         "vs": STRIBECK * scale.velocity,
@@ -91,9 +91,11 @@ def _numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
     }
 
 
-def _letters(library: Library, place: Place, scale: PlaceScale, name: str) -> dict[str, Expression]:
+def _list_letters(
+    library: Library, place: Place, scale: PlaceScale, name: str
+) -> dict[str, Expression]:
     """What the letters of a force's formula stand for."""
-    numbers = {k: parse_expression(repr(n)) for k, n in _numbers(place, scale).items()}
+    numbers = {k: parse_expression(repr(n)) for k, n in _list_numbers(place, scale).items()}
     stiffness = repr(STOP_STIFFNESS * scale.force / scale.position)
     own = {k: named(f"{k}_at_{place.name}") for k in ("stop_hardness", "stop_loss")}
     out = numbers | {
@@ -121,7 +123,7 @@ def _add_force(library: Library, place: Place, scale: PlaceScale, row: Row, endi
         magnitudes_at(scale),
         system="ode",
         ending=ending,
-        unit=_unit_at(place, row.unit),
+        unit=_convert_unit(place, row.unit),
     )
 
 
@@ -135,7 +137,7 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row, name: s
         row: Cause with ``at: force``.
         name: Name of the effect.
     """
-    parts = _letters(library, place, scale, name)
+    parts = _list_letters(library, place, scale, name)
     slow = f"slow state of {name}"
     letters = parse_expression(row.said("law", "ode"), parts)
     creeps = "slow" in letters.names
@@ -179,11 +181,11 @@ def _add_inertia(
         by_formulas(Change(factors={place.velocity: factor}), symbol(name)),
         magnitudes_at(scale),
         ending=ending,
-        unit="kg" if not ending or place.unit == "N" else _unit_at(place, row.unit),
+        unit="kg" if not ending or place.unit == "N" else _convert_unit(place, row.unit),
     )
 
 
-def _unit_at(place: Place, pattern: str) -> str:
+def _convert_unit(place: Place, pattern: str) -> str:
     """ "F s/X" -> "N s/m"."""
     if place.position_unit == "-":
         pattern = pattern.split("/X")[0].replace("X", "-")

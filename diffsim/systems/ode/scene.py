@@ -114,7 +114,7 @@ class OdeScene:
         """
         solver = (network or self.network).solver(self.changes)
         states = list(solver.ode.rates)
-        starts = self._starts(states, solver.starts)
+        starts = self._stack_starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
         inputs = [self.inputs[n] for n in solver.inputs]
         lead = np.broadcast_shapes(
@@ -125,12 +125,14 @@ class OdeScene:
         own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
         return solver.ode.solve(
             self.grid.times,
-            _stacked(starts, lead),
+            _stack_values(starts, lead),
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
-            _stacked(parameters, lead),
+            _stack_values(parameters, lead),
         )
 
-    def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:
+    def _stack_starts(
+        self, states: Sequence[str], further: Mapping[str, Expression]
+    ) -> list[Tensor]:
         """Start values: those of the system, then those of states that effects have added."""
         first = {n: u[..., 0] for n, u in self.inputs.items()}
         known = {**self.values, **first, TIME: self.grid.times[0]}
@@ -145,7 +147,7 @@ def at_start(state: str) -> str:
     return f"{state} at start"
 
 
-def _stacked(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
+def _stack_values(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
     if not values:
         return torch.zeros((*lead, 0), dtype=torch.float64)
     return torch.stack([v.expand(lead) for v in values], -1)

@@ -28,10 +28,10 @@ def parts_needed(study: Study, model: SimModel, formulas: str) -> int:
         1, or a power of two of which half is enough, too: parameters will move, and a quick look
         steps twice as far. 1 where no number up to ``MOST_PARTS`` helps.
     """
-    return _LAST((study, formulas), lambda: _found(study, model))
+    return _LAST((study, formulas), lambda: _find_parts(study, model))
 
 
-def _found(study: Study, model: SimModel) -> int:
+def _find_parts(study: Study, model: SimModel) -> int:
     runs = (*study.fit_runs, *study.select_runs) or study.runs
     parts = 1
     while parts <= MOST_PARTS:

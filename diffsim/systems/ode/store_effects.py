@@ -33,8 +33,8 @@ def _add_flow(library: Library, store: Store, scale: StoreScale, row: Row, endin
     share = None
     if row.name == "overflow" and store.spill_share is not None:
         share = named(spilled(store))
-    gain = filled(parse_expression(row.said("law")), _letters(library, store, scale, name))
-    rates = _move(library, store, gain, row.name in FLOWS_ON, share)
+    gain = filled(parse_expression(row.said("law")), _list_letters(library, store, scale, name))
+    rates = _move_content(library, store, gain, row.name in FLOWS_ON, share)
     unit = row.unit.replace("X", store.unit)
     if store.unit == "-":
         unit = {"X/s": "1/s", "(X)^0.5/s": "1/s"}.get(row.unit, unit)
@@ -43,7 +43,9 @@ def _add_flow(library: Library, store: Store, scale: StoreScale, row: Row, endin
     return row.effect(apply, scales, ending=ending, unit=unit, masks=row.said("masks"))
 
 
-def _letters(library: Library, store: Store, scale: StoreScale, name: str) -> dict[str, Expression]:
+def _list_letters(
+    library: Library, store: Store, scale: StoreScale, name: str
+) -> dict[str, Expression]:
     """What the letters of a store's law stand for."""
     # water stands over a rim by little; what is quicker than the samples would be stiff
     quickest = min(float(np.median(np.diff(run.time_s))) for run in library.study.runs)
@@ -66,7 +68,7 @@ def spilled(store: Store) -> str:
     return f"spill_share_of_{store.name}"
 
 
-def _move(
+def _move_content(
     library: Library,
     store: Store,
     gain: Expression,

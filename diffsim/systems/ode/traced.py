@@ -42,9 +42,9 @@ class _Trace:
         return Symbol(text, self)
 
 
-def _binary(operator: str, *, turned: bool = False) -> Callable[[Symbol, Any], Symbol]:
+def _make_binary(operator: str, *, turned: bool = False) -> Callable[[Symbol, Any], Symbol]:
     def method(self: Symbol, other: Any) -> Symbol:
-        a, b = self.text, _text(other)
+        a, b = self.text, _write_operand(other)
         a, b = (b, a) if turned else (a, b)
         return self.trace.symbol(f"({a} {operator} {b})")
 
@@ -59,12 +59,12 @@ class Symbol:
     trace: _Trace
     __array_priority__: ClassVar[float] = 1000.0
 
-    __add__, __radd__ = _binary("+"), _binary("+", turned=True)
-    __sub__, __rsub__ = _binary("-"), _binary("-", turned=True)
-    __mul__, __rmul__ = _binary("*"), _binary("*", turned=True)
-    __truediv__, __rtruediv__ = _binary("/"), _binary("/", turned=True)
-    __pow__, __rpow__ = _binary("**"), _binary("**", turned=True)
-    __lt__, __le__, __gt__, __ge__ = (_binary(o) for o in ("<", "<=", ">", ">="))
+    __add__, __radd__ = _make_binary("+"), _make_binary("+", turned=True)
+    __sub__, __rsub__ = _make_binary("-"), _make_binary("-", turned=True)
+    __mul__, __rmul__ = _make_binary("*"), _make_binary("*", turned=True)
+    __truediv__, __rtruediv__ = _make_binary("/"), _make_binary("/", turned=True)
+    __pow__, __rpow__ = _make_binary("**"), _make_binary("**", turned=True)
+    __lt__, __le__, __gt__, __ge__ = (_make_binary(o) for o in ("<", "<=", ">", ">="))
 
     def __neg__(self) -> Symbol:
         return self.trace.symbol(f"(-{self.text})")
@@ -88,13 +88,15 @@ class Symbol:
     def called(self, name: str, *given: Any) -> Symbol:
         """A function of symbols and numbers."""
         if name in _OPERATORS and len(given) == 2:
-            return self.trace.symbol(f"({_text(given[0])} {_OPERATORS[name]} {_text(given[1])})")
+            return self.trace.symbol(
+                f"({_write_operand(given[0])} {_OPERATORS[name]} {_write_operand(given[1])})"
+            )
         if name == "negative":
             return -self
         name = _OTHER_NAMES.get(name, name)
         if FUNCTIONS.get(name) != len(given):
             raise TypeError(f"{name} of {len(given)} is no function of formulas")
-        return self.trace.symbol(f"{name}({', '.join(map(_text, given))})")
+        return self.trace.symbol(f"{name}({', '.join(map(_write_operand, given))})")
 
     def __array_ufunc__(self, function: Any, method: str, *given: Any, **more: Any) -> Symbol:
         return self.called(function.__name__, *given)
@@ -108,7 +110,7 @@ class Symbol:
         return symbol.called(function.__name__, *given)
 
 
-def _text(value: Any) -> str:
+def _write_operand(value: Any) -> str:
     if isinstance(value, Symbol):
         return value.text
     number = float(value)
@@ -131,7 +133,7 @@ def formulas_of(function: Callable[..., Any], where: str) -> tuple[dict[str, str
         given = function(**{name: Symbol(name, trace) for name in names})
         if not isinstance(given, Mapping):
             raise TypeError(f"it must return rates by state, got {type(given).__name__}")
-        rates = {str(k): _text(v) for k, v in given.items()}
+        rates = {str(k): _write_operand(v) for k, v in given.items()}
     except Exception as error:
         raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
     return rates, trace.named

@@ -29,13 +29,13 @@ def unknown_forces(library: Library) -> tuple[Unknown, ...]:
         change = replace(pushed(place, named(name), library.known), inputs=(name,))
         said = "unknown force" if len(library.places) == 1 else f"unknown force at {place.name}"
         size, knots = 0.1 * scale.force, place.unknown_knots_per_s
-        out.append(_smooth(library, name, said, change, place.unit, size, knots))
+        out.append(_make_smooth(library, name, said, change, place.unit, size, knots))
     for store, usual in library.stores:
         name = f"unknown_flow_of_{store.name}"
         change = Change(rates={store.level: named(name)}, inputs=(name,))
         said, typical = f"unknown flow of {store.name}", 0.1 * usual.rate
         unit = "1/s" if store.unit == "-" else f"{store.unit}/s"
-        out.append(_smooth(library, name, said, change, unit, typical))
+        out.append(_make_smooth(library, name, said, change, unit, typical))
     if out:
         return tuple(out)
     for name in library.held:
@@ -44,12 +44,12 @@ def unknown_forces(library: Library) -> tuple[Unknown, ...]:
         total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
         change = Change(names={name: total}, inputs=(own,))
         out.append(
-            _smooth(library, own, f"unknown change of {name}", change, "command", 0.05 * most)
+            _make_smooth(library, own, f"unknown change of {name}", change, "command", 0.05 * most)
         )
     return tuple(out)
 
 
-def _smooth(
+def _make_smooth(
     library: Library,
     name: str,
     said: str,
@@ -71,13 +71,13 @@ def _smooth(
         typical=typical,
         also_looks_like=("anything",),
         components=tuple(f"knot_{k}" for k in range(count)),
-        apply=partial(_pushed, name=name, change=change, spacing=spacing),
+        apply=partial(_apply_knots, name=name, change=change, spacing=spacing),
     )
     knots = np.linspace(0.0, longest, count)
     return UnknownForce(effect, smooth_covariance(knots, 2.0 * spacing), said)
 
 
-def _pushed(
+def _apply_knots(
     scene: OdeScene, size: Tensor, run: Run, *, name: str, change: Change, spacing: float
 ) -> OdeScene:
     place = (scene.grid.times - scene.grid.times[0]) / spacing

@@ -35,7 +35,7 @@ from diffsim.systems.quantities import Time
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
 
-def _as_quantity(given: Any) -> Any:
+def _read_quantity(given: Any) -> Any:
     """A plain number is a known quantity in the user's own unit; one with a unit, in SI.
 
     Where ``unit`` says what the simulator takes, all numbers are in that unit.
@@ -55,7 +55,7 @@ def _as_quantity(given: Any) -> Any:
     return {**given, **read, "unit": units[0]}
 
 
-AnyQuantity = Annotated[Quantity, BeforeValidator(_as_quantity)]
+AnyQuantity = Annotated[Quantity, BeforeValidator(_read_quantity)]
 
 
 class PlaceKeys(Part):
@@ -133,7 +133,7 @@ class OutsideDescription(Description):
     workers: int = Field(1, ge=1, description="Processes that simulate side by side")
 
     @model_validator(mode="after")
-    def _names_once(self) -> OutsideDescription:
+    def _check_names_once(self) -> OutsideDescription:
         if both := set(self.parameters) & set(self.start):
             raise ValueError(f"{', '.join(sorted(both))}: in parameters or in start, not in both")
         return self
@@ -141,9 +141,9 @@ class OutsideDescription(Description):
     def source(self, study: Study) -> Source:
         """Where the simulator of a study is."""
         reading = Environment(**self.environment.model_dump())
-        options = dict(self._options(study.folder))
+        options = dict(self._list_options(study.folder))
         if self.simulator == MJCF:
-            options.setdefault("held", self._held(study))
+            options.setdefault("held", self._are_commands_held(study))
         return Source(self.simulator, study.folder, options, reading)
 
     def problems(self, study: Study) -> list[Problem]:
@@ -169,7 +169,7 @@ class OutsideDescription(Description):
         if count and count != len(study.channels):
             message = f"environment.observation has {count} entries for {len(study.channels)} "
             out.append(Problem("error", "model", message + "channels"))
-        if self.commands_are is None and self._held(study):
+        if self.commands_are is None and self._are_commands_held(study):
             message = "the commands rest and jump, so they are held between samples; "
             message += "give `commands_are: straight` if they are not"
             out.append(Problem("note", "model.commands_are", message))
@@ -187,20 +187,20 @@ class OutsideDescription(Description):
             ],
             commands=self.hooks.command,
             outputs=self.hooks.output,
-            held=self._held(study),
+            held=self._are_commands_held(study),
             clocks=self.clocks,
             workers=self.workers,
         )
         return DiagnosisSetup(
             model=made.model,
-            effects=chosen_effects(made.effects, self.effects, study, self._ports(study)),
+            effects=chosen_effects(made.effects, self.effects, study, self._list_ports(study)),
             unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
         )
 
-    def _ports(self, study: Study) -> Ports:
+    def _list_ports(self, study: Study) -> Ports:
         """What the simulator offers to causes of a user."""
-        between: Between = "held" if self._held(study) else "smooth"
+        between: Between = "held" if self._are_commands_held(study) else "smooth"
         return Ports(
             scales=Scales.kept_in(study) or Scales.of_runs(study),
             commands={name: between for run in study.runs for name in run.command},
@@ -217,12 +217,12 @@ class OutsideDescription(Description):
             },
         )
 
-    def _held(self, study: Study) -> bool:
+    def _are_commands_held(self, study: Study) -> bool:
         if self.commands_are is not None:
             return self.commands_are == "held"
         return looks_held(study.runs, list(dict.fromkeys(c for r in study.runs for c in r.command)))
 
-    def _options(self, folder: Path | None) -> Mapping[str, Any]:
+    def _list_options(self, folder: Path | None) -> Mapping[str, Any]:
         """Options; those that name a file beside the study get its folder."""
         if folder is None:
             return self.options

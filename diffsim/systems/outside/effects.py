@@ -59,14 +59,14 @@ def unknown_forces(hooks: Hooks, runs: Sequence[Run]) -> tuple[UnknownForce, ...
             unit=place.unit,
             typical=place.typical,
             also_looks_like=("anything",),
-            apply=partial(_pushed, place=i, spacing=spacing),
+            apply=partial(_apply_knots, place=i, spacing=spacing),
             components=tuple(f"knot_{k}" for k in range(count)),
         )
         out.append(UnknownForce(effect, covariance, f"unknown force at {place.name}"))
     return tuple(out)
 
 
-def _pushed(
+def _apply_knots(
     scene: OutsideScene, size: Tensor, run: Run, *, place: int, spacing: float
 ) -> OutsideScene:
     values = tuple(size.detach().tolist())

@@ -65,24 +65,24 @@ class Stepped:
         for name, value in parameters.items():
             if name not in entries:
                 put(self.environment, name, value)
-        seen = _observation(self.environment.reset(seed=0))
+        seen = _copy_observation(self.environment.reset(seed=0))
         for name, value in entries.items():
             put(self.environment, name, value)
         # a start that was set behind the back of ``reset`` is not in what it returned
-        first = self._start(seen, entries)
+        first = self._read_start(seen, entries)
         time = run.time_s - run.time_s[0]
         count = int(np.ceil(time[-1] / self.step - 1e-9))
         steps = self.step * np.arange(count + 1)
-        actions = self._actions(run, steps + run.time_s[0])
+        actions = self._list_actions(run, steps + run.time_s[0])
         rows = []
         for action in actions[:-1]:
-            rows.append(_observation(self.environment.step(action)))
+            rows.append(_copy_observation(self.environment.step(action)))
         width = run.measured.shape[1]
         picked = list(self.reading.observation) or list(range(width))
         seen_all = np.asarray([first, *rows], dtype=np.float64)[:, picked]
         return np.column_stack([np.interp(time, steps, column) for column in seen_all.T])
 
-    def _actions(self, run: Run, times: Array) -> list[Any]:
+    def _list_actions(self, run: Run, times: Array) -> list[Any]:
         """The commands held from sample to sample, in the form of the action space."""
         names = self.reading.action or tuple(run.command)
         columns = [run.command[name] for name in names]
@@ -96,7 +96,7 @@ class Stepped:
         dtype = getattr(space, "dtype", None) or np.float64
         return list(values.astype(dtype))
 
-    def _start(self, seen: Array, entries: Mapping[str, float]) -> Array:
+    def _read_start(self, seen: Array, entries: Mapping[str, float]) -> Array:
         observe = getattr(self.environment, "_get_obs", None)
         if entries and callable(observe):
             return np.array(observe(), dtype=np.float64)
@@ -113,12 +113,12 @@ def put(target: Any, path: str, value: float) -> None:
     entry = _ENTRY.fullmatch(path)
     *steps, last = (entry[1] if entry else path).split(".")
     for name in steps:
-        target = _attribute(target, name, path)
+        target = _find_attribute(target, name, path)
     if entry is None:
-        _attribute(target, last, path)
+        _find_attribute(target, last, path)
         setattr(target, last, value)
         return
-    values = np.array(_attribute(target, last, path), dtype=np.float64)
+    values = np.array(_find_attribute(target, last, path), dtype=np.float64)
     values.reshape(-1)[int(entry[2])] = value
     held = getattr(target, last)
     if isinstance(held, np.ndarray):
@@ -127,12 +127,12 @@ def put(target: Any, path: str, value: float) -> None:
         setattr(target, last, values)
 
 
-def _attribute(target: Any, name: str, path: str) -> Any:
+def _find_attribute(target: Any, name: str, path: str) -> Any:
     if not hasattr(target, name):
         raise ValueError(f"{type(target).__name__} has no attribute {name!r} for parameter {path}")
     return getattr(target, name)
 
 
-def _observation(given: Any) -> Array:
+def _copy_observation(given: Any) -> Array:
     seen = given[0] if isinstance(given, tuple) else given
     return np.array(seen, dtype=np.float64)  # a copy: environments step their states in place

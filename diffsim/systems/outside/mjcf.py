@@ -83,11 +83,11 @@ class Mjcf:
             force: Forces at joints, by their names.
             time_step: Factor on the model's own time step.
         """
-        self._reset()
+        self._reset_numbers()
         data = self.mujoco.MjData(self.model)
         starts = []
         for path, value in parameters.items():
-            if self._put(path, value) == "start":
+            if self._set_number(path, value) == "start":
                 starts.append((path, value))
         self.mujoco.mj_setConst(self.model, data)
         self.mujoco.mj_resetData(self.model, data)
@@ -98,22 +98,22 @@ class Mjcf:
             else:
                 data.qvel[self.model.joint(name).dofadr[0]] = value
         if force is None or not force.acts:
-            return self._stepped(data, run, time_step)
+            return self._step_model(data, run, time_step)
         # called at every stage of an integrator, so that forces are as exact as the step
         before = self.mujoco.get_mjcb_passive()
-        self.mujoco.set_mjcb_passive(self._pushing(force))
+        self.mujoco.set_mjcb_passive(self._push_joints(force))
         try:
-            return self._stepped(data, run, time_step)
+            return self._step_model(data, run, time_step)
         finally:
             self.mujoco.set_mjcb_passive(before)
 
-    def _stepped(self, data: Any, run: Run, time_step: float) -> Array:
+    def _step_model(self, data: Any, run: Run, time_step: float) -> Array:
         model, mj_step = self.model, self.mujoco.mj_step
-        controls = self._controls(run)
-        readers = self._readers(run)
+        controls = self._list_controls(run)
+        readers = self._find_readers(run)
         data.time = float(run.time_s[0])
         longest = float(self.plain.opt.timestep) * time_step
-        rows = [self._read(data, readers, controls[0])]
+        rows = [self._read_sensors(data, readers, controls[0])]
         for k in range(len(run.time_s) - 1):
             gap = float(run.time_s[k + 1] - run.time_s[k])
             count = max(int(np.ceil(gap / longest - 1e-6)), 1)
@@ -122,15 +122,15 @@ class Mjcf:
             for s in range(count):
                 data.ctrl[:] = controls[k] + (s + 0.5) * rise
                 mj_step(model, data)
-            rows.append(self._read(data, readers, controls[k + 1]))
+            rows.append(self._read_sensors(data, readers, controls[k + 1]))
         return np.array(rows)
 
-    def _read(self, data: Any, entries: list[int], control: Array) -> Array:
+    def _read_sensors(self, data: Any, entries: list[int], control: Array) -> Array:
         data.ctrl[:] = control
         self.mujoco.mj_forward(self.model, data)
         return np.array(data.sensordata[entries])
 
-    def _readers(self, run: Run) -> list[int]:
+    def _find_readers(self, run: Run) -> list[int]:
         """Entry of ``sensordata`` for each channel."""
         width = run.measured.shape[1]
         if self.channels is None:
@@ -143,11 +143,11 @@ class Mjcf:
         out = []
         for name in self.channels.values():
             entry = _ENTRY.fullmatch(name)
-            sensor = self._named("sensor", entry[1] if entry else name, "options.channels")
+            sensor = self._find_index("sensor", entry[1] if entry else name, "options.channels")
             out.append(int(self.model.sensor_adr[sensor]) + (int(entry[2]) if entry else 0))
         return out
 
-    def _controls(self, run: Run) -> Array:
+    def _list_controls(self, run: Run) -> Array:
         """(num_samples, num_actuators) in the order of the actuators."""
         out = np.zeros((len(run.time_s), self.model.nu))
         given = self.commands
@@ -156,12 +156,14 @@ class Mjcf:
         for command in run.command:
             name = command if given is None else given.get(command)
             if name is not None:
-                out[:, self._named("actuator", name, "options.commands")] = run.command[command]
+                out[:, self._find_index("actuator", name, "options.commands")] = run.command[
+                    command
+                ]
         return out
 
-    def _pushing(self, force: PlaceForces) -> Callable[[Any, Any], None]:
+    def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
-        joints = [self._named("joint", name, "hooks.force") for name in force.places]
+        joints = [self._find_index("joint", name, "hooks.force") for name in force.places]
         rates = [int(self.model.jnt_dofadr[j]) for j in joints]
         places = [int(self.model.jnt_qposadr[j]) for j in joints]
 
@@ -170,7 +172,7 @@ class Mjcf:
 
         return push
 
-    def _reset(self) -> None:
+    def _reset_numbers(self) -> None:
         """Numbers that parameters may have changed, as the file has them."""
         for name in ("body_mass", "body_inertia", *_JOINT.values(), "jnt_stiffness"):
             getattr(self.model, name)[:] = getattr(self.plain, name)
@@ -180,7 +182,7 @@ class Mjcf:
             setattr(self.model.opt, name, getattr(self.plain.opt, name))
         self.model.opt.gravity[:] = self.plain.opt.gravity
 
-    def _put(self, path: str, value: float) -> str:
+    def _set_number(self, path: str, value: float) -> str:
         """Set one number; "start" where it is a start value."""
         m, (kind, *rest) = self.model, path.split(".")
         if kind == "gravity" and not rest:
@@ -188,13 +190,13 @@ class Mjcf:
         elif kind in ("density", "viscosity") and not rest:
             setattr(m.opt, kind, value)
         elif kind == "body" and len(rest) == 2 and rest[1] == "mass":
-            i = self._named("body", rest[0], "parameters")
+            i = self._find_index("body", rest[0], "parameters")
             m.body_inertia[i] = self.plain.body_inertia[i] * value / self.plain.body_mass[i]
             m.body_mass[i] = value
         elif kind == "joint" and len(rest) == 2:
-            return self._put_joint(self._named("joint", rest[0], "parameters"), rest[1], value)
+            return self._set_joint(self._find_index("joint", rest[0], "parameters"), rest[1], value)
         elif kind == "actuator" and len(rest) == 2 and rest[1] == "gain":
-            m.actuator_gainprm[self._named("actuator", rest[0], "parameters"), 0] = value
+            m.actuator_gainprm[self._find_index("actuator", rest[0], "parameters"), 0] = value
         else:
             raise ValueError(
                 f"parameter {path!r} is none of body.NAME.mass, joint.NAME.damping (armature, "
@@ -203,7 +205,7 @@ class Mjcf:
             )
         return "model"
 
-    def _put_joint(self, joint: int, what: str, value: float) -> str:
+    def _set_joint(self, joint: int, what: str, value: float) -> str:
         m = self.model
         if what in ("start", "start_rate"):
             return "start"
@@ -216,7 +218,7 @@ class Mjcf:
             raise ValueError(f"a joint has no {what!r}{did_you_mean(what, known)}")
         return "model"
 
-    def _named(self, kind: str, name: str, where: str) -> int:
+    def _find_index(self, kind: str, name: str, where: str) -> int:
         objects: Callable[[int], Any] = getattr(self.model, kind)
         count = {"body": "nbody", "joint": "njnt", "sensor": "nsensor", "actuator": "nu"}[kind]
         known = [objects(i).name for i in range(getattr(self.model, count))]

@@ -73,10 +73,10 @@ def call(predict: Predict, label: str, job: Job) -> Array:
             f"simulator {label} failed in run {job.run.name} at {at}: "
             f"{type(error).__name__}: {error}"
         ) from error
-    return _shaped(given, label, job)
+    return _shape_channels(given, label, job)
 
 
-def _shaped(given: Any, label: str, job: Job) -> Array:
+def _shape_channels(given: Any, label: str, job: Job) -> Array:
     """What was returned as an array, refused where it cannot be the channels."""
     where = f"simulator {label} returned"
     names, count = job.channels, len(job.run.time_s)
@@ -223,7 +223,7 @@ class OutsideScene:
         forces = PlaceForces(model.places, self.terms, self.knots) if model.places else None
         own = (PLAY_START, *self.model.clocks)  # what happens behind the simulator
         values = {name: float(v.detach()) for name, v in self.values.items() if name not in own}
-        run = replace(self.run, command=self._commands())
+        run = replace(self.run, command=self._map_commands())
         return Job(run, values, forces, self.numerics, model.channels)
 
     def read(self, predicted: Array) -> Tensor:
@@ -232,7 +232,7 @@ class OutsideScene:
         Args:
             predicted: What the simulator returned, (num_samples, num_channels).
         """
-        out, grid = torch.from_numpy(predicted), self._grid()
+        out, grid = torch.from_numpy(predicted), self._make_grid()
         for name, idx in self.model.clocks.items():
             late = self.values[name].detach()
             out = out.clone()
@@ -243,10 +243,10 @@ class OutsideScene:
             out[:, shown] = change(out[:, shown].mT, grid).detach().mT
         return out
 
-    def _grid(self) -> Grid:
+    def _make_grid(self) -> Grid:
         return Grid.of(np.asarray(self.run.time_s, dtype=np.float64), np.inf)
 
-    def _commands(self) -> dict[str, Array]:
+    def _map_commands(self) -> dict[str, Array]:
         """Commands as the actuators hear them, at the run's times."""
         commands = {name: np.asarray(v, dtype=np.float64) for name, v in self.run.command.items()}
         for names, change in self.command_maps:
@@ -254,7 +254,7 @@ class OutsideScene:
             if not held:
                 continue
             rows = torch.from_numpy(np.stack([commands[n] for n in held]))
-            changed = change(rows, self._grid()).detach().numpy()
+            changed = change(rows, self._make_grid()).detach().numpy()
             commands |= dict(zip(held, changed, strict=True))
         return commands
 
@@ -285,7 +285,7 @@ class OutsideModel(SimModel):
         clocks: Mapping[str, tuple[int, ...]] | None = None,
         workers: int = 1,
     ):
-        super().__init__(self._scene, base, source.label)
+        super().__init__(self._build_scene, base, source.label)
         self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run
         self.channels, self.places, self.workers = tuple(channels), tuple(places), workers
@@ -309,9 +309,12 @@ class OutsideModel(SimModel):
             return [scene.simulate() for scene in scenes]
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
-                self.workers, get_context("spawn"), initializer=_begin, initargs=(self.source,)
+                self.workers,
+                get_context("spawn"),
+                initializer=_begin_process,
+                initargs=(self.source,),
             )
-        done = dict(zip(todo, self._pool.map(_work, todo.values()), strict=True))
+        done = dict(zip(todo, self._pool.map(_run_job, todo.values()), strict=True))
         out = []
         for scene, key, job in zip(scenes, keys, jobs, strict=True):
             record = done[key] if key in done else self.made.get(job)
@@ -320,17 +323,19 @@ class OutsideModel(SimModel):
             self.made.keep(job, done[key])
         return out
 
-    def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OutsideScene:
+    def _build_scene(
+        self, values: Mapping[str, Tensor], run: Run, numerics: Numerics
+    ) -> OutsideScene:
         return OutsideScene(self, self.in_run(values, run), run, numerics)
 
 
 _OWN: dict[str, Any] = {}
 
 
-def _begin(source: Source) -> None:
+def _begin_process(source: Source) -> None:
     """Make the simulator of this process."""
     _OWN["predict"], _OWN["label"] = source.make(), source.label
 
 
-def _work(job: Job) -> Array:
+def _run_job(job: Job) -> Array:
     return call(_OWN["predict"], _OWN["label"], job)

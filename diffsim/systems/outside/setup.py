@@ -74,7 +74,7 @@ def outside_setup(
         label = getattr(simulator, "__qualname__", type(simulator).__qualname__)
         source = Source(label, given=simulator, environment=environment or Environment())
     behind = {PLAY_START: START_IN_PLAY, **{clock_of(n): q for n, q in clocks.items()}}
-    base, in_run = _parameters(parameters, behind, study)
+    base, in_run = _list_parameters(parameters, behind, study)
     names = tuple(c.name for c in study.channels)
     scales = Scales.kept_in(study) or Scales.of_runs(study)
     hooks = Hooks(
@@ -104,7 +104,7 @@ def outside_setup(
     )
 
 
-def _parameters(
+def _list_parameters(
     given: Sequence[Parameter] | Mapping[str, Quantity],
     behind: Mapping[str, Quantity],
     study: Study,
@@ -116,12 +116,12 @@ def _parameters(
     own = BaseParameters(behind, study.runs)
 
     def in_run(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
-        return _by_run(values, run) | own.in_run(with_play_start(values, run), run)
+        return _pick_values_of_run(values, run) | own.in_run(with_play_start(values, run), run)
 
     return (*given, *own.base), in_run
 
 
-def _by_run(values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
+def _pick_values_of_run(values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
     """Values by name in a run: "angle@run_3" is "angle" there, and nothing elsewhere."""
     shared = {name: v for name, v in values.items() if "@" not in name}
     own = {n.split("@")[0]: v for n, v in values.items() if n.endswith(f"@{run.name}")}

@@ -58,7 +58,7 @@ class Source:
                 f"simulator must read FILE.py:NAME, MODULE:NAME or gym:ID, got {self.place!r}; "
                 "NAME is a class with predict(parameters, run), or such a function"
             )
-        if where.endswith(".py") and not (path := self._path(where)).is_file():
+        if where.endswith(".py") and not (path := self._find_path(where)).is_file():
             return f"simulator: no file {path}"
         return None
 
@@ -68,7 +68,7 @@ class Source:
         where = self.place.rpartition(":")[0]
         if self.given is not None or not where.endswith(".py"):
             return self.place
-        content = hashlib.sha256(self._path(where).read_bytes()).hexdigest()[:8]
+        content = hashlib.sha256(self._find_path(where).read_bytes()).hexdigest()[:8]
         return f"{self.place} ({content})"
 
     def make(self) -> Predict:
@@ -80,25 +80,25 @@ class Source:
         """
         if problem := self.problem():
             raise ValueError(problem)
-        made = self._made()
+        made = self._make_simulator()
         if predict := getattr(made, "predict", None):
-            return self._checked(predict)
+            return self._check_predict(predict)
         if hasattr(made, "reset") and hasattr(made, "step"):
             return Stepped(made, self.environment).predict
         if callable(made):
-            return self._checked(made)
+            return self._check_predict(made)
         raise ValueError(
             f"simulator {self.place} must be a function predict(parameters, run), or an object "
             f"with predict, or with reset and step; got {type(made).__name__}"
         )
 
-    def _made(self) -> Any:
+    def _make_simulator(self) -> Any:
         if self.given is not None:
             return self.given
         if self.place.startswith("gym:"):
-            return _registered(self.place[4:], self.options)
+            return _make_gym_environment(self.place[4:], self.options)
         where, _, name = self.place.rpartition(":")
-        module = self._module(where)
+        module = self._import_module(where)
         found = getattr(module, name, None)
         if found is None:
             known = [n for n in vars(module) if not n.startswith("_")]
@@ -113,11 +113,11 @@ class Source:
                 f"{type(error).__name__}: {error}"
             ) from error
 
-    def _module(self, where: str) -> ModuleType:
+    def _import_module(self, where: str) -> ModuleType:
         try:
             if not where.endswith(".py"):
                 return importlib.import_module(where)
-            path = self._path(where)
+            path = self._find_path(where)
             spec = importlib.util.spec_from_file_location(path.stem, path)
             if spec is None or spec.loader is None:
                 raise ImportError(f"{path} is no Python file")
@@ -129,10 +129,10 @@ class Source:
                 f"simulator: {where} cannot be imported: {type(error).__name__}: {error}"
             ) from error
 
-    def _path(self, where: str) -> Path:
+    def _find_path(self, where: str) -> Path:
         return inside(self.folder or Path(), where, "simulator")
 
-    def _checked(self, predict: Callable[..., Any]) -> Predict:
+    def _check_predict(self, predict: Callable[..., Any]) -> Predict:
         """The function, after a look at its signature."""
         try:
             inspect.signature(predict).bind({}, None, **dict.fromkeys(offers_of(predict)))
@@ -151,7 +151,7 @@ def offers_of(predict: Callable[..., Any]) -> frozenset[str]:
     return frozenset(p.name for p in known) & frozenset(OFFERS)
 
 
-def _registered(name: str, options: Mapping[str, Any]) -> Any:
+def _make_gym_environment(name: str, options: Mapping[str, Any]) -> Any:
     try:
         import gymnasium
 

@@ -16,7 +16,7 @@ def simulated(scene: BallScene) -> MovingShape | None:
         return None
     with torch.no_grad():
         places = torch.stack([p[0] for p in scene.wide().paths(scene.time[None]).places], 1)
-    return MovingShape.of_balls(places.numpy(), _radii(scene))
+    return MovingShape.of_balls(places.numpy(), _list_radii(scene))
 
 
 def measured(scene: BallScene, channels: Tensor) -> MovingShape | None:
@@ -35,10 +35,10 @@ def measured(scene: BallScene, channels: Tensor) -> MovingShape | None:
         return None
     columns = [[rows.index(row) for row in of_ball] for of_ball in wanted]
     places = channels[:, columns] @ scene.stage.frame
-    return MovingShape.of_balls(places.numpy(), _radii(scene))
+    return MovingShape.of_balls(places.numpy(), _list_radii(scene))
 
 
-def _radii(scene: BallScene) -> np.ndarray:
+def _list_radii(scene: BallScene) -> np.ndarray:
     return np.array([0.5 * float(scene.values[b.diameter]) for b in scene.stage.bodies])
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import Instruments, grid_at
-from diffsim.causes.ports import SignalMap
+from diffsim.causes.instruments import InstrumentedScene, grid_at
 from diffsim.systems.rigid_body import on_ground
 from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
 from diffsim.systems.rigid_body.camera import projected
@@ -127,42 +126,30 @@ class Paths:
 
 
 @dataclass(frozen=True, eq=False)
-class BallScene:
+class BallScene(InstrumentedScene):
     """One run of the balls, or the points clicked in the camera's picture.
 
     Attributes:
         values: Quantities, start of the balls, camera, and ``PLAIN``, (...,) each.
         time: Times of the samples since the start, (T,) [s].
         stage: What all runs have in common.
-        instruments: What shows the motion.
     """
 
     values: Mapping[str, Tensor]
     time: Tensor
     stage: Stage
-    instruments: Instruments = field(default_factory=Instruments)
-
-    play_start = None  # plays begin in their middle
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> BallScene:
         """A copy in which one number is f(number)."""
         return replace(self, values={**self.values, name: change(self.values[name])})
 
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> BallScene:
-        """A copy in which some channels are f(channels (..., width, T), grid)."""
-        return replace(self, instruments=self.instruments.with_reading(channels, change))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> BallScene:
-        """A copy in which some channels show where the balls were ``delay`` ago [s]."""
-        return replace(self, instruments=self.instruments.with_clock(channels, delay))
-
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""
         wide = self.wide()
-        out = wide._channels(None)
+        out = wide._show_channels(None)
         for channels, delay in delays_of(self.instruments.clocks).items():
             places = torch.tensor(channels)
-            out = out.index_copy(-1, places, wide._channels(delay)[..., places])
+            out = out.index_copy(-1, places, wide._show_channels(delay)[..., places])
         out = self.instruments.read(out, grid_at(self.time))
         is_one = not any(v.ndim for v in self.values.values()) and not self.instruments.num_points
         return out[0] if is_one else out
@@ -173,19 +160,19 @@ class BallScene:
         batch = np.broadcast_shapes(*sizes)
         return replace(self, values={n: v.expand(batch or (1,)) for n, v in self.values.items()})
 
-    def _channels(self, late: Tensor | None) -> Tensor:
+    def _show_channels(self, late: Tensor | None) -> Tensor:
         """(K, T, num_channels) as they are ``late`` (K,) or () [s] before."""
-        time = self.time * (1.0 + self._of("clock_scale"))
+        time = self.time * (1.0 + self._get_value("clock_scale"))
         if late is not None:
             time = time - late[..., None]
-        shown = self._clicks(time)
+        shown = self._show_clicks(time)
         paths = self.paths(time)
-        scale = 1.0 + self._of("length_scale")[..., None]
+        scale = 1.0 + self._get_value("length_scale")[..., None]
         for kind, b, _ in self.stage.rows:
             if (kind, b) in shown or b >= len(paths.places):
                 continue
             if kind == "pixels":
-                shown[kind, b] = self._pixels(time, paths, b)
+                shown[kind, b] = self._show_pixels(time, paths, b)
             else:
                 path = paths.places if kind == "position" else paths.velocities
                 shown[kind, b] = scale * (path[b] @ self.stage.frame.mT)
@@ -193,7 +180,7 @@ class BallScene:
         rows = [shown[k, b][..., i] if (k, b) in shown else zero for k, b, i in self.stage.rows]
         return torch.stack(rows, -1)
 
-    def _clicks(self, time: Tensor) -> dict[tuple[str, int], Tensor]:
+    def _show_clicks(self, time: Tensor) -> dict[tuple[str, int], Tensor]:
         """Pixels of the points that the run holds, (K, T, 2)."""
         eye = self.stage.eye
         if eye is None or eye.corners is None:
@@ -201,20 +188,20 @@ class BallScene:
         corners = eye.corners.expand(len(time), -1, 3)
         return {("click", 0): projected(self.values, eye.rotation, corners)}
 
-    def _pixels(self, time: Tensor, paths: Paths, b: int) -> Tensor:
+    def _show_pixels(self, time: Tensor, paths: Paths, b: int) -> Tensor:
         """(K, T, 2) of one ball; each row of the picture is read a little later."""
         assert self.stage.eye is not None
-        first = self._seen(paths)[b]
+        first = self._project_centers(paths)[b]
         if not bool((self.values["readout"] != 0.0).any()) and not self._needs_grad("readout"):
             return first
         # one fixed-point step is ample
-        late = self._of("readout") * first[..., 1] / self.stage.eye.height_px
-        return self._seen(self.paths(time + late))[b]
+        late = self._get_value("readout") * first[..., 1] / self.stage.eye.height_px
+        return self._project_centers(self.paths(time + late))[b]
 
     def _needs_grad(self, name: str) -> bool:
         return self.values[name].requires_grad
 
-    def _seen(self, paths: Paths) -> list[Tensor]:
+    def _project_centers(self, paths: Paths) -> list[Tensor]:
         """(K, T, 2) pixels of the centers as tracked."""
         eye, pair = self.stage.eye, self.stage.pair
         assert eye is not None
@@ -223,41 +210,41 @@ class BallScene:
         if pair is not None:
             i, j = pair.bodies
             towards = (paths.places[j] - paths.places[i])[..., :2]
-            gap = torch.sqrt((towards**2).sum(-1)) - self._reach(pair)
-            touching = self._of("merge") * torch.exp(-((gap / MERGE_LENGTH) ** 2))
+            gap = torch.sqrt((towards**2).sum(-1)) - self._compute_reach(pair)
+            touching = self._get_value("merge") * torch.exp(-((gap / MERGE_LENGTH) ** 2))
             apart = pixels[j] - pixels[i]
             pull = touching[..., None] * apart / torch.sqrt((apart**2).sum(-1, keepdim=True))
             pulls[i], pulls[j] = pull, -pull
-        lit = torch.stack([self._of("lit_u"), self._of("lit_v")], -1)
+        lit = torch.stack([self._get_value("lit_u"), self._get_value("lit_v")], -1)
         out = []
         for body, place, center, pull in zip(
             self.stage.bodies, paths.places, pixels, pulls, strict=True
         ):
-            radius = 0.5 * self._of(body.diameter)
+            radius = 0.5 * self._get_value(body.diameter)
             along = place[..., :2] @ eye.rotation[2, :2] + radius * eye.rotation[2, 2]
-            depth = (along + self._of("shift_z")).abs()
-            size = self._of("focal") * radius / depth
+            depth = (along + self._get_value("shift_z")).abs()
+            size = self._get_value("focal") * radius / depth
             out.append(center + pull + size[..., None] * lit)
         return out
 
     def paths(self, time: Tensor) -> Paths:
         """Centers of all balls at times (K, T) [s]."""
         pair = self.stage.pair
-        met = {} if pair is None else self._met(pair, time)
+        met = {} if pair is None else self._meet_pair(pair, time)
         both = [
-            met[b] if b in met else self._alone(body, time)
+            met[b] if b in met else self._move_alone(body, time)
             for b, body in enumerate(self.stage.bodies)
         ]
         return Paths([p for p, _ in both], [v for _, v in both])
 
-    def _alone(self, body: BallBody, time: Tensor) -> tuple[Tensor, Tensor]:
+    def _move_alone(self, body: BallBody, time: Tensor) -> tuple[Tensor, Tensor]:
         v = self.values
-        laws = self._laws(body)
+        laws = self._make_laws(body)
         level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
         lands = body.restitution is not None
-        ball = self._start(body)
+        ball = self._make_start(body)
         if body.begins != "flying":
-            return self._rolled(ball, laws, level, time)
+            return self._roll_ball(ball, laws, level, time)
         up = torch.stack([v[f"{body.name}_z"], v[f"{body.name}_vz"]], -1)
         ground = Bounces(
             laws,
@@ -275,13 +262,13 @@ class BallScene:
         )
         return bounced(thrown, time, ground)
 
-    def _met(self, pair: Pair, time: Tensor) -> dict[int, tuple[Tensor, Tensor]]:
+    def _meet_pair(self, pair: Pair, time: Tensor) -> dict[int, tuple[Tensor, Tensor]]:
         """Two balls on the ground before and after their one impact."""
         v = self.values
         bodies = [self.stage.bodies[b] for b in pair.bodies]
-        laws = [self._laws(body) for body in bodies]
-        resting, coming = (self._start(body) for body in bodies)
-        start = on_ground.time_of_impact(resting, coming, self._reach(pair)[:, 0], laws[0])
+        laws = [self._make_laws(body) for body in bodies]
+        resting, coming = (self._make_start(body) for body in bodies)
+        start = on_ground.time_of_impact(resting, coming, self._compute_reach(pair)[:, 0], laws[0])
         law = {
             "restitution": v[pair.restitution],
             "ball_friction": v[pair.friction] + v["ball_friction"],
@@ -296,7 +283,7 @@ class BallScene:
         )
         since = (time - start[:, None]).clamp(min=0.0)
         # a blow of constant force: first half of it with the old velocity, then with the new one
-        after = _eased(since, self._of("contact_time"))
+        after = _ease_time(since, self._get_value("contact_time"))
         before = torch.minimum(time, start[:, None].expand_as(time)) + since - after
         is_after = (since > 0.0)[..., None]
         up = (lift + v["hop"])[:, None]
@@ -312,8 +299,8 @@ class BallScene:
             strict=True,
         ):
             level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
-            one, speed = self._rolled(later, law_of, level, after)
-            two, slower = self._rolled(first, law_of, level, before)
+            one, speed = self._roll_ball(later, law_of, level, after)
+            two, slower = self._roll_ball(first, law_of, level, before)
             met = torch.cat([later.place, level[:, None]], -1)[:, None]
             place = torch.where(is_after, one + two - met, two)
             lifted = torch.zeros_like(place)
@@ -321,7 +308,9 @@ class BallScene:
             out[b] = (place + lifted, torch.where(is_after, speed, slower))
         return out
 
-    def _rolled(self, ball: Ball, laws: Laws, level: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+    def _roll_ball(
+        self, ball: Ball, laws: Laws, level: Tensor, time: Tensor
+    ) -> tuple[Tensor, Tensor]:
         wide = Ball(*(y[:, None] for y in (ball.place, ball.velocity, ball.rolling)))
         law = Laws(*(getattr(laws, n)[:, None] for n in Laws.__dataclass_fields__))
         end = on_ground.moved(wide, time, law)
@@ -331,7 +320,7 @@ class BallScene:
             torch.cat([end.velocity, torch.zeros_like(height)], -1),
         )
 
-    def _start(self, body: BallBody) -> Ball:
+    def _make_start(self, body: BallBody) -> Ball:
         v, n = self.values, body.name
         place = torch.stack([v[f"{n}_x"], v[f"{n}_y"]], -1)
         if body.begins == "at_rest":
@@ -339,7 +328,7 @@ class BallScene:
         velocity = torch.stack([v[f"{n}_vx"], v[f"{n}_vy"]], -1)
         return Ball(place, velocity, torch.stack([v[f"{n}_roll_x"], v[f"{n}_roll_y"]], -1))
 
-    def _laws(self, body: BallBody) -> Laws:
+    def _make_laws(self, body: BallBody) -> Laws:
         v = self.values
         friction = v["table_friction"] + (v[body.friction] if body.friction else 0.0)
         return Laws(
@@ -351,16 +340,16 @@ class BallScene:
             v["gravity"],
         )
 
-    def _reach(self, pair: Pair) -> Tensor:
+    def _compute_reach(self, pair: Pair) -> Tensor:
         """Distance of the centers at the impact, (K, 1) [m]."""
-        both = [self._of(self.stage.bodies[b].diameter) for b in pair.bodies]
+        both = [self._get_value(self.stage.bodies[b].diameter) for b in pair.bodies]
         return 0.5 * (both[0] + both[1])
 
-    def _of(self, name: str) -> Tensor:
+    def _get_value(self, name: str) -> Tensor:
         return self.values[name][:, None]
 
 
-def _eased(since: Tensor, duration: Tensor) -> Tensor:
+def _ease_time(since: Tensor, duration: Tensor) -> Tensor:
     """Time that counts as after a blow which takes its time: the integral of a ramp (K, T) [s]."""
     length = duration.clamp(min=1e-9)
     return torch.where(since > length, since - 0.5 * length, since**2 / (2.0 * length))

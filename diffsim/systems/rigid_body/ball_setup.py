@@ -79,7 +79,7 @@ class Balls:
 
     def with_clicks(self, study: Study) -> Study:
         """The study with the camera's points as a run and two channels of their own."""
-        points = self._points(study)
+        points = self._load_points(study)
         if points is None or self.camera is None or self.camera.points is None:
             return study
         sd = self.camera.points.sd
@@ -105,16 +105,16 @@ class Balls:
             clicks: Places of clicked points that runs hold beside their balls, one per sample,
                 (num_samples, 3) [m] by name of the run.
         """
-        points = self._points(study)
+        points = self._load_points(study)
         runs = [r for r in study.runs if r.name != CLICKS]
-        eye, camera = self._eye(points)
-        stage = self._stage([c.name for c in study.channels], eye)
-        quantities = BaseParameters({**self._quantities(), **camera}, runs)
+        eye, camera = self._find_eye(points)
+        stage = self._build_stage([c.name for c in study.channels], eye)
+        quantities = BaseParameters({**self._list_quantities(), **camera}, runs)
         starts = BallStarts(
             self.bodies,
             self.starts,
             runs,
-            lambda run, body: self._seen(run, body, study, eye, camera),
+            lambda run, body: self._find_places(run, body, study, eye, camera),
             self.gravity.value,
             frozenset(m.body for m in self.measures if m.pixels),
         )
@@ -139,7 +139,9 @@ class Balls:
             since = 0.0 if is_clicks else starts.at(run)
             time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
             # a run that nobody has recorded yet is seen as all others are
-            shown = _of_part(stages.get(run.name, stage), clocks.get(run.name, run.time_s), run)
+            shown = _shorten_stage(
+                stages.get(run.name, stage), clocks.get(run.name, run.time_s), run
+            )
             return BallScene({**plain, **known, **start}, time, shown)
 
         base = (*quantities.base, *starts.base)
@@ -161,7 +163,7 @@ class Balls:
     def numbers(self) -> tuple[str, ...]:
         """Names of all numbers that causes may change."""
         camera = () if self.camera is None else ("focal", *(f"shift_{a}" for a in "xyz"))
-        return (*self._quantities(), *PLAIN, *camera)
+        return (*self._list_quantities(), *PLAIN, *camera)
 
     def _names_of_causes(self) -> list[str]:
         seen = {kind for m in self.measures for kind, _, _ in m.rows()}
@@ -175,11 +177,11 @@ class Balls:
             out.append("weaker_gravity")
         if bounces:
             out += causes.BOUNCES
-        if self._pair is not None:
+        if self._pair_contact is not None:
             out += causes.PAIR
         if "pixels" in seen:
             out += causes.CAMERA
-            out += ["merged_regions"] if self._pair is not None else []
+            out += ["merged_regions"] if self._pair_contact is not None else []
         if seen & {"position", "velocity"}:
             out += causes.POSITIONS
         return [name for name in out if not self._states_friction(name)]
@@ -194,40 +196,40 @@ class Balls:
         )
 
     @property
-    def _pair(self) -> Contact | None:
+    def _pair_contact(self) -> Contact | None:
         return next((c for c in self.contacts if GROUND not in c.between), None)
 
-    def _shape(self, body: Body) -> Body:
+    def _find_shape_owner(self, body: Body) -> Body:
         """The body whose diameter and inertia this one has."""
         if body.like is None:
             return body
         return next(b for b in self.bodies if b.name == body.like)
 
-    def _key(self, contact: Contact, what: str) -> str:
+    def _name_key(self, contact: Contact, what: str) -> str:
         """Name of a contact's quantity: plain if there is only one contact."""
         if len(self.contacts) == 1:
             return what
         names = [n for n in contact.between if n != GROUND]
         return f"{what}_{'_'.join(names)}" + ("_ground" if GROUND in contact.between else "")
 
-    def _diameter(self, body: Body) -> str:
-        shapes = {self._shape(b).name for b in self.bodies}
-        return "diameter" if len(shapes) == 1 else f"{self._shape(body).name}_diameter"
+    def _name_diameter(self, body: Body) -> str:
+        shapes = {self._find_shape_owner(b).name for b in self.bodies}
+        return "diameter" if len(shapes) == 1 else f"{self._find_shape_owner(body).name}_diameter"
 
-    def _quantities(self) -> dict[str, Quantity]:
+    def _list_quantities(self) -> dict[str, Quantity]:
         out = {"gravity": self.gravity, "ground": Quantity(value=self.height or 0.0)}
         for body in self.bodies:
             if body.sphere is not None:
-                out[self._diameter(body)] = body.sphere
+                out[self._name_diameter(body)] = body.sphere
         for contact in self.contacts:
-            out[self._key(contact, "restitution")] = contact.restitution
+            out[self._name_key(contact, "restitution")] = contact.restitution
             friction = contact.friction or Quantity(value=0.0)
-            out[self._key(contact, "friction")] = friction
-        if self._pair is not None:
+            out[self._name_key(contact, "friction")] = friction
+        if self._pair_contact is not None:
             out["sidespin"] = Quantity(value=0.0, sd=SPIN_SD, unit="m/s")
         return out
 
-    def _stage(self, channels: Sequence[str], eye: Eye | None) -> Stage:
+    def _build_stage(self, channels: Sequence[str], eye: Eye | None) -> Stage:
         index = {b.name: i for i, b in enumerate(self.bodies)}
         rows = {c: (k, index[m.body], i) for m in self.measures for k, i, c in m.rows()}
         for names in (CLICK_CHANNELS, ("corner_u_px", "corner_v_px")):
@@ -238,38 +240,38 @@ class Balls:
             touch = next(
                 (c for c in self.contacts if GROUND in c.between and body.name in c.between), None
             )
-            shape = self._shape(body)
+            shape = self._find_shape_owner(body)
             bodies.append(
                 BallBody(
                     body.name,
                     body.begins,
-                    self._diameter(body),
-                    None if touch is None else self._key(touch, "restitution"),
-                    None if touch is None else self._key(touch, "friction"),
+                    self._name_diameter(body),
+                    None if touch is None else self._name_key(touch, "restitution"),
+                    None if touch is None else self._name_key(touch, "friction"),
                     shape.inertia_ratio or SOLID,
                 )
             )
         return Stage(
             bodies,
-            self._pair_of(index),
+            self._build_pair(index),
             [rows[c] for c in channels],
             torch.from_numpy(np.ascontiguousarray(frame)),
             eye,
         )
 
-    def _pair_of(self, index: Mapping[str, int]) -> Pair | None:
-        contact = self._pair
+    def _build_pair(self, index: Mapping[str, int]) -> Pair | None:
+        contact = self._pair_contact
         if contact is None:
             return None
         i, j = (index[n] for n in contact.between)
         if self.bodies[i].begins != "at_rest":  # the one that rests is struck
             i, j = (j, i) if self.bodies[j].begins == "at_rest" else (i, j)
-        masses = [self._shape(self.bodies[b]).mass or 1.0 for b in (i, j)]
+        masses = [self._find_shape_owner(self.bodies[b]).mass or 1.0 for b in (i, j)]
         own = [self.bodies[b].mass or m for b, m in zip((i, j), masses, strict=True)]
-        keys = [self._key(contact, what) for what in ("restitution", "friction")]
+        keys = [self._name_key(contact, what) for what in ("restitution", "friction")]
         return Pair((i, j), keys[0], keys[1], own[0] / own[1])
 
-    def _points(self, study: Study) -> Points | None:
+    def _load_points(self, study: Study) -> Points | None:
         if self.camera is None or self.camera.points is None:
             return None
         given = self.camera.points
@@ -280,7 +282,7 @@ class Balls:
         table = np.column_stack([data[c] for c in given.columns])
         return Points(table[:, :2], table[:, 2:])
 
-    def _eye(self, points: Points | None) -> tuple[Eye | None, dict[str, Quantity]]:
+    def _find_eye(self, points: Points | None) -> tuple[Eye | None, dict[str, Quantity]]:
         """The camera before its fit, and what is fitted of it."""
         camera = self.camera
         if camera is None:
@@ -303,7 +305,7 @@ class Balls:
         named = {"focal": focal} | {f"turn_{a}": turn for a in "xyz"}
         return eye, named | {f"shift_{a}": q for a, q in zip("xyz", shift, strict=True)}
 
-    def _seen(
+    def _find_places(
         self,
         run: Run,
         body: Body,
@@ -330,7 +332,7 @@ class Balls:
                     return in_free_flight(
                         values, eye.rotation, seen, time, self.gravity.value
                     ).numpy()
-                diameter = self._shape(body).sphere
+                diameter = self._find_shape_owner(body).sphere
                 assert diameter is not None
                 level = 0.5 * diameter.value + (self.height or 0.0)
                 flat = on_plane(values, eye.rotation, torch.from_numpy(pixels), level)
@@ -365,7 +367,7 @@ class BallModel(SimModel):
         return simulated(scene)
 
 
-def _of_part(stage: Stage, clock: Array, run: Run) -> Stage:
+def _shorten_stage(stage: Stage, clock: Array, run: Run) -> Stage:
     """The stage of a run of which a part may be left out: as many clicked points as samples."""
     eye = stage.eye
     if eye is None or eye.corners is None or len(eye.corners) == len(run.time_s):

@@ -51,11 +51,11 @@ class BallStarts:
         self.names: dict[str, dict[str, str]] = {}  # by what follows a parameter's name
         first: dict[str, Run] = {}
         for run in sorted(runs, key=lambda r: (r.order, float(r.time_s[0]))):
-            first.setdefault(self._label(run), run)
+            first.setdefault(self._label_run(run), run)
         for label, run in first.items():
             for body in bodies:
                 is_rough = body.name in filmed and body.begins == "flying"
-                made = _quantities(body, run, seen, gravity, self.at(run), is_rough)
+                made = _list_quantities(body, run, seen, gravity, self.at(run), is_rough)
                 for key, quantity in made.items():
                     name = key + label
                     if quantity.is_fitted:
@@ -75,14 +75,14 @@ class BallStarts:
             key: values[name]
             if name in values
             else torch.tensor(self.known[name], dtype=torch.float64)
-            for key, name in self.names[self._label(run)].items()
+            for key, name in self.names[self._label_run(run)].items()
         }
 
     def at(self, run: Run) -> float:
         """Time of a run's start [s]."""
         return float(run.time_s[0]) if self.starts.per == "run" else self.starts.at
 
-    def _label(self, run: Run) -> str:
+    def _label_run(self, run: Run) -> str:
         """What follows a parameter's name: "@run_1" per run, "[throw=2]" per fact."""
         per = self.starts.per
         if per == "run":
@@ -97,7 +97,7 @@ class BallStarts:
         return f"[{per}={run.setup[per]}]"
 
 
-def _quantities(
+def _list_quantities(
     body: Body, run: Run, seen: Seen, gravity: float, at: float, is_rough: bool
 ) -> Mapping[str, Quantity]:
     """Start of one ball: stated, else by its first places."""
@@ -106,7 +106,7 @@ def _quantities(
     place, speed = np.zeros(3), np.zeros(3)
     stated = body.start
     if len(stated.place) < len(axes) or (moves and len(stated.velocity) < len(axes)):
-        place, speed = _guess(run, seen(run, body), gravity if flies else 0.0, at, moves)
+        place, speed = _guess_start(run, seen(run, body), gravity if flies else 0.0, at, moves)
     out: dict[str, Quantity] = {}
     n = body.name
     place_sd, speed_sd = (FILMED_SD, FILMED_SPEED_SD) if is_rough else (PLACE_SD, SPEED_SD)
@@ -124,11 +124,13 @@ def _quantities(
     return out
 
 
-def _guess(run: Run, places: Array, gravity: float, at: float, moves: bool) -> tuple[Array, Array]:
+def _guess_start(
+    run: Run, places: Array, gravity: float, at: float, moves: bool
+) -> tuple[Array, Array]:
     """Place and velocity at time ``at``: lines through the first samples, the fall taken out."""
     few = slice(0, _SAMPLES)
     if gravity > 0.0:
-        few = slice(0, max(3, min(_SAMPLES, _falling(places[:, 2]))))
+        few = slice(0, max(3, min(_SAMPLES, _count_falling(places[:, 2]))))
     time = run.time_s[few] - at
     place, speed = np.zeros(3), np.zeros(3)
     for i in range(3):
@@ -145,7 +147,7 @@ def _guess(run: Run, places: Array, gravity: float, at: float, moves: bool) -> t
     return place, speed
 
 
-def _falling(height: Array) -> int:
+def _count_falling(height: Array) -> int:
     """Number of samples before the first bounce: until the height rises after it fell."""
     steps = np.diff(height)
     fell = False

@@ -90,15 +90,19 @@ def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor
         if not ground.lands:
             return place, velocity
         landing = flight.landing(ground.level, fall)
-        ball = _unless(settled, ball, _rebounded(flight, landing, ball.rolling, ground))
+        ball = _keep_settled(
+            settled, ball, _rebound_from_ground(flight, landing, ball.rolling, ground)
+        )
         begun = torch.where(settled, begun, begun + landing)
         settled = settled | (ball.velocity[:, 2] < SETTLES)
         if bool((settled | (begun > end)).all()):
             break
-    return _on_ground(ball, time - begun[:, None], settled, ground, (place, velocity))
+    return _put_on_ground(ball, time - begun[:, None], settled, ground, (place, velocity))
 
 
-def _rebounded(flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces) -> Thrown:
+def _rebound_from_ground(
+    flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces
+) -> Thrown:
     """The ball after an impact with the ground: restitution, and Coulomb friction or sticking."""
     place, velocity = (y[:, 0] for y in flight.at(landing[:, None]))
     approach = (-velocity[:, 2]).clamp(min=0.0)
@@ -116,7 +120,7 @@ def _rebounded(flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces
     )
 
 
-def _unless(settled: Tensor, old: Thrown, new: Thrown) -> Thrown:
+def _keep_settled(settled: Tensor, old: Thrown, new: Thrown) -> Thrown:
     keep = settled[:, None]
     return Thrown(
         torch.where(keep, old.place, new.place),
@@ -125,7 +129,7 @@ def _unless(settled: Tensor, old: Thrown, new: Thrown) -> Thrown:
     )
 
 
-def _on_ground(
+def _put_on_ground(
     ball: Thrown, since: Tensor, settled: Tensor, ground: Bounces, flown: tuple[Tensor, Tensor]
 ) -> tuple[Tensor, Tensor]:
     """The flown motion, with the rest of it on the ground where the ball has settled."""

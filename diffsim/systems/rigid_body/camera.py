@@ -34,7 +34,7 @@ def projected(values: Mapping[str, Tensor], rotation: Tensor, place: Tensor) -> 
     Returns:
         (..., T, 2) u to the right, v down [px].
     """
-    turned, shift = _pose(values, rotation)
+    turned, shift = _make_pose(values, rotation)
     camera = place @ turned.transpose(-1, -2) + shift[..., None, :]
     flat = camera[..., :2] / camera[..., 2:]
     bent = 1.0 + values["radial"][..., None] * (flat**2).sum(-1)
@@ -46,7 +46,7 @@ def projected(values: Mapping[str, Tensor], rotation: Tensor, place: Tensor) -> 
 
 def eye(values: Mapping[str, Tensor], rotation: Tensor) -> Tensor:
     """Place of the camera, (..., 3) [m]; arguments as for ``projected``."""
-    turned, shift = _pose(values, rotation)
+    turned, shift = _make_pose(values, rotation)
     return -(turned.transpose(-1, -2) @ shift[..., None])[..., 0]
 
 
@@ -54,7 +54,7 @@ def on_plane(
     values: Mapping[str, Tensor], rotation: Tensor, pixels: Tensor, height: float
 ) -> Tensor:
     """x, y (..., 2) [m] on the plane z = ``height`` of pixels (..., 2); without distortion."""
-    turned, _ = _pose(values, rotation)
+    turned, _ = _make_pose(values, rotation)
     at = eye(values, rotation)
     a = (pixels[..., 0] - 0.5 * WIDTH_PX - values["center_u"]) / values["focal"]
     b = (0.5 * HEIGHT_PX + values["center_v"] - pixels[..., 1]) / values["focal"]
@@ -79,7 +79,7 @@ def in_free_flight(
     Returns:
         Places at all times; NaN where it was seen too rarely.
     """
-    turned, shift = _pose(values, rotation)
+    turned, shift = _make_pose(values, rotation)
     a = (pixels[:, 0] - 0.5 * WIDTH_PX - values["center_u"]) / values["focal"]
     b = (0.5 * HEIGHT_PX + values["center_v"] - pixels[:, 1]) / values["focal"]
     t = time - time[0]
@@ -95,7 +95,7 @@ def in_free_flight(
     return start[:3] + start[3:] * t[:, None] + fallen
 
 
-def _pose(values: Mapping[str, Tensor], rotation: Tensor) -> tuple[Tensor, Tensor]:
+def _make_pose(values: Mapping[str, Tensor], rotation: Tensor) -> tuple[Tensor, Tensor]:
     turn = torch.stack([values[n] for n in ("turn_x", "turn_y", "turn_z")], -1)
     shift = torch.stack([values[n] for n in ("shift_x", "shift_y", "shift_z")], -1)
     return torch.linalg.matrix_exp(skew(turn)) @ rotation, shift

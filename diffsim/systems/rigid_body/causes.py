@@ -83,7 +83,7 @@ def toss_causes(scales: Scales, without: Iterable[str]) -> list[Effect]:
     """
     left_out = {*without}
     return [
-        _cause(name, scales, "toss", needs_impact if name in _OF_IMPACT else None)
+        _make_cause(name, scales, "toss", needs_impact if name in _OF_IMPACT else None)
         for name in TOSS
         if name not in left_out
     ]
@@ -96,7 +96,7 @@ def ball_causes(scales: Scales, names: Iterable[str]) -> list[Effect]:
         scales: Usual magnitudes.
         names: Names of their rows.
     """
-    return [_cause(name, scales, "balls") for name in names]
+    return [_make_cause(name, scales, "balls") for name in names]
 
 
 def sensor_causes(channels: Sequence[Channel], scales: Scales) -> Iterator[Effect]:
@@ -121,7 +121,7 @@ def needs_impact(study: Study) -> str | None:
     return None
 
 
-def _cause(name: str, scales: Scales, system: str, needs: Needs | None = None) -> Effect:
+def _make_cause(name: str, scales: Scales, system: str, needs: Needs | None = None) -> Effect:
     row = rows(RIGID_BODY)[name]
     own: dict[str, Any] = {} if needs is None else {"needs": needs}
     return row.effect(on_numbers(row), scales.plain[AIR], system=system, **own)

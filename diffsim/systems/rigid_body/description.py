@@ -70,18 +70,18 @@ class RigidBodyDescription(Description):
     camera: Camera | None = Field(None, description="Camera of the channels in pixels")
 
     @model_validator(mode="after")
-    def _names(self) -> RigidBodyDescription:
+    def _check_names(self) -> RigidBodyDescription:
         known = [b.name for b in self.bodies]
         if len(set(known)) < len(known):
             raise ValueError(f"names of bodies repeat: {', '.join(known)}")
         for body in self.bodies:
             if body.like is not None:
-                _require(f"bodies: like of {body.name}", body.like, known)
+                _require_known(f"bodies: like of {body.name}", body.like, known)
         for i, contact in enumerate(self.contacts):
             for name in contact.between:
-                _require(f"contacts[{i}].between", name, [*known, GROUND])
+                _require_known(f"contacts[{i}].between", name, [*known, GROUND])
         for i, measure in enumerate(self.measures):
-            _require(f"measures[{i}].body", measure.body, known)
+            _require_known(f"measures[{i}].body", measure.body, known)
             if measure.pixels and self.camera is None:
                 raise ValueError(f"measures[{i}] is in pixels; describe the ``camera``")
         return self
@@ -101,10 +101,10 @@ class RigidBodyDescription(Description):
             if c not in shown
         ]
         if all(b.is_ball for b in self.bodies):
-            return out + self._problems_of_balls() + self._problems_of_camera(study)
-        return out + self._problems_of_toss(study)
+            return out + self._find_problems_of_balls() + self._find_problems_of_camera(study)
+        return out + self._find_problems_of_toss(study)
 
-    def _problems_of_balls(self) -> list[Problem]:
+    def _find_problems_of_balls(self) -> list[Problem]:
         out = []
         pairs = [c for c in self.contacts if GROUND not in c.between]
         begins = {b.name: b.begins for b in self.bodies}
@@ -129,8 +129,8 @@ class RigidBodyDescription(Description):
         if wrong := [p for p in self.problems(study) if p.severity == "error"]:
             raise ValueError("\n".join(f"{p.where}: {p.message}" for p in wrong))
         if all(b.is_ball for b in self.bodies):
-            return self._setup_of_balls(study)
-        return self.setup_of_cut(self._tossed().cut_study(study))
+            return self._make_setup_of_balls(study)
+        return self.setup_of_cut(self._build_tossed().cut_study(study))
 
     def balls(self) -> Balls:
         """The balls with all that is around them."""
@@ -145,7 +145,7 @@ class RigidBodyDescription(Description):
             camera=self.camera,
         )
 
-    def _setup_of_balls(self, study: Study) -> DiagnosisSetup:
+    def _make_setup_of_balls(self, study: Study) -> DiagnosisSetup:
         balls = self.balls()
         study = balls.with_clicks(study)
         scales = self.scales(study)
@@ -154,7 +154,7 @@ class RigidBodyDescription(Description):
         return DiagnosisSetup(
             model,
             chosen_effects(balls.causes(study, scales), self.effects, study, self.ports(study)),
-            settings=settings_with(self._settings_of_balls(), self.effort),
+            settings=settings_with(self._make_settings_of_balls(), self.effort),
             study=study,
         )
 
@@ -167,7 +167,7 @@ class RigidBodyDescription(Description):
         if all(b.is_ball for b in self.bodies):
             numbers = self.balls().numbers()
         else:
-            numbers = self._tossed().numbers()
+            numbers = self._build_tossed().numbers()
         return Ports(
             scales=self.scales(study),
             channels=tuple(c.name for c in study.channels),
@@ -175,7 +175,7 @@ class RigidBodyDescription(Description):
             numbers=numbers,
         )
 
-    def _settings_of_balls(self) -> DiagnosisSettings:
+    def _make_settings_of_balls(self) -> DiagnosisSettings:
         settings = DiagnosisSettings(search=_BALLS)
         if any(b.begins == "flying" for b in self.bodies):
             # a wide step would carry bounces past samples, where the motion has a kink
@@ -184,7 +184,7 @@ class RigidBodyDescription(Description):
 
     def setup_of_cut(self, study: Study) -> DiagnosisSetup:
         """Setup of tosses that are cut already."""
-        tossed = self._tossed()
+        tossed = self._build_tossed()
         scales = self.scales(study)
         model = tossed.model(study)
         model.frame = {SCALES: scales.saved()}
@@ -195,7 +195,7 @@ class RigidBodyDescription(Description):
             study=study,
         )
 
-    def _tossed(self) -> Tossed:
+    def _build_tossed(self) -> Tossed:
         body = self.bodies[0]
         ground = [c for c in self.contacts if GROUND in c.between]
         return Tossed(
@@ -208,7 +208,7 @@ class RigidBodyDescription(Description):
             window=self.window,
         )
 
-    def _problems_of_camera(self, study: Study) -> list[Problem]:
+    def _find_problems_of_camera(self, study: Study) -> list[Problem]:
         camera = self.camera
         if camera is None or camera.points is None:
             return []
@@ -222,13 +222,13 @@ class RigidBodyDescription(Description):
         severity = "warning" if camera.is_stated else "error"
         return [Problem(severity, "model.camera.points.file", f"no file {path}; {what}")]
 
-    def _problems_of_toss(self, study: Study) -> list[Problem]:
+    def _find_problems_of_toss(self, study: Study) -> list[Problem]:
         out = []
         if len(self.bodies) > 1:
             out.append(Problem("error", "model.bodies", "several bodies must all be balls"))
         if self.camera is not None:
             out.append(Problem("error", "model.camera", "a camera shows balls; give positions"))
-        if any(q.per for q in self._tossed()._quantities().values()):
+        if any(q.per for q in self._build_tossed()._list_quantities().values()):
             out.append(Problem("error", "model", "per: tosses share all quantities; leave it out"))
         if not any(c.between for c in self.contacts if GROUND in c.between) and self.window:
             out.append(Problem("error", "model.window", "a window needs a contact with the ground"))
@@ -249,7 +249,7 @@ class RigidBodyDescription(Description):
         return out
 
 
-def _require(where: str, name: str, known: list[str]) -> None:
+def _require_known(where: str, name: str, known: list[str]) -> None:
     if name not in known:
         raise ValueError(f"{where}: no {name!r}{did_you_mean(name, known)}; known: {known}")
 

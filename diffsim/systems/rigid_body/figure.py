@@ -26,8 +26,10 @@ def figure_of(layout: Layout, edges: Tensor, channels: Tensor) -> MovingShape | 
     Returns:
         None where place or turn are not among the channels.
     """
-    place = _group(layout, channels, "position", 3)
-    turns, angles = (_group(layout, channels, *kind) for kind in (("quaternion", 4), ("angles", 3)))
+    place = _pick_group(layout, channels, "position", 3)
+    turns, angles = (
+        _pick_group(layout, channels, *kind) for kind in (("quaternion", 4), ("angles", 3))
+    )
     if place is None or (turns is None and angles is None):
         return None
     if turns is not None:
@@ -42,7 +44,7 @@ def figure_of(layout: Layout, edges: Tensor, channels: Tensor) -> MovingShape | 
     return MovingShape(triangles=triangles, nodes_m=nodes)
 
 
-def _group(layout: Layout, channels: Tensor, kind: str, width: int) -> Tensor | None:
+def _pick_group(layout: Layout, channels: Tensor, kind: str, width: int) -> Tensor | None:
     """Columns of one kind, (num_samples, width); None where one is missing."""
     rows = list(layout.rows)
     wanted = [(kind, k) for k in range(width)]

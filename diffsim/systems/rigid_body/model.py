@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import Instruments, grid_of
-from diffsim.causes.ports import SignalMap
+from diffsim.causes.instruments import InstrumentedScene, Instruments, grid_of
 from diffsim.core.check import did_you_mean
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Channel, Run
@@ -74,10 +73,12 @@ class Table:
         if any(v.requires_grad for v in given) or not instruments.is_empty:
             return self._predict_alone(run, values, terms, instruments)
         key = (*map(str.encode, terms), *(v.numpy().tobytes() for v in given))
-        every = self.latest(key, lambda: self._profiled(self.tosses, self.shooting, values, terms))
+        every = self.latest(
+            key, lambda: self._profile_starts(self.tosses, self.shooting, values, terms)
+        )
         return every[:, index]
 
-    def _profiled(
+    def _profile_starts(
         self,
         tosses: Tosses,
         shooting: Shooting,
@@ -118,7 +119,7 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
-class TossScene:
+class TossScene(InstrumentedScene):
     """One toss.
 
     Attributes:
@@ -126,16 +127,12 @@ class TossScene:
         values: Quantities of the description, () or (K,).
         table: All tosses of the study with their start states.
         terms: What effects add to the numbers ``ADDED``, () or (K,).
-        instruments: What shows the motion.
     """
 
     run: Run
     values: Mapping[str, Tensor]
     table: Table
     terms: Mapping[str, Tensor] = field(default_factory=dict)
-    instruments: Instruments = field(default_factory=Instruments)
-
-    play_start = None  # plays begin in their middle
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> TossScene:
         """A copy in which a quantity, or one of the numbers ``ADDED``, is f(number)."""
@@ -144,14 +141,6 @@ class TossScene:
         if name not in ADDED:
             raise ValueError(f"no number {name!r}{did_you_mean(name, [*self.values, *ADDED])}")
         return replace(self, terms={**self.terms, name: change(self.terms.get(name, _ZERO))})
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> TossScene:
-        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
-        return replace(self, instruments=self.instruments.with_reading(channels, change))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> TossScene:
-        """A copy in which some channels show where the body was ``delay`` ago [s]."""
-        return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) with the best start state."""
@@ -182,7 +171,7 @@ class TossModel(SimModel):
         self.runs, self.channels, self.thrown = tuple(runs), tuple(channels), thrown
         start = at or {p.name: torch.tensor(p.value, dtype=torch.float64) for p in base}
         known = thrown.parameters.in_run(start, self.runs[0])
-        table = _prepared(self.runs, self.channels, thrown, known)
+        table = _prepare_table(self.runs, self.channels, thrown, known)
 
         def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> TossScene:
             return TossScene(run, thrown.parameters.in_run(values, run), table)
@@ -216,7 +205,7 @@ class TossModel(SimModel):
         return made
 
 
-def _prepared(
+def _prepare_table(
     runs: Sequence[Run], channels: Sequence[Channel], thrown: Thrown, values: Mapping[str, Tensor]
 ) -> Table:
     tosses = Tosses.of(runs)

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from diffsim.core.values import dot
+
 NEWTON_STEPS = 12
 _TINY = 1e-9
 
@@ -54,17 +56,19 @@ class Laws:
 def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:
     """The ball after ``time`` [s] (...,): slipping until it rolls, then rolling."""
     slip = ball.velocity - ball.rolling
-    speed_of_slip = _length(slip)
+    speed_of_slip = _compute_length(slip)
     push = laws.table_friction * laws.gravity
     rate = push * (1.0 + 1.0 / laws.inertia)  # at which the slip falls
     slipping = torch.minimum(time, speed_of_slip / rate.clamp(min=_TINY))
     direction = slip / speed_of_slip[..., None]
     downhill = laws.gravity[..., None] * laws.tilt
-    sliding = _advance(ball, slipping, -push[..., None] * direction + downhill + _loss(ball, laws))
+    sliding = _advance(
+        ball, slipping, -push[..., None] * direction + downhill + _compute_deceleration(ball, laws)
+    )
     turned = ball.rolling + (push / laws.inertia * slipping)[..., None] * direction
     left = time - slipping
     downhill = downhill / (1.0 + laws.inertia)[..., None]
-    rolled = _advance(sliding, left, downhill + _loss(sliding, laws))
+    rolled = _advance(sliding, left, downhill + _compute_deceleration(sliding, laws))
     return Ball(
         rolled.place, rolled.velocity, torch.where((left > 0)[..., None], rolled.velocity, turned)
     )
@@ -76,7 +80,7 @@ def time_of_impact(resting: Ball, coming: Ball, diameter: Tensor, laws: Laws) ->
     for _ in range(NEWTON_STEPS):
         a, b = moved(resting, time, laws), moved(coming, time, laws)
         apart = b.place - a.place
-        distance = _length(apart)
+        distance = _compute_length(apart)
         closing = ((b.velocity - a.velocity) * apart).sum(-1) / distance
         # the slope is held, so that the last step alone carries the right derivative
         slope = closing.detach().clamp(max=-0.05)
@@ -99,17 +103,17 @@ def impact(
             [m/s].
     """
     normal = resting.place - coming.place
-    normal = normal / _length(normal)[..., None]
+    normal = normal / _compute_length(normal)[..., None]
     across = torch.stack([-normal[..., 1], normal[..., 0]], -1)
     relative = coming.velocity - resting.velocity
     mass = values["mass_ratio"]
     share = 1.0 / (1.0 + 1.0 / mass)  # reduced mass over that of the coming ball
-    blow = (1.0 + values["restitution"]) * _dot(relative, normal) * share
-    sideways = _dot(relative, across) + values["sidespin"]
-    upwards = -_dot(coming.rolling + resting.rolling, normal)
+    blow = (1.0 + values["restitution"]) * dot(relative, normal) * share
+    sideways = dot(relative, across) + values["sidespin"]
+    upwards = -dot(coming.rolling + resting.rolling, normal)
     surface = torch.sqrt(sideways**2 + upwards**2 + _TINY**2)
     sticking = surface * share / (1.0 + 1.0 / laws.inertia)
-    rubbing = _least(values["ball_friction"] * blow, sticking) / surface
+    rubbing = _smooth_minimum(values["ball_friction"] * blow, sticking) / surface
     along, lift = -rubbing * sideways, -rubbing * upwards
     push = blow[..., None] * normal - along[..., None] * across
     spun = (lift / laws.inertia)[..., None] * normal
@@ -119,14 +123,14 @@ def impact(
         resting.velocity + push / mass[..., None],
         resting.rolling - spun / mass[..., None],
     )
-    return _pressed(struck, lift.clamp(min=0.0) / mass, laws), came, lift.clamp(min=0.0)
+    return _rub_on_table(struck, lift.clamp(min=0.0) / mass, laws), came, lift.clamp(min=0.0)
 
 
-def _pressed(ball: Ball, blow: Tensor, laws: Laws) -> Ball:
+def _rub_on_table(ball: Ball, blow: Tensor, laws: Laws) -> Ball:
     """Friction of a blow onto the table (over the mass, m/s); it cannot reverse the slip."""
     slip = ball.velocity - ball.rolling
-    size = _length(slip)
-    rub = _least(laws.table_friction * blow, size / (1.0 + 1.0 / laws.inertia))
+    size = _compute_length(slip)
+    rub = _smooth_minimum(laws.table_friction * blow, size / (1.0 + 1.0 / laws.inertia))
     step = (rub / size)[..., None] * slip
     return Ball(ball.place, ball.velocity - step, ball.rolling + step / laws.inertia[..., None])
 
@@ -140,21 +144,17 @@ def _advance(ball: Ball, time: Tensor, acceleration: Tensor) -> Ball:
     )
 
 
-def _loss(ball: Ball, laws: Laws) -> Tensor:
+def _compute_deceleration(ball: Ball, laws: Laws) -> Tensor:
     """Deceleration by rolling resistance and air, none at rest."""
     speed = torch.sqrt((ball.velocity**2).sum(-1) + 1e-6)
     drag = laws.rolling_resistance * laws.gravity / speed + laws.air_drag * speed
     return -drag[..., None] * ball.velocity
 
 
-def _least(a: Tensor, b: Tensor) -> Tensor:
+def _smooth_minimum(a: Tensor, b: Tensor) -> Tensor:
     """The smaller of two forces, without a kink: 16 % less where they are equal."""
     return a / (1.0 + (a / b.clamp(min=_TINY)) ** 4) ** 0.25
 
 
-def _length(vector: Tensor) -> Tensor:
+def _compute_length(vector: Tensor) -> Tensor:
     return torch.sqrt((vector**2).sum(-1) + _TINY**2)
-
-
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    return (a * b).sum(-1)

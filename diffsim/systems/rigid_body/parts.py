@@ -52,7 +52,7 @@ class Body(Part):
     start: Start = Field(Start(), description="First guess of a ball's start; default: the data's")
 
     @model_validator(mode="after")
-    def _one_shape(self) -> Body:
+    def _check_one_shape(self) -> Body:
         shapes = [k for k in ("box", "sphere", "like") if getattr(self, k) is not None]
         if len(shapes) > 1:
             raise ValueError(f"give one of box, sphere and like, got {' and '.join(shapes)}")
@@ -128,7 +128,7 @@ class Measure(Part):
     pixels: tuple[str, ...] = Field((), description="Channels u (right) and v (down) of a camera")
 
     @model_validator(mode="after")
-    def _complete(self) -> Measure:
+    def _check_complete(self) -> Measure:
         given = [k for k in KINDS if getattr(self, k)]
         if len(given) != 1:
             raise ValueError(
@@ -198,7 +198,7 @@ class Camera(Part):
         return None not in (self.focal, self.rotation, self.shift)
 
     @model_validator(mode="after")
-    def _known(self) -> Camera:
+    def _check_camera(self) -> Camera:
         if not self.is_stated and self.points is None:
             raise ValueError("give focal, rotation and shift, or points to find them by")
         if self.rotation is not None and len(self.rotation) != 3:

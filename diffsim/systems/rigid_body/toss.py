@@ -137,10 +137,10 @@ class Tosses:
             late: How late all channels are, (K,) or () [s]; None: not at all.
         """
         k = len(start)
-        get = {name: _sized(terms, name, k) for name in ADDED}
-        tilt = _beside(get, "gravity_x", "gravity_y", "lift")
-        slope = _beside(get, "ground_slope_x", "ground_slope_y")
-        center = _beside(get, "center_x", "center_y", "center_z")
+        get = {name: _expand_term(terms, name, k) for name in ADDED}
+        tilt = _stack_axes(get, "gravity_x", "gravity_y", "lift")
+        slope = _stack_axes(get, "ground_slope_x", "ground_slope_y")
+        center = _stack_axes(get, "center_x", "center_y", "center_z")
         value = {n: v.expand(k)[:, None] for n, v in values.items()}  # (K, 1)
         stretch = 1.0 + get["clock_scale"]
         time = self.time_s * stretch  # (K, R, n)
@@ -156,7 +156,7 @@ class Tosses:
         bigger = 1.0 + get["half_width"]
         edges = [value["edge" if "edge" in value else f"edge_{a}"] for a in "xyz"]
         half = 0.5 * torch.stack(edges, -1)  # (K, 1, 3)
-        moments = _moments(mass, half, _beside(get, "inertia_x", "inertia_y"))
+        moments = _make_moments(mass, half, _stack_axes(get, "inertia_x", "inertia_y"))
         even = None if mass.is_even and not {"inertia_x", "inertia_y"} & {*terms} else moments
         per_mass = moments * (1.0 + get["inertia"])
         ground = value["ground"][..., None] + get["ground_height"]
@@ -169,8 +169,8 @@ class Tosses:
 
             def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
                 """Gap of the corner, its velocity, its arm, and the turn at times (K, R, 1)."""
-                x, v = _ballistic(x0, v0, gravity, drag, t)
-                step, now = turned(rates, _slowed(t, spin)[..., 0], even)
+                x, v = _fly_ballistic(x0, v0, gravity, drag, t)
+                step, now = turned(rates, _integrate_slowing(t, spin)[..., 0], even)
                 q = quaternion_product(q0, step)
                 arm = rotate_by_quaternion(q, arm_body)
                 rate = rotate_by_quaternion(q, now * (1.0 - spin * t))
@@ -192,15 +192,15 @@ class Tosses:
             spun = (inverse @ torch.linalg.cross(arm, kick)[..., None])[..., 0]
             twist = rotate_by_quaternion(quaternion_conjugate(q_hit), spun)
 
-        since = _ramp(time - hit, get["contact_time"], get["smoothing"]) * self.hits
+        since = _integrate_ramp(time - hit, get["contact_time"], get["smoothing"]) * self.hits
         since = since[..., None]
         near, fast, pull, slow = (y[..., None, :] for y in (x0, v0, gravity, drag))
-        x, v = _ballistic(near, fast, pull, slow, time[..., None])
+        x, v = _fly_ballistic(near, fast, pull, slow, time[..., None])
         x = x + kick[..., None, :] * since
         is_after = since > 0.0
         v = torch.where(is_after, v + kick[..., None, :], v)
         # the body turns freely before and after the impact
-        whole, before = _slowed(time, spin), _slowed(hit, spin)
+        whole, before = _integrate_slowing(time, spin), _integrate_slowing(hit, spin)
         wide = None if even is None else even[..., None, :]
         until = torch.where(is_after[..., 0], before, whole)
         step, rate_hit = turned(rates[..., None, :], until, wide)
@@ -228,7 +228,7 @@ class Tosses:
         return layout.channels(flown, self.measured)
 
 
-def _moments(mass: Mass, half: Tensor, unequal: Tensor) -> Tensor:
+def _make_moments(mass: Mass, half: Tensor, unequal: Tensor) -> Tensor:
     """Moments of inertia per mass, (K, 1, 3) [m^2]."""
     if mass.inertia is not None:
         moments = torch.tensor(mass.inertia, dtype=torch.float64).expand_as(half)
@@ -238,17 +238,17 @@ def _moments(mass: Mass, half: Tensor, unequal: Tensor) -> Tensor:
     return moments * (1.0 + torch.cat([unequal, torch.zeros_like(unequal[..., :1])], -1))
 
 
-def _sized(terms: Mapping[str, Tensor], name: str, k: int) -> Tensor:
+def _expand_term(terms: Mapping[str, Tensor], name: str, k: int) -> Tensor:
     """(K, 1, 1) of a number, zero where no effect has changed it."""
     return terms.get(name, torch.zeros((), dtype=torch.float64)).expand(k)[:, None, None]
 
 
-def _beside(numbers: Mapping[str, Tensor], *names: str) -> Tensor:
+def _stack_axes(numbers: Mapping[str, Tensor], *names: str) -> Tensor:
     """(K, 1, n) of numbers that are parts of a vector."""
     return torch.cat([numbers[name] for name in names], -1)
 
 
-def _ballistic(
+def _fly_ballistic(
     x: Tensor, v: Tensor, gravity: Tensor, drag: Tensor, t: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Place and velocity under gravity and v' = g - drag v, to first order in drag t."""
@@ -256,12 +256,12 @@ def _ballistic(
     return place, v * (1.0 - drag * t) + gravity * (t - drag * t**2 / 2.0)
 
 
-def _slowed(t: Tensor, drag: Tensor) -> Tensor:
+def _integrate_slowing(t: Tensor, drag: Tensor) -> Tensor:
     """Integral of 1 - drag t."""
     return t - drag * t**2 / 2.0
 
 
-def _ramp(since: Tensor, contact: Tensor, width: Tensor) -> Tensor:
+def _integrate_ramp(since: Tensor, contact: Tensor, width: Tensor) -> Tensor:
     """Time since the impact that counts: integral of a step, of a ramp over ``contact`` after it,
     or of one over ``width`` about it (then the camera's smoothing, not the contact)."""
     length = (contact + width).clamp(min=SHORTEST)

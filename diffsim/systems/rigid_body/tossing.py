@@ -75,8 +75,8 @@ class Tossed:
         runs, rests, left_out = [], [], []
         for run in study.runs:
             run = self._with_continuous(run, names)
-            poses = self._poses(run, names, turn)
-            short = self._window_of(run, poses)
+            poses = self._read_poses(run, names, turn)
+            short = self._cut_window(run, poses)
             if short is None:
                 left_out.append(
                     f"run {run.name}: its window has fewer than {MIN_FRAMES} frames of flight"
@@ -97,13 +97,13 @@ class Tossed:
         channels = list(study.channels)
         if self._rest_frames:
             assert self.window is not None
-            sd = self.window.rest_sd or self._rest_sd(rests)
+            sd = self.window.rest_sd or self._estimate_rest_scatter(rests)
             shown = next((c.shown_unit for c in channels if c.unit == "m"), None)
             channels.append(Channel(REST, "m", "position", sd, shown_unit=shown))
         told = (*study.left_out, *left_out)
         return replace(study, channels=tuple(channels), runs=tuple(runs), left_out=told)
 
-    def _rest_sd(self, rests: Sequence[float]) -> float:
+    def _estimate_rest_scatter(self, rests: Sequence[float]) -> float:
         """Scatter of the height at rest; of few tosses, a hundredth of the shortest edge [m]."""
         few = len(rests) < MIN_RESTS
         edge = min((q.value for q in self.body.edges), default=1.0)
@@ -114,8 +114,8 @@ class Tossed:
         turn = Rotation.from_rotvec(UP[self.up]).as_quat()[[3, 0, 1, 2]]
         rows = {c: (k, i) for m in self.measures for k, i, c in m.rows()} | {REST: ("rest", 0)}
         layout = Layout([rows[c.name] for c in study.channels], torch.from_numpy(turn))
-        parameters = BaseParameters(self._quantities(), study.runs)
-        return TossModel(study.runs, study.channels, Thrown(parameters, self._mass(), layout))
+        parameters = BaseParameters(self._list_quantities(), study.runs)
+        return TossModel(study.runs, study.channels, Thrown(parameters, self._make_mass(), layout))
 
     def causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
         """Candidate causes that this toss may have.
@@ -125,32 +125,32 @@ class Tossed:
             scales: Usual magnitudes.
         """
         filmed = [c for c in study.channels if c.name != REST]
-        return (*toss_causes(scales, self._left_out()), *sensor_causes(filmed, scales))
+        return (*toss_causes(scales, self._list_left_out()), *sensor_causes(filmed, scales))
 
     def numbers(self) -> tuple[str, ...]:
         """Names of all numbers that causes may change."""
-        return (*self._quantities(), *ADDED)
+        return (*self._list_quantities(), *ADDED)
 
-    def _left_out(self) -> set[str]:
+    def _list_left_out(self) -> set[str]:
         """Causes that a prior of the description already holds, or that nothing could show."""
         out = set()
         if self.gravity.is_fitted:
             out.add("weaker_gravity")
         if self.body.box is None or any(q.is_fitted for q in self.body.edges):
             out.add("half_width")
-        if self.ground is None or not (self._through or self._rest_frames):
+        if self.ground is None or not (self._goes_through_rebound or self._rest_frames):
             out.add("ground_height")
         return out
 
     @property
-    def _through(self) -> bool:
+    def _goes_through_rebound(self) -> bool:
         return self.window is not None and self.window.until == "rebound"
 
     @property
     def _rest_frames(self) -> int:
         return 0 if self.window is None else self.window.rest_frames
 
-    def _quantities(self) -> dict[str, Quantity]:
+    def _list_quantities(self) -> dict[str, Quantity]:
         """All numbers of the model; those that no run can show are known."""
         edges = self.body.edges or (Quantity(value=1.0),) * 3
         same = self.body.box is not None and len(self.body.box) == 1
@@ -162,11 +162,11 @@ class Tossed:
         contact = self.ground or Contact(between=(self.body.name, "ground"))
         friction = contact.friction or Quantity(value=0.0)
         pair = {"restitution": contact.restitution, "friction": friction}
-        if not self._through:
+        if not self._goes_through_rebound:
             pair = {n: Quantity(value=q.value) for n, q in pair.items()}
         return {**pair, **out}
 
-    def _mass(self) -> Mass:
+    def _make_mass(self) -> Mass:
         body = self.body
         if body.inertia is not None:
             assert body.mass is not None
@@ -186,7 +186,7 @@ class Tossed:
                 measured[:, at] = continuous(measured[:, at])
         return replace(run, measured=measured)
 
-    def _poses(self, run: Run, names: Sequence[str], up: Rotation) -> Poses:
+    def _read_poses(self, run: Run, names: Sequence[str], up: Rotation) -> Poses:
         place = np.full((len(run.time_s), 3), np.nan)
         turn = None
         for measure in self.measures:
@@ -209,7 +209,7 @@ class Tossed:
         world = np.column_stack([s * place[:, i[0]] for s, i in zip(signs, rows, strict=True)])
         return Poses(world, turn)
 
-    def _window_of(self, run: Run, poses: Poses) -> Run | None:
+    def _cut_window(self, run: Run, poses: Poses) -> Run | None:
         """The run as far as it counts; None if too little of it does."""
         facts = start_facts(run, poses, self.gravity.value)
         end, corner, touch, hits = len(run.time_s), 0, len(run.time_s) - 1, False

@@ -83,7 +83,7 @@ def first_touch(poses: Poses, half: Array, near: float, ground: float) -> Touch 
     Returns:
         None if no corner comes down.
     """
-    height = _matrices(poses.turn) @ (CORNERS * half).T
+    height = _make_matrices(poses.turn) @ (CORNERS * half).T
     height = height[:, 2] + poses.place[:, 2:3] - ground
     is_near = height.min(axis=1) < near
     if not is_near.any():
@@ -124,14 +124,14 @@ def start_facts(run: Run, poses: Poses, gravity: float) -> dict[str, float]:
     few = slice(0, max(min(_FRAMES_AT_START, len(run.time_s)), 3))
     time = run.time_s[few] - run.time_s[0]
     place = poses.place[few] + 0.5 * gravity * time[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
-    first, speed = _lines(time, place)
+    first, speed = _fit_lines(time, place)
     turn, rates = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     if poses.turn is not None:
         seen = np.isfinite(poses.turn[few]).all(axis=1)
         if seen.any():
             turn = poses.turn[few][seen][0]
             turns = Rotation.from_quat(poses.turn[few][seen][:, [1, 2, 3, 0]])
-            rates = _lines(time[seen], (turns[0].inv() * turns).as_rotvec())[1]
+            rates = _fit_lines(time[seen], (turns[0].inv() * turns).as_rotvec())[1]
     found = np.concatenate([first, speed, rates])
     names = [f"_start_{n}" for n in (*TWIST, *TURN)]
     return dict(zip(names, [*found.tolist(), *turn.tolist()], strict=True))
@@ -147,10 +147,10 @@ def face_below(poses: Poses) -> int:
     if poses.turn is None or not np.isfinite(poses.turn).all(axis=1).any():
         return 2
     last = poses.turn[np.isfinite(poses.turn).all(axis=1)][-1:]
-    return int(np.argmax(np.abs(_matrices(last)[0, 2])))
+    return int(np.argmax(np.abs(_make_matrices(last)[0, 2])))
 
 
-def _lines(time: Array, values: Array) -> tuple[Array, Array]:
+def _fit_lines(time: Array, values: Array) -> tuple[Array, Array]:
     """Value at 0 and slope of each column; 0 where nothing was recorded."""
     out = np.zeros((2, values.shape[1]))
     for i, column in enumerate(values.T):
@@ -162,7 +162,7 @@ def _lines(time: Array, values: Array) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def _matrices(turn: Array | None) -> Array:
+def _make_matrices(turn: Array | None) -> Array:
     assert turn is not None
     return np.asarray(Rotation.from_quat(turn[:, [1, 2, 3, 0]]).as_matrix())
 

@@ -66,7 +66,7 @@ def soft_jumper(
     """
     edge = require_number("cell", cell, above=0.0, hint="unit is m") * (2.0 if coarse else 1.0)
     stress = require_number("active_stress", active_stress, above=0.0, hint="unit is Pa")
-    shape = _table(edge, *(((3, 2, 1), (1, 1, 2)) if coarse else ((6, 4, 2), (2, 1, 3))))
+    shape = _build_table(edge, *(((3, 2, 1), (1, 1, 2)) if coarse else ((6, 4, 2), (2, 1, 3))))
     pairs = torch.arange(shape.num_elements).reshape(-1, _TETS_PER_COMMAND)
     body = soft.SoftBody(
         shape,
@@ -75,7 +75,7 @@ def soft_jumper(
         poissons_ratio=poissons_ratio,
         density=density,
         material="stable_neo_hookean",
-        muscles=[_isotropic_muscle(pair) for pair in pairs],
+        muscles=[_make_isotropic_muscle(pair) for pair in pairs],
         damping=soft.Damping(rayleigh_beta=damping),
         integrator=integrator,
         solver=soft.SolverOptions(method="newton_cholesky", rtol=rtol),
@@ -92,7 +92,7 @@ def soft_jumper(
     )
 
 
-def _isotropic_muscle(elements: Tensor) -> soft.Muscle:
+def _make_isotropic_muscle(elements: Tensor) -> soft.Muscle:
     """Three orthogonal fibers in each of the elements, one activation."""
     axes = torch.eye(3, dtype=torch.float64)
     return soft.Muscle(
@@ -102,7 +102,7 @@ def _isotropic_muscle(elements: Tensor) -> soft.Muscle:
     )
 
 
-def _table(edge: float, slab: _Cells, leg: _Cells) -> mesh.TetMesh:
+def _build_table(edge: float, slab: _Cells, leg: _Cells) -> mesh.TetMesh:
     """A slab of cubes on legs at its corners, soles on z = 0, middle at x = y = 0.
 
     Each cube is six tetrahedra around one of its diagonals; neighbors conform.

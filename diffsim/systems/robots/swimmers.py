@@ -76,8 +76,8 @@ def starfish(
     grid = hex_from_mask(inside, np.array([-0.5 * n, -0.5 * n, -0.5 * thick]), 1.0, "largest")
     counts = (wide, long, thick)
     center = element_centers(grid)
-    x, _ = _droop(grid.x_rest, counts, droop)
-    _, slope = _droop(center, counts, droop)
+    x, _ = _bend_arms(grid.x_rest, counts, droop)
+    _, slope = _bend_arms(center, counts, droop)
     shape = mesh.HexMesh(cell * x, grid.hexes)
     # the coarse layer is twice as thick, its lever two thirds as long
     stiffness = (1.5 if coarse else 2.0) * youngs_modulus
@@ -91,7 +91,7 @@ def starfish(
             layer = root & (side * center[:, 2] > 0.25 * thick - 1e-9)
             muscles.append(fibers(layer, direction[layer], stiffness))
         names.append(f"bend arm {'+-'[sign < 0]}{'xy'[axis]} down")
-    return _swimmer(
+    return _make_swimmer(
         "starfish",
         shape,
         muscles,
@@ -102,11 +102,11 @@ def starfish(
         amplitude=amplitude,
         added=torch.ones(shape.num_nodes, dtype=torch.float64),
         num_sensors=num_sensors,
-        solver=_solver(coarse, rtol, method),
+        solver=_choose_solver(coarse, rtol, method),
     )
 
 
-def _droop(points: Tensor, counts: tuple[int, int, int], droop: float) -> tuple[Tensor, Tensor]:
+def _bend_arms(points: Tensor, counts: tuple[int, int, int], droop: float) -> tuple[Tensor, Tensor]:
     """Grid of a cross to arms on arcs, in units of ``cell``; also the slope at every point.
 
     The upper side is a roof, the lower one is flat: it meets the water broadside, so that a stroke
@@ -162,12 +162,12 @@ def shark(
             costs half of the default, and damps a little differently.
     """
     n, wide, tall, fin = (15, 4, 4, 2) if coarse else (44, 6, 8, 6)
-    inside = _shark_cells(n, wide, tall, fin)
+    inside = _list_shark_cells(n, wide, tall, fin)
     origin = np.array([0.0, -0.5 * inside.shape[1], -0.5 * inside.shape[2]])
     grid = hex_from_mask(inside, origin, 1.0, "largest")
     counts = torch.tensor([n, 0.5 * wide, 0.5 * tall], dtype=torch.float64)
     u = grid.x_rest / counts
-    shape = mesh.HexMesh(length * _spindle(u, fin / counts[1:]), grid.hexes)
+    shape = mesh.HexMesh(length * _shape_spindle(u, fin / counts[1:]), grid.hexes)
     middle = element_centers(grid) / counts
     share, side, up = middle.unbind(1)
     tail = (share > 0.4) & (share < 0.8) & (up.abs() < 1.0)
@@ -177,7 +177,7 @@ def shark(
         muscles.append(fibers(layer, (1.0, 0.0, 0.0), 2.0 * youngs_modulus))
     added = torch.ones(shape.num_nodes, dtype=torch.float64)
     added[(u[:, 1:].abs() > 1.0).any(1) | (u[:, 0] > 0.86)] = 4.0  # plates: pi w / (4 t)
-    return _swimmer(
+    return _make_swimmer(
         "shark",
         shape,
         muscles,
@@ -188,11 +188,11 @@ def shark(
         amplitude=amplitude,
         added=added,
         num_sensors=num_sensors,
-        solver=_solver(coarse, rtol, method),
+        solver=_choose_solver(coarse, rtol, method),
     )
 
 
-def _shark_cells(n: int, wide: int, tall: int, fin: int) -> np.ndarray:
+def _list_shark_cells(n: int, wide: int, tall: int, fin: int) -> np.ndarray:
     """Cells (n, wide + 2 fin, tall + 2 fin) of the body and of fins on it, two cells thick."""
     inside = np.zeros((n, wide + 2 * fin, tall + 2 * fin), dtype=bool)
     across, up = slice(fin, fin + wide), slice(fin, fin + tall)
@@ -206,7 +206,7 @@ def _shark_cells(n: int, wide: int, tall: int, fin: int) -> np.ndarray:
     return inside
 
 
-def _spindle(u: Tensor, reach: Tensor) -> Tensor:
+def _shape_spindle(u: Tensor, reach: Tensor) -> Tensor:
     """Grid to shark over its length: u is 0..1 from the nose, -1..1 across, beyond +-1 a fin."""
     share, y, z = u.unbind(1)
     # fattest at 0.3; the peduncle before the tail fin is thin but high
@@ -225,12 +225,12 @@ def _spindle(u: Tensor, reach: Tensor) -> Tensor:
     )
 
 
-def _solver(coarse: bool, rtol: float | None, method: str | None) -> soft.SolverOptions:
+def _choose_solver(coarse: bool, rtol: float | None, method: str | None) -> soft.SolverOptions:
     usual, default = ("auto", 1e-6) if coarse else ("newton_pcg", 1e-5)
     return soft.SolverOptions(method=method or usual, rtol=default if rtol is None else rtol)
 
 
-def _swimmer(
+def _make_swimmer(
     name: str,
     shape: mesh.HexMesh,
     muscles: list[soft.Muscle],

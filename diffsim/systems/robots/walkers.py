@@ -62,10 +62,10 @@ def quadruped(
             symmetric, at a quarter of the cost. It takes one command for both sides.
     """
     if coarse:
-        inside, legs = _table((10, 5, 2), (2, 2, 3))
+        inside, legs = _build_table((10, 5, 2), (2, 2, 3))
     else:
-        inside, legs = _table((18, 8, 3), (3, 3, 6))
-    return _legged(
+        inside, legs = _build_table((18, 8, 3), (3, 3, 6))
+    return _make_legged(
         "quadruped",
         inside,
         legs,
@@ -103,14 +103,14 @@ def cow(
 ) -> SoftRobot:
     """A ``quadruped`` with a head too large for it: it tends to fall on its face."""
     if coarse:
-        inside, legs = _table((8, 5, 2), (2, 2, 3), front=2, above=1)
+        inside, legs = _build_table((8, 5, 2), (2, 2, 3), front=2, above=1)
         inside[-4:, :, -3:] = True
     else:
-        inside, legs = _table((12, 5, 4), (2, 2, 6), front=4, above=3)
+        inside, legs = _build_table((12, 5, 4), (2, 2, 6), front=4, above=3)
         inside[-6:-1, :, -5:] = True
         inside[-1, :, -5:-2] = True  # muzzle
         inside[-4:-2, ::4, -1] = True
-    return _legged(
+    return _make_legged(
         "cow",
         inside,
         legs,
@@ -152,14 +152,14 @@ def torus(
             refine: Those of the same names as those of ``quadruped``.
     """
     sections, width = (24, 2) if coarse else (64, 3)
-    x, hexes = _ring(sections * refine, width * refine, radius, 0.4 * radius)
+    x, hexes = _build_ring(sections * refine, width * refine, radius, 0.4 * radius)
     shape = mesh.HexMesh(x, hexes)
     center = element_centers(shape)
     turn = torch.atan2(center[:, 0], radius * 1.4 - center[:, 2])  # from the lowest point to +x
     along = torch.stack([torch.cos(turn), torch.zeros_like(turn), torch.sin(turn)], 1)
     eighth = torch.floor((turn / (2.0 * math.pi)) % 1.0 * 8.0 + 1e-9).long()
     muscles = [fibers(eighth == k, along[eighth == k], 2.0 * youngs_modulus) for k in range(8)]
-    return _walker(
+    return _make_walker(
         "torus",
         shape,
         muscles,
@@ -176,7 +176,7 @@ def torus(
     )
 
 
-def _ring(sections: int, width: int, radius: float, half: float) -> tuple[Tensor, Tensor]:
+def _build_ring(sections: int, width: int, radius: float, half: float) -> tuple[Tensor, Tensor]:
     """Nodes and bricks of a ring standing on z = 0, axis along y, section a round square."""
     tick = np.linspace(-1.0, 1.0, width + 1)
     a, b = (g.ravel() for g in np.meshgrid(tick, tick, indexing="ij"))
@@ -202,7 +202,7 @@ def _ring(sections: int, width: int, radius: float, half: float) -> tuple[Tensor
     return torch.from_numpy(x.reshape(-1, 3)), torch.from_numpy(np.stack(corners, -1))
 
 
-def _table(
+def _build_table(
     body: tuple[int, int, int], leg: tuple[int, int, int], front: int = 0, above: int = 0
 ) -> tuple[np.ndarray, tuple[int, int, int]]:
     """Cells of a slab on legs at its corners, with room in front and above; and the legs' cells."""
@@ -215,7 +215,7 @@ def _table(
     return inside, leg
 
 
-def _legged(
+def _make_legged(
     name: str,
     inside: np.ndarray,
     leg: tuple[int, int, int],
@@ -255,7 +255,7 @@ def _legged(
         names = ["shorten fronts of legs", "shorten backs of legs"]
     middle_line = torch.tensor([0.0, 0.5 * inside.shape[1], 0.0], dtype=torch.float64)
     shape = mesh.HexMesh(edge * (grid.x_rest - middle_line), grid.hexes)
-    return _walker(
+    return _make_walker(
         name,
         shape,
         muscles,
@@ -263,7 +263,7 @@ def _legged(
         tuple(names),
         youngs_modulus=youngs_modulus,
         upright_axis=2,
-        fixed=_on_middle(shape) if half else None,
+        fixed=_mark_middle(shape) if half else None,
         **options,
     )
 
@@ -281,14 +281,14 @@ def _check_half(name: str, across: int, per_muscle: bool) -> None:
         )
 
 
-def _on_middle(shape: mesh.HexMesh) -> Tensor:
+def _mark_middle(shape: mesh.HexMesh) -> Tensor:
     """Mask (num_nodes, 3) that holds y on the plane y = 0."""
     held = torch.zeros(shape.num_nodes, 3, dtype=torch.bool)
     held[:, 1] = shape.x_rest[:, 1].abs() < 1e-9
     return held
 
 
-def _walker(
+def _make_walker(
     name: str,
     shape: mesh.HexMesh,
     muscles: list[soft.Muscle],

@@ -58,21 +58,21 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
     numbers = Numbers.of(given)
     shape = layout.shape
     thicker = 1.0 + numbers["radius_offset"][..., None] / shape.radius
-    flexural, stretch = _stiffness(layout, numbers, thicker)
-    gravity = _gravity(layout, numbers)
+    flexural, stretch = _compute_stiffness(layout, numbers, thicker)
+    gravity = _turn_gravity(layout, numbers)
     mass = numbers["density"][..., None] * shape.area * thicker**2 * shape.lengths
-    offset, slope = _paths(layout, numbers)
+    offset, slope = _place_paths(layout, numbers)
     end = layout.paths.end + numbers["tendon_end"][..., None]
     return (
         Rod(
             shape=shape,
             bending=flexural,
             stretch=stretch,
-            rest=_rest(layout, numbers),
+            rest=_compute_rest_strains(layout, numbers),
             stiffening=numbers["strain_stiffening"],
             weight=mass[..., None] * gravity[..., None, :],
             points=layout.masses,
-            loads=_masses(layout, numbers)[..., None] * gravity[..., None, :],
+            loads=_list_masses(layout, numbers)[..., None] * gravity[..., None, :],
             base=layout.base
             @ matrix_from_rotation_vector(
                 numbers.stacked("base_twist", "base_tilt_y", "base_tilt_z")
@@ -81,7 +81,7 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
             offset=offset,
             slope=slope,
             share=((end[..., None] - shape.edges[:-1]) / shape.lengths).clamp(0.0, 1.0),
-            pull=_pull(layout, numbers, command),
+            pull=_compute_tension(layout, numbers, command),
             friction=numbers["tendon_friction"],
             wobble=numbers["tendon_wobble"],
         ),
@@ -89,7 +89,7 @@ def rod_of(layout: Layout, given: Mapping[str, Tensor], command: Tensor) -> tupl
     )
 
 
-def _stiffness(layout: Layout, numbers: Numbers, thicker: Tensor) -> tuple[Tensor, Tensor]:
+def _compute_stiffness(layout: Layout, numbers: Numbers, thicker: Tensor) -> tuple[Tensor, Tensor]:
     """Against twist and bends [N m^2], and against stretch and shear [N], (K, 1, N, 3) each."""
     shape = layout.shape
     along = shape.middles / shape.length - 0.5
@@ -110,19 +110,19 @@ def _stiffness(layout: Layout, numbers: Numbers, thicker: Tensor) -> tuple[Tenso
     )
 
 
-def _rest(layout: Layout, numbers: Numbers) -> Tensor:
+def _compute_rest_strains(layout: Layout, numbers: Numbers) -> Tensor:
     """Strains without loads, (K, 1, N, 3) [1/m]: local z is where a bend about -y leads."""
     bend = numbers.stacked("rest_bend_y", "rest_bend_z")[..., None, :]
     strain = torch.stack([0.0 * bend[..., 0], -bend[..., 1], bend[..., 0]], -1)
     return strain.expand(*strain.shape[:-2], len(layout.shape.radius), 3)
 
 
-def _gravity(layout: Layout, numbers: Numbers) -> Tensor:
+def _turn_gravity(layout: Layout, numbers: Numbers) -> Tensor:
     turn = matrix_from_rotation_vector(numbers.stacked(*(f"gravity_tilt_{a}" for a in "xyz")))
     return (turn @ layout.gravity[:, None])[..., 0]
 
 
-def _masses(layout: Layout, numbers: Numbers) -> Tensor:
+def _list_masses(layout: Layout, numbers: Numbers) -> Tensor:
     """(K, 1, P) masses of the points [kg]."""
     own = numbers.stacked(*(f"{name}_mass" for name in layout.masses.names))
     is_marker = [name in layout.markers.names for name in layout.masses.names]
@@ -130,7 +130,7 @@ def _masses(layout: Layout, numbers: Numbers) -> Tensor:
     return own + share * numbers["marker_mass"][..., None]
 
 
-def _pull(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
+def _compute_tension(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
     """(K, num_samples, T) tension at the base [N]."""
     names = layout.paths.names
     gain = numbers.stacked(*(f"{n}_gain" for n in names))
@@ -141,7 +141,7 @@ def _pull(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
     return torch.where(held == 0.0, pulled, torch.maximum(pulled, held))
 
 
-def _paths(layout: Layout, numbers: Numbers) -> tuple[Tensor, Tensor]:
+def _place_paths(layout: Layout, numbers: Numbers) -> tuple[Tensor, Tensor]:
     """Offsets [m] and slopes of the tendons, (K, 1, T, N, 3)."""
     paths, names = layout.paths, layout.paths.names
     if not names:

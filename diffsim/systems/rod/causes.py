@@ -86,15 +86,15 @@ def list_causes(
     every = every or given.is_in_time
     commands = tuple(dict.fromkeys(t.command for t in given.tendons))
     usual = {**scales.plain[ROD], **scales.of_commands(commands)}
-    found = [*(_cause(name, usual) for name in MATERIAL), *_list_weights(given, usual)]
+    found = [*(_make_cause(name, usual) for name in MATERIAL), *_list_weights(given, usual)]
     found += _list_clamps(given, usual)
     if given.tendons:
         found += _list_commands(given, scales, commands, every=every)
-        found += [_cause(name, usual) for name in TENDONS]
+        found += [_make_cause(name, usual) for name in TENDONS]
         names = tuple(t.name for t in given.tendons)
         turns = tuple(f"{n}_tendon_turn" for n in names)
-        found += [_cause("tendon_turn", usual, turns, components=names)]
-        found += [_cause("tendon_helix", usual)]
+        found += [_make_cause("tendon_turn", usual, turns, components=names)]
+        found += [_make_cause("tendon_helix", usual)]
     if given.sessions is not None:
         found += _list_sessions(given, given.sessions, study, usual)
     if every:
@@ -115,7 +115,7 @@ def list_numbers(given: RodKeys) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*given.quantities(), f"{TIP}_mass", *added, *each]))
 
 
-def _cause(
+def _make_cause(
     name: str,
     usual: Mapping[str, float],
     numbers: tuple[str, ...] = (),
@@ -135,20 +135,20 @@ def _list_weights(given: RodKeys, usual: Mapping[str, float]) -> Iterator[Effect
     main = int(np.abs(np.array(given.gravity)).argmax())
     level = tuple(a for k, a in enumerate("xyz") if k != main)
     tilts = tuple(f"gravity_tilt_{a}" for a in level)
-    yield _cause("gravity_tilt", usual, tilts, components=level)
-    yield _cause("tip_mass", usual, table="load")
-    yield _cause("marker_mass", usual)
+    yield _make_cause("gravity_tilt", usual, tilts, components=level)
+    yield _make_cause("tip_mass", usual, table="load")
+    yield _make_cause("marker_mass", usual)
 
 
 def _list_clamps(given: RodKeys, usual: Mapping[str, float]) -> Iterator[Effect]:
     base = given.base
-    yield _cause("clamped_length", usual)
+    yield _make_cause("clamped_length", usual)
     if not (base.tilt_y.is_fitted or base.tilt_z.is_fitted):
-        yield _cause("clamp_tilt", usual)
+        yield _make_cause("clamp_tilt", usual)
     if not base.twist.is_fitted:
-        yield _cause("clamp_twist", usual)
+        yield _make_cause("clamp_twist", usual)
     if not (base.shift_x.is_fitted or base.shift_y.is_fitted or base.shift_z.is_fitted):
-        yield _cause("clamp_shift", usual)
+        yield _make_cause("clamp_shift", usual)
 
 
 def _list_commands(

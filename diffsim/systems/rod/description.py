@@ -29,9 +29,9 @@ class RodDescription(RodKeys):
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands without a meaning, facts that runs do not state."""
-        return list(self._found(study))
+        return list(self._find_problems(study))
 
-    def _found(self, study: Study) -> Iterator[Problem]:
+    def _find_problems(self, study: Study) -> Iterator[Problem]:
         for channel in study.channels:
             if self.reading(channel.name) is None:
                 guess = did_you_mean(

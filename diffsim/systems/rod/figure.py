@@ -27,7 +27,7 @@ def skin_of(scene: RodScene) -> MovingShape:
     with torch.no_grad():
         frames, places = scene.course()
         added = float(scene.numbers.get("radius_offset", torch.zeros(())))
-    radius = _radius_at_edges(scene.layout) + added
+    radius = _average_radius(scene.layout) + added
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     ring = np.stack([0.0 * angle, np.cos(angle), np.sin(angle)], 1)
     across = np.einsum("sekl,il->seik", frames.numpy(), ring)
@@ -35,7 +35,9 @@ def skin_of(scene: RodScene) -> MovingShape:
     ends = places.numpy()[:, [0, -1]]
     nodes = np.concatenate([skin.reshape(len(skin), -1, 3), ends], 1)
     return MovingShape(
-        triangles=_tube(len(radius)), nodes_m=nodes @ _up(scene.layout).T, closed=True
+        triangles=_build_tube(len(radius)),
+        nodes_m=nodes @ _find_upright(scene.layout).T,
+        closed=True,
     )
 
 
@@ -58,10 +60,10 @@ def dots_of(layout: Layout, channels: Tensor) -> MovingShape | None:
     radius = layout.shape.radius[markers.element[known]].numpy()
     beside = markers.offset[known].norm(dim=-1).numpy()
     size = np.maximum(_STUD * radius, _BULGE * radius - beside)
-    return MovingShape.of_balls(places @ _up(layout).T, size)
+    return MovingShape.of_balls(places @ _find_upright(layout).T, size)
 
 
-def _radius_at_edges(layout: Layout) -> Array:
+def _average_radius(layout: Layout) -> Array:
     shape = layout.shape
     at, radius = shape.middles.numpy(), shape.radius.numpy()
     slope = np.diff(radius)[[0, -1]] / np.diff(at)[[0, -1]]
@@ -71,7 +73,7 @@ def _radius_at_edges(layout: Layout) -> Array:
     return np.maximum(out, 0.0)
 
 
-def _tube(count: int) -> NDArray[np.int64]:
+def _build_tube(count: int) -> NDArray[np.int64]:
     """Triangles of rings one behind the other, then the middles of both ends."""
     here = np.arange(_SIDES)
     beside = (here + 1) % _SIDES
@@ -85,7 +87,7 @@ def _tube(count: int) -> NDArray[np.int64]:
     return np.concatenate(pieces)
 
 
-def _up(layout: Layout) -> Array:
+def _find_upright(layout: Layout) -> Array:
     """From the recorded frame to one in which gravity points down, (3, 3)."""
     down = layout.gravity.numpy()
     if not down.any() or (np.allclose(down[:2], 0.0) and down[2] < 0.0):

@@ -12,24 +12,20 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Meters, Radians
 from diffsim.core.units import in_unit
-from diffsim.systems.description import Description, Quantity
+from diffsim.systems.description import Description, Quantity, known, quantities_of
 from diffsim.systems.quantities import Angle, Length, Mass, Plain, PositiveDensity, PositivePressure
 
 Vector = tuple[float, float, float]
 
 
-def _meters(given: Any) -> Any:
+def _read_meters(given: Any) -> Any:
     """Three places with a unit, or in meters."""
     if isinstance(given, (list, tuple)) and len(given) == 3:
         return tuple(in_unit(one, "m") for one in given)
     return given
 
 
-Place = Annotated[Vector, BeforeValidator(_meters)]
-
-
-def _known(value: float, unit: str = "-") -> Quantity:
-    return Quantity(value=value, unit=unit)
+Place = Annotated[Vector, BeforeValidator(_read_meters)]
 
 
 class Station(Part):
@@ -44,7 +40,7 @@ class RodMaterial(Part):
 
     youngs_modulus: PositivePressure = Field(description="Young's modulus [Pa]")
     poissons_ratio: Plain = Field(
-        _known(0.45), description="Poisson's ratio; it says how stiff the rod is against twist"
+        known(0.45, "-"), description="Poisson's ratio; it says how stiff the rod is against twist"
     )
     density: PositiveDensity = Field(description="Density [kg/m^3]")
 
@@ -55,15 +51,15 @@ class Base(Part):
     place: Place = Field((0.0, 0.0, 0.0), description="Where, in the frame of the recording [m]")
     along: Vector = Field((1.0, 0.0, 0.0), description="Direction of the axis there")
     across: Vector = Field((0.0, 1.0, 0.0), description="Direction of local y; z is along x y")
-    twist: Angle = Field(_known(0.0, "rad"), description="Turned about its axis [rad]")
-    tilt_y: Angle = Field(_known(0.0, "rad"), description="Turned about local y [rad]")
-    tilt_z: Angle = Field(_known(0.0, "rad"), description="Turned about local z [rad]")
-    shift_x: Length = Field(_known(0.0, "m"), description="Place along x, in addition [m]")
-    shift_y: Length = Field(_known(0.0, "m"), description="Place along y, in addition [m]")
-    shift_z: Length = Field(_known(0.0, "m"), description="Place along z, in addition [m]")
+    twist: Angle = Field(known(0.0, "rad"), description="Turned about its axis [rad]")
+    tilt_y: Angle = Field(known(0.0, "rad"), description="Turned about local y [rad]")
+    tilt_z: Angle = Field(known(0.0, "rad"), description="Turned about local z [rad]")
+    shift_x: Length = Field(known(0.0, "m"), description="Place along x, in addition [m]")
+    shift_y: Length = Field(known(0.0, "m"), description="Place along y, in addition [m]")
+    shift_z: Length = Field(known(0.0, "m"), description="Place along z, in addition [m]")
 
     @model_validator(mode="after")
-    def _directions(self) -> Base:
+    def _check_directions(self) -> Base:
         dot = sum(a * b for a, b in zip(self.along, self.across, strict=True))
         if not any(self.along) or not any(self.across) or abs(dot) > 1e-9:
             raise ValueError("along and across must be directions at right angles to each other")
@@ -87,7 +83,7 @@ class RodTendon(Part):
         min_length=2, description="Sections that it passes, straight between them"
     )
     gain: Plain = Field(
-        _known(1.0), description="Tension per command: one over the radius of a pulley, say"
+        known(1.0, "-"), description="Tension per command: one over the radius of a pulley, say"
     )
 
 
@@ -105,9 +101,9 @@ class RodMarker(Part):
 
     at: Meters = Field(ge=0, description="Arc length of its section [m]")
     offset: Place = Field((0.0, 0.0, 0.0), description="From the axis: along, local y, z [m]")
-    along: Length = Field(_known(0.0, "m"), description="Shifted along the axis by [m]")
-    y: Length = Field(_known(0.0, "m"), description="Shifted along local y by [m]")
-    z: Length = Field(_known(0.0, "m"), description="Shifted along local z by [m]")
+    along: Length = Field(known(0.0, "m"), description="Shifted along the axis by [m]")
+    y: Length = Field(known(0.0, "m"), description="Shifted along local y by [m]")
+    z: Length = Field(known(0.0, "m"), description="Shifted along local z by [m]")
 
 
 class RodReading(Part):
@@ -155,7 +151,7 @@ class RodKeys(Description):
     numerics: RodNumerics = Field(RodNumerics(), description="Elements and tolerance")
 
     @model_validator(mode="after")
-    def _on_the_rod(self) -> RodKeys:
+    def _check_on_rod(self) -> RodKeys:
         at = [s.at for s in self.stations]
         if at[0] != 0.0 or any(b <= a for a, b in itertools.pairwise(at)):
             raise ValueError("stations: the first is at 0, and each lies beyond the one before")
@@ -172,7 +168,7 @@ class RodKeys(Description):
         return self
 
     @model_validator(mode="after")
-    def _names_differ(self) -> RodKeys:
+    def _check_names_differ(self) -> RodKeys:
         for key, parts in (("tendons", self.tendons), ("masses", self.masses)):
             names = [part.name for part in parts]
             if twice := {n for n in names if names.count(n) > 1}:
@@ -208,20 +204,14 @@ class RodKeys(Description):
 
     def quantities(self) -> dict[str, Quantity]:
         """All imperfectly known numbers, by name of their base parameter."""
-        found = _of(self.material) | _of(self.base, "base_")
+        found = quantities_of(self.material) | quantities_of(self.base, "base_")
         for tendon in self.tendons:
-            found |= _of(tendon, f"{tendon.name}_")
+            found |= quantities_of(tendon, f"{tendon.name}_")
         for load in self.masses:
-            found |= _of(load, f"{load.name}_")
+            found |= quantities_of(load, f"{load.name}_")
         for name, marker in self.markers.items():
-            found |= _of(marker, f"{name}_")
+            found |= quantities_of(marker, f"{name}_")
         return found
-
-
-def _of(part: Part, prefix: str = "") -> dict[str, Quantity]:
-    """Quantities among a part's keys, by prefix and key."""
-    found = {key: getattr(part, key) for key in type(part).model_fields}
-    return {f"{prefix}{key}": q for key, q in found.items() if isinstance(q, Quantity)}
 
 
 __all__ = [

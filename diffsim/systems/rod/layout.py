@@ -73,7 +73,7 @@ def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> Layout:
 
     return Layout(
         shape=shape,
-        paths=_paths(given.tendons, shape),
+        paths=_lay_paths(given.tendons, shape),
         markers=points(seen),
         masses=points(heavy),
         base=torch.from_numpy(frame),
@@ -83,7 +83,7 @@ def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> Layout:
     )
 
 
-def _paths(tendons: Sequence[RodTendon], shape: RodShape) -> Paths:
+def _lay_paths(tendons: Sequence[RodTendon], shape: RodShape) -> Paths:
     middles = shape.middles.numpy()
     offset = np.zeros((len(tendons), len(middles), 3))
     slope = np.zeros_like(offset)
@@ -91,13 +91,13 @@ def _paths(tendons: Sequence[RodTendon], shape: RodShape) -> Paths:
         at = np.array([p.at for p in tendon.path])
         polar = [(np.cos(p.angle), np.sin(p.angle)) for p in tendon.path]
         across = np.array([p.distance for p in tendon.path])[:, None] * np.array(polar)
-        offset[k, :, 1:], slope[k, :, 1:] = _straight(at, across, middles)
+        offset[k, :, 1:], slope[k, :, 1:] = _interpolate_line(at, across, middles)
     end = torch.tensor([t.path[-1].at for t in tendons], dtype=torch.float64)
     names = tuple(t.name for t in tendons)
     return Paths(names, torch.from_numpy(offset), torch.from_numpy(slope), end)
 
 
-def _straight(at: Array, points: Array, where: Array) -> tuple[Array, Array]:
+def _interpolate_line(at: Array, points: Array, where: Array) -> tuple[Array, Array]:
     """Places and slopes of a broken line; beyond its end it goes on straight."""
     piece = np.clip(np.searchsorted(at, where) - 1, 0, len(at) - 2)
     rate = (points[piece + 1] - points[piece]) / (at[piece + 1] - at[piece])[:, None]

@@ -54,18 +54,18 @@ class DescribedRod:
 
     def build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
         """The scene of a run, which starts from the run's pose at the best guess beforehand."""
-        scene = self._scene(self.parameters.in_run(values, run), run, numerics)
+        scene = self._build_scene(self.parameters.in_run(values, run), run, numerics)
         pulls = scene.command.numpy()  # the first half of a run has its name, and fewer of them
         key = (run.name, len(pulls), pulls.tobytes(), numerics.mesh)
         return replace(
-            scene, guess=self._guesses(key, lambda: self._at_prior(run, numerics).poses())
+            scene, guess=self._guesses(key, lambda: self._build_at_prior(run, numerics).poses())
         )
 
-    def _at_prior(self, run: Run, numerics: Numerics) -> RodScene:
+    def _build_at_prior(self, run: Run, numerics: Numerics) -> RodScene:
         values = {p.name: torch.tensor(p.value).double() for p in self.parameters.base}
-        return self._scene(self.parameters.in_run(values, run), run, numerics)
+        return self._build_scene(self.parameters.in_run(values, run), run, numerics)
 
-    def _scene(self, numbers: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
+    def _build_scene(self, numbers: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
         layout: Layout = self._layout(1.0 / numerics.mesh)
         columns = [np.asarray(run.command[t.command], np.float64) for t in self.given.tendons]
         command = np.stack(columns, 1) if columns else np.zeros((len(run.time_s), 0))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import Instruments, change_rows
+from diffsim.causes.instruments import InstrumentedScene, change_rows
 from diffsim.causes.ports import SignalMap
 from diffsim.causes.signals import Grid
 from diffsim.systems.rod.assembly import Numbers, rod_of
@@ -32,7 +32,7 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class RodScene:
+class RodScene(InstrumentedScene):
     """A rod under the tensions of a run; each sample is a pose.
 
     Attributes:
@@ -43,7 +43,6 @@ class RodScene:
         drives: Name of the command of each tendon.
         grid: Times of the samples.
         guess: Known poses to start from; None: straight, without tension.
-        instruments: What shows the markers.
     """
 
     layout: Layout
@@ -53,9 +52,6 @@ class RodScene:
     drives: tuple[str, ...]
     grid: Grid
     guess: Poses | None = None
-    instruments: Instruments = field(default_factory=Instruments)
-
-    play_start = None  # plays begin in their middle
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> RodScene:
         """A copy in which a number is f(number), () or (K,)."""
@@ -67,18 +63,10 @@ class RodScene:
         changed = change_rows(self.command.mT, own, change, self.grid)
         return replace(self, command=changed.mT)
 
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> RodScene:
-        """A copy in which some channels are f(channels (..., width, num_samples), grid)."""
-        return replace(self, instruments=self.instruments.with_reading(channels, change))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> RodScene:
-        """A copy in which some channels show the poses ``delay`` before [s]."""
-        return replace(self, instruments=self.instruments.with_clock(channels, delay))
-
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels), with K in front for K points."""
         rod, count = rod_of(self.layout, self.numbers, self.command)
-        u = self._strains(rod, count)
+        u = self._solve_strains(rod, count)
         markers, numbers = self.layout.markers, Numbers.of(self.numbers)
         names = markers.names
         shift = [numbers.stacked(*(f"{m}_{way}" for m in names)) for way in ("along", "y", "z")]
@@ -91,7 +79,7 @@ class RodScene:
         """Equilibria at the first point."""
         with torch.no_grad():
             rod, count = rod_of(self.layout, self.numbers, self.command)
-            found, slopes = self._found(rod, count, slopes_of_all=True)
+            found, slopes = self._find_strains(rod, count, slopes_of_all=True)
         assert slopes is not None
         return Poses(found[0], slopes[0])
 
@@ -99,16 +87,16 @@ class RodScene:
         """Rotations (num_samples, N + 1, 3, 3) and places (num_samples, N + 1, 3) [m] of the
         sections at the ends of the elements, at the first point."""
         rod, count = rod_of(self.layout, self.numbers, self.command)
-        frames, places = rod.course(self._strains(rod, count))
+        frames, places = rod.course(self._solve_strains(rod, count))
         return frames[0], places[0]
 
-    def _strains(self, rod: Rod, count: int) -> Tensor:
+    def _solve_strains(self, rod: Rod, count: int) -> Tensor:
         """(K, num_samples, N, 3) in equilibrium [1/m]; differentiable in the numbers."""
         slopes_of_all = torch.is_grad_enabled() and any(
             v.requires_grad for v in (self.command, *self.numbers.values())
         )
         with torch.no_grad():
-            found, slopes = self._found(rod, count, slopes_of_all)
+            found, slopes = self._find_strains(rod, count, slopes_of_all)
         if not slopes_of_all:
             return found
         # one step more, which moves nothing, carries derivatives: u = u - J^-1 residual(numbers)
@@ -116,7 +104,9 @@ class RodScene:
         left = rod.residual(found).flatten(2)[..., None]
         return found - torch.linalg.solve(slopes, left).reshape(found.shape)
 
-    def _found(self, rod: Rod, count: int, slopes_of_all: bool) -> tuple[Tensor, Tensor | None]:
+    def _find_strains(
+        self, rod: Rod, count: int, slopes_of_all: bool
+    ) -> tuple[Tensor, Tensor | None]:
         """Strains, and slopes of the residual there (K, num_samples, 3 N, 3 N) if asked for."""
         lengths, guess = self.layout.shape.lengths, self.guess
         if guess is None:

@@ -149,8 +149,8 @@ class Rod:
             offset: (..., P, 3) from the axis, in the frame of the section [m].
             u: (..., N, 3) twist and bends [1/m].
         """
-        v, edges, nodes = self._course(u)
-        return _points(self.shape, points, offset, u, v, edges, nodes)
+        v, edges, nodes = self._integrate_course(u)
+        return _place_points(self.shape, points, offset, u, v, edges, nodes)
 
     def course(self, u: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations (..., N + 1, 3, 3) and places (..., N + 1, 3) [m] of the sections at the edges.
@@ -158,31 +158,31 @@ class Rod:
         Args:
             u: (..., N, 3) twist and bends [1/m].
         """
-        return self._course(u)[1:]
+        return self._integrate_course(u)[1:]
 
-    def _course(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _integrate_course(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Stretch and shears, and what ``course`` returns."""
         edges, middles = self.frames(u)
-        force = self._forces(middles)[0]
-        v, _ = self.section(u, _into(middles, force))
-        return v, edges, self._places(middles, v)[0]
+        force = self._sum_forces(middles)[0]
+        v, _ = self.section(u, _rotate_into(middles, force))
+        return v, edges, self._integrate_places(middles, v)[0]
 
     def residual(self, u: Tensor) -> Tensor:
         """(..., N, 3) moment that is left over in the sections [N m]."""
         edges, middles = self.frames(u)
-        force, beyond = self._forces(middles)
-        v, moment = self.section(u, _into(middles, force))
-        nodes, centers = self._places(middles, v)
+        force, beyond = self._sum_forces(middles)
+        v, moment = self.section(u, _rotate_into(middles, force))
+        nodes, centers = self._integrate_places(middles, v)
         torque = cross(centers, self.weight)
         outer = torque.flip(-2).cumsum(-2).flip(-2) - torque  # of all elements beyond
         lever = 0.25 * self.shape.lengths[:, None] * (middles @ v[..., None])[..., 0]
         outer = outer + cross(centers + lever, 0.5 * self.weight)
         if len(self.points.names):
-            at = _points(self.shape, self.points, self.points.offset, u, v, edges, nodes)
+            at = _place_points(self.shape, self.points, self.points.offset, u, v, edges, nodes)
             outer = outer + beyond @ cross(at, self.loads)
-        return moment - _into(middles, outer - cross(centers, force))
+        return moment - _rotate_into(middles, outer - cross(centers, force))
 
-    def _forces(self, middles: Tensor) -> tuple[Tensor, Tensor]:
+    def _sum_forces(self, middles: Tensor) -> tuple[Tensor, Tensor]:
         """Force that acts beyond the middles, (..., N, 3) [N], and (N, P) which points do."""
         weight = self.weight.expand(*middles.shape[:-1])
         force = weight.flip(-2).cumsum(-2).flip(-2) - 0.5 * weight
@@ -191,7 +191,7 @@ class Rod:
             force = force + beyond @ self.loads
         return force, beyond
 
-    def _places(self, middles: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    def _integrate_places(self, middles: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
         """Places of the edges (..., N + 1, 3) and of the middles (..., N, 3) [m]."""
         steps = (middles @ v[..., None])[..., 0] * self.shape.lengths[:, None]
         after = self.place[..., None, :] + steps.cumsum(-2)
@@ -207,12 +207,12 @@ _AXES = {
 """Own axes of the tensors of a rod, behind the leading ones."""
 
 
-def _into(frames: Tensor, vectors: Tensor) -> Tensor:
+def _rotate_into(frames: Tensor, vectors: Tensor) -> Tensor:
     """Components of vectors (..., 3) in frames (..., 3, 3)."""
     return (frames.mT @ vectors[..., None])[..., 0]
 
 
-def _points(
+def _place_points(
     shape: RodShape,
     points: Points,
     offset: Tensor,
@@ -230,7 +230,7 @@ def _points(
     return axis + ((frame @ matrix_from_rotation_vector(past * own)) @ offset[..., None])[..., 0]
 
 
-def _slopes(rod: Rod, u: Tensor) -> Tensor:
+def _compute_slopes(rod: Rod, u: Tensor) -> Tensor:
     """Derivatives (B, 3 N, 3 N) of the residual by u (B, N, 3), by central differences: right to
     nine digits, and all in one call."""
     size = u.shape[-2] * 3
@@ -239,7 +239,7 @@ def _slopes(rod: Rod, u: Tensor) -> Tensor:
     return ((ahead - behind) / (2.0 * DIFFERENCE)).flatten(2).permute(1, 2, 0)
 
 
-def _newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
+def _solve_by_newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
     """Equilibria from a guess (B, N, 3), and the slopes there.
 
     Raises:
@@ -247,7 +247,7 @@ def _newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
     """
     most = float("inf")
     for _ in range(MOST_STEPS):
-        slopes = _slopes(rod, u)
+        slopes = _compute_slopes(rod, u)
         step = torch.linalg.solve(slopes, rod.residual(u).flatten(1)).reshape(u.shape)
         turn = (step.norm(dim=-1) * rod.shape.lengths).sum(-1)
         most = float(turn.max())
@@ -283,15 +283,15 @@ def equilibrium(
     """
     if not straight:
         try:
-            return _newton(rod, start, tolerance)
+            return _solve_by_newton(rod, start, tolerance)
         except ConvergenceError:
             start = torch.zeros_like(start)
     found, share, step = start, 0.0, 0.25
-    found, slopes = _newton(rod.with_pull(0.0), found, 1e-3)
+    found, slopes = _solve_by_newton(rod.with_pull(0.0), found, 1e-3)
     while share < 1.0:
         tried = min(1.0, share + step)
         try:
-            found, slopes = _newton(
+            found, slopes = _solve_by_newton(
                 rod.with_pull(tried), found, tolerance if tried == 1.0 else 1e-3
             )
         except ConvergenceError:

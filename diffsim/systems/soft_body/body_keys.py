@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from diffsim.causes.channel_groups import CLOCKS, clock_of
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import Meters
-from diffsim.systems.description import Description, Quantity
+from diffsim.systems.description import Description, Quantity, quantities_of
 from diffsim.systems.quantities import Time
 from diffsim.systems.soft_body.keys import (
     Chamber,
@@ -28,7 +28,6 @@ from diffsim.systems.soft_body.keys import (
     Vibration,
     Wall,
     Water,
-    quantities_of,
 )
 from diffsim.systems.soft_body.places import Region
 from diffsim.systems.soft_body.readings import Camera, Clock, MarkerPlace, Reading
@@ -76,7 +75,7 @@ class SoftBodyKeys(Description):
     numerics: Numerics = Field(Numerics(), description="Time step, mesh and tolerance")
 
     @model_validator(mode="after")
-    def _markers_exist(self) -> SoftBodyKeys:
+    def _check_markers_exist(self) -> SoftBodyKeys:
         for name, reading in self.channels.items():
             for marker in (*reading.markers, *reading.minus):
                 if marker not in self.markers:
@@ -87,7 +86,7 @@ class SoftBodyKeys(Description):
         return self
 
     @model_validator(mode="after")
-    def _names_differ(self) -> SoftBodyKeys:
+    def _check_names_differ(self) -> SoftBodyKeys:
         for key in ("regions", "masses", "tendons", "muscles", "chambers"):
             names = [part.name for part in getattr(self, key)]
             if twice := {n for n in names if names.count(n) > 1}:

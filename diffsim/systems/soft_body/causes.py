@@ -113,16 +113,16 @@ def library(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Effect, 
     found = [] if still else ["loss_factor", "creep", "stiffness_damping", "stiffening"]
     if given.material.rayleigh_beta.is_fitted and not still:
         found.remove("stiffness_damping")
-    found += ["stiffness_loss", "temperature_drift", *_of_surroundings(given, still)]
+    found += ["stiffness_loss", "temperature_drift", *_list_surroundings(given, still)]
     causes = [body_cause(name) for name in found]
     if given.water is not None and not still:
         causes.append(body_cause("current", needs=needs_nothing))
         if not given.water.added_mass.is_fitted:
             causes.append(body_cause("added_mass"))
     causes.append(body_cause("body_scale"))
-    causes += _of_loads(given, scales, still)
-    causes += _of_commands(given, study, scales)
-    return (*causes, *_of_cameras(given, study, scales), *_of_instruments(given, study, scales))
+    causes += _list_loads(given, scales, still)
+    causes += _list_commands(given, study, scales)
+    return (*causes, *_list_cameras(given, study, scales), *_list_instruments(given, study, scales))
 
 
 def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
@@ -164,7 +164,7 @@ def is_timed(given: SoftBodyKeys, study: Study) -> bool:
     return not is_still or (bool(given.commands) and is_long)
 
 
-def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[str]:
+def _list_surroundings(given: SoftBodyKeys, still: bool) -> list[str]:
     found = [] if still else ["linear_drag", "quadratic_drag", "dry_friction"]
     if any(given.gravity.vector):
         found.append("weight")
@@ -173,7 +173,7 @@ def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[str]:
     return found
 
 
-def _of_loads(given: SoftBodyKeys, scales: Scales, still: bool) -> list[Effect]:
+def _list_loads(given: SoftBodyKeys, scales: Scales, still: bool) -> list[Effect]:
     weighs = any(given.gravity.vector) or not still
     found = [body_cause("tip_mass", scales.plain[BODY])] if weighs else []
     if any(load.acts_as == "weight" for load in given.masses) and not still:
@@ -193,7 +193,7 @@ def _of_loads(given: SoftBodyKeys, scales: Scales, still: bool) -> list[Effect]:
     return found
 
 
-def _of_commands(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
+def _list_commands(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
     if not given.commands:
         return []
     # of a command that only pulls, slack and dead band are one
@@ -219,11 +219,11 @@ def _of_commands(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effe
     return sorted(found, key=lambda cause: ON_THE_WAY.index(cause.name))
 
 
-def _of_cameras(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
+def _list_cameras(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
     """Causes in what all channels share."""
     readings = given.channels.values()
     turns = (given.camera.roll, given.camera.pitch, given.camera.yaw)
-    whole = _instrument(study, scales, ChannelGroup("", tuple(c.name for c in study.channels)))
+    whole = _make_instrument(study, scales, ChannelGroup("", tuple(c.name for c in study.channels)))
     found = []
     if scales.facts[TIMED]:
         if not given.clock.offset.is_fitted and not _begins_with_command(given):
@@ -244,7 +244,7 @@ def _begins_with_command(given: SoftBodyKeys) -> bool:
     return bool(given.commands) and is_still and given.support is None
 
 
-def _of_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
+def _list_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
     """Causes in each stated sensor, but what is a base parameter of theirs already."""
     if all(c.sensor is None for c in study.channels):
         return []
@@ -262,12 +262,12 @@ def _of_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> list[E
         left_out |= {"sensor_delay"} if group.channels in clocks else set()
         left_out |= set() if scales.facts[TIMED] else set(READ_OVER_TIME)
         tried = tuple(name for name in group.causes if name not in left_out)
-        instrument = _instrument(study, scales, replace(group, causes=tried))
+        instrument = _make_instrument(study, scales, replace(group, causes=tried))
         found += reading_causes(instrument, system=SYSTEM)
     return list(pace(found, usual_sample(study.runs)))
 
 
-def _instrument(study: Study, scales: Scales, group: ChannelGroup) -> Instrument:
+def _make_instrument(study: Study, scales: Scales, group: ChannelGroup) -> Instrument:
     names = [c.name for c in study.channels]
     places = tuple(names.index(name) for name in group.channels)
     channels = tuple(study.channels[i] for i in places)

@@ -64,7 +64,7 @@ class DescribedModel:
         self._rig = lru_cache(maxsize=8)(
             lambda coarser, dt, rtol: Rig(given, folder, self.channels, coarser, dt, rtol)
         )
-        self._softness = lru_cache(maxsize=8)(self._new_softness)
+        self._softness = lru_cache(maxsize=8)(self._measure_softness)
 
     def model(self) -> SoftModel:
         """The model that is fitted."""
@@ -80,7 +80,7 @@ class DescribedModel:
         )
         return made
 
-    def _new_softness(self, coarser: float) -> float:
+    def _measure_softness(self, coarser: float) -> float:
         """What coarse cells bend too little, as a factor on Young's modulus."""
         if not (self.given.numerics.correct_mesh and self.given.body.can_refine):
             return 1.0
@@ -92,8 +92,8 @@ class DescribedModel:
         """The scene of a run."""
         rig, given = self.rig(numerics), self.given
         own = self.parameters.in_run(values, run)
-        physical = self._physical(rig, own, run, numerics)
-        hung = self._hung(rig, own, run)
+        physical = self._list_physical(rig, own, run, numerics)
+        hung = self._sum_hung_mass(rig, own, run)
         times = np.asarray(run.time_s, dtype=np.float64)
         start = float(times[0]) if given.start.at is None else given.start.at
         start -= given.start.lead_in
@@ -115,7 +115,7 @@ class DescribedModel:
             "obstacles": tuple(
                 contact.plane(w.normal, w.offset, friction=w.friction) for w in given.walls
             ),
-            **self._driven(rig, own, run, start),
+            **self._make_command(rig, own, run, start),
         }
         if given.water is not None:
             scene["water"] = rig.water(own["water_drag"], own["water_thrust"])
@@ -124,12 +124,14 @@ class DescribedModel:
         made = SoftScene(**scene)
         if given.numerics.motion == "quasi_static":
             return posed(made, self._pose_commands, rig.poses)
-        return made.changed(**self._begun(rig, made, own))
+        return made.changed(**self._make_start(rig, made, own))
 
-    def _physical(self, rig: Rig, own: Values, run: Run, numerics: Numerics) -> dict[str, Tensor]:
+    def _list_physical(
+        self, rig: Rig, own: Values, run: Run, numerics: Numerics
+    ) -> dict[str, Tensor]:
         given = self.given
         out = {
-            name: self._field(rig, own, name)
+            name: self._make_field(rig, own, name)
             for name in ("youngs_modulus", "poissons_ratio", "density")
         }
         coarser = numerics.mesh if given.body.can_refine else 1.0
@@ -139,7 +141,7 @@ class DescribedModel:
         vector = torch.tensor(given.gravity.vector, dtype=torch.float64)
         out["gravity"] = matrix_from_rotation_vector(tilt) @ vector
         attached = [
-            self._mass(i, own, run) * rig.load_shares[i]
+            self._find_mass(i, own, run) * rig.load_shares[i]
             for i, load in enumerate(given.masses)
             if load.acts_as == "mass"
         ]
@@ -158,7 +160,7 @@ class DescribedModel:
             out["fiber_stiffness"] = torch.stack(stiffness)
         return out
 
-    def _field(self, rig: Rig, own: Values, name: str) -> Tensor:
+    def _make_field(self, rig: Rig, own: Values, name: str) -> Tensor:
         """A property of the material, one number or one per cell where regions differ."""
         regions = [
             (cells, own[f"{name}_{region.name}"])
@@ -172,7 +174,7 @@ class DescribedModel:
             field = field.index_put((cells,), value.expand(len(cells)))
         return field
 
-    def _mass(self, i: int, own: Values, run: Run) -> Tensor:
+    def _find_mass(self, i: int, own: Values, run: Run) -> Tensor:
         """Mass of a load in a run, its share included [kg]."""
         load = self.given.masses[i]
         share = own[f"{load.name}_share"]
@@ -181,10 +183,10 @@ class DescribedModel:
         assert load.mass_from is not None
         return share * fact_in(run, load.mass_from, "kg")
 
-    def _hung(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
+    def _sum_hung_mass(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
         """(num_nodes,) of what acts by its weight alone [kg]; less than 0: buoyancy."""
         hung = [
-            self._mass(i, own, run) * rig.load_shares[i]
+            self._find_mass(i, own, run) * rig.load_shares[i]
             for i, load in enumerate(self.given.masses)
             if load.acts_as == "weight"
         ]
@@ -193,7 +195,7 @@ class DescribedModel:
             hung.append(-water.density * rig.volume)
         return torch.stack(hung).sum(0) if hung else None
 
-    def _driven(self, rig: Rig, own: Values, run: Run, start: float) -> dict[str, Any]:
+    def _make_command(self, rig: Rig, own: Values, run: Run, start: float) -> dict[str, Any]:
         """Commands of a run and what they move."""
         if not self.commands:
             return {}
@@ -210,7 +212,7 @@ class DescribedModel:
             if lead > 0.0:
                 column = column * np.clip((grid - start) / (LEAD_RAMP * lead), 0.0, 1.0)
             columns.append(column)
-        actuate, pressurize = self._drives(rig, own)
+        actuate, pressurize = self._make_drives(rig, own)
         return {
             "command": torch.from_numpy(np.stack(columns, 1)),
             "command_names": self.commands,
@@ -219,7 +221,7 @@ class DescribedModel:
             "pressurize": pressurize if self.given.chambers else None,
         }
 
-    def _drives(self, rig: Rig, own: Values) -> tuple[Callable[[Tensor], Tensor], ...]:
+    def _make_drives(self, rig: Rig, own: Values) -> tuple[Callable[[Tensor], Tensor], ...]:
         """Functions of commands (n, width) that give activations and pressures."""
         given, place = self.given, {name: k for k, name in enumerate(self.commands)}
 
@@ -230,9 +232,9 @@ class DescribedModel:
             rows = []
             for cable, tendon in zip(given.tendons, rig.tendons, strict=True):
                 full = cable.full_length or tendon.rest_length
-                rows.append(_stretch(cable.means, column(u, cable), full, cable.part))
+                rows.append(_compute_stretch(cable.means, column(u, cable), full, cable.part))
             for muscle in given.muscles:
-                rows.append(_stretch(_AS_SHARE[muscle.means], column(u, muscle), 1.0, 1.0))
+                rows.append(_compute_stretch(_AS_SHARE[muscle.means], column(u, muscle), 1.0, 1.0))
             return torch.stack(rows, -1)
 
         def pressure(u: Tensor) -> Tensor:
@@ -240,7 +242,7 @@ class DescribedModel:
 
         return activation, pressure
 
-    def _begun(self, rig: Rig, scene: SoftScene, own: Values) -> dict[str, Any]:
+    def _make_start(self, rig: Rig, scene: SoftScene, own: Values) -> dict[str, Any]:
         """How the body starts."""
         start = self.given.start
         if start.shape != "held":
@@ -257,7 +259,7 @@ class DescribedModel:
 _AS_SHARE = {"shortening": "share", "length": "length"}
 
 
-def _stretch(means: str, u: Tensor, full_length: float, part: float) -> Tensor:
+def _compute_stretch(means: str, u: Tensor, full_length: float, part: float) -> Tensor:
     """Commanded over rest length of a cable or muscle."""
     if means == "shortening":
         return 1.0 - u / full_length

@@ -47,18 +47,18 @@ class SoftBodyDescription(SoftBodyKeys):
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands without a meaning, regions without nodes, points outside."""
         found = [
-            *self._of_channels(study),
+            *self._find_problems_of_channels(study),
             *clock_problems(study.channels, self.clocks),
-            *self._of_runs(study.runs),
+            *self._find_problems_of_runs(study.runs),
         ]
         if not any(p.severity == "error" for p in found):
             try:
-                self._described(study).rig()
+                self._build_model(study).rig()
             except (ValueError, OSError) as error:
                 found.append(Problem("error", "model", str(error)))
         return found
 
-    def _of_channels(self, study: Study) -> Iterator[Problem]:
+    def _find_problems_of_channels(self, study: Study) -> Iterator[Problem]:
         for channel in study.channels:
             if channel.name not in self.channels:
                 guess = did_you_mean(channel.name, self.channels)
@@ -71,7 +71,7 @@ class SoftBodyDescription(SoftBodyKeys):
             if name not in [c.name for c in study.channels]:
                 yield Problem("error", f"model.channels.{name}", "the study has no such channel")
 
-    def _of_runs(self, runs: Sequence[Run]) -> Iterator[Problem]:
+    def _find_problems_of_runs(self, runs: Sequence[Run]) -> Iterator[Problem]:
         wanted = [(f"model.{k}[{i}].command", d.command) for k in ("tendons", "muscles", "chambers")
                   for i, d in enumerate(getattr(self, k))]  # fmt: skip
         if self.support is not None:
@@ -90,14 +90,16 @@ class SoftBodyDescription(SoftBodyKeys):
                     f"no run states {load.mass_from!r} in its setup",
                 )
             elif load.mass_from is not None:
-                yield from _masses(f"model.masses[{i}].mass_from", load.mass_from, runs)
+                yield from _find_problems_of_masses(
+                    f"model.masses[{i}].mass_from", load.mass_from, runs
+                )
         yield from unstated_facts(self.quantities(), runs)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model of the body, causes that its parts allow, and options."""
         self.require_possible(study)
-        described = self._described(study)
-        model, scales = described.model(), self._scales(study, described)
+        described = self._build_model(study)
+        model, scales = described.model(), self._measure_scales(study, described)
         model.frame = {SCALES: scales.saved()}
         advised = DiagnosisSettings(
             search=SearchSettings(max_effects=3, num_refits=2, max_rounds=4),
@@ -117,8 +119,8 @@ class SoftBodyDescription(SoftBodyKeys):
         Args:
             study: Study with this description as its ``model``.
         """
-        described = self._described(study)
-        scales = self._scales(study, described)
+        described = self._build_model(study)
+        scales = self._measure_scales(study, described)
         is_still = self.numerics.motion == "quasi_static"
         usual = {"push": PULL_SHARE * G * scales.plain[BODY]["mass"], **usual_motion(self, scales)}
         absent = {CLOCK_RATE} if not scales.facts[TIMED] else set()
@@ -133,11 +135,11 @@ class SoftBodyDescription(SoftBodyKeys):
             places={} if is_still else dict.fromkeys(described.rig().places, usual),
         )
 
-    def _scales(self, study: Study, described: DescribedModel) -> Scales:
+    def _measure_scales(self, study: Study, described: DescribedModel) -> Scales:
         mass_kg = float(described.rig().volume.sum()) * self.material.density.value
         return scales_of(self, study, mass_kg)
 
-    def _described(self, study: Study) -> DescribedModel:
+    def _build_model(self, study: Study) -> DescribedModel:
         parameters = BaseParameters(self.quantities(), study.runs)
         names = [c.name for c in study.channels]
         fitted, commands = Scales.kept_in(study) or Scales.of_runs(study), None
@@ -147,12 +149,12 @@ class SoftBodyDescription(SoftBodyKeys):
             commands = pose_commands(reach, now, self.numerics.poses)
         clocks = {
             clock_of(name): tuple(names.index(c) for c in own)
-            for name, own in self._late(study).items()
+            for name, own in self._list_late(study).items()
         }
         speed = usual_motion(self, fitted)["speed"]
         return DescribedModel(self, study.folder, names, parameters, commands, clocks, speed)
 
-    def _late(self, study: Study) -> dict[str, tuple[str, ...]]:
+    def _list_late(self, study: Study) -> dict[str, tuple[str, ...]]:
         """Channels of each stated clock."""
         return {name: channels_of(study.channels, name) for name in self.clocks}
 
@@ -164,7 +166,7 @@ def _reach_of_runs(runs: Sequence[Run], command: str) -> tuple[float, float]:
     return min(0.0, float(known.min())), max(0.0, float(known.max()))
 
 
-def _masses(where: str, fact: str, runs: Sequence[Run]) -> Iterator[Problem]:
+def _find_problems_of_masses(where: str, fact: str, runs: Sequence[Run]) -> Iterator[Problem]:
     """Facts that are no mass, and runs that do not state theirs."""
     for run in runs:
         try:

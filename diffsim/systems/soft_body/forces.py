@@ -84,18 +84,18 @@ def add_fluid_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 def change_weight(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """More gravity along gravity, by ``size`` [m/s^2]."""
     gravity = scene.parameter("gravity")
-    down, _, _ = _gravity_axes(gravity)
+    down, _, _ = _find_gravity_axes(gravity)
     return scene.with_parameter("gravity", gravity + size[0] * down)
 
 
 def tilt_gravity(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Gravity across its direction, (2,) [m/s^2]."""
     gravity = scene.parameter("gravity")
-    _, first, second = _gravity_axes(gravity)
+    _, first, second = _find_gravity_axes(gravity)
     return scene.with_parameter("gravity", gravity + size[0] * first + size[1] * second)
 
 
-def _gravity_axes(gravity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _find_gravity_axes(gravity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Unit vectors along gravity (-z if there is none) and across it, without gradient."""
     g = gravity.detach()
     length = g.norm()
@@ -123,10 +123,10 @@ def dry_friction(slip_speed: float) -> Apply:
     Args:
         slip_speed: Speed of slip below which friction grows linearly [m/s].
     """
-    return partial(_rub, slip_speed=slip_speed)
+    return partial(_rub_nodes, slip_speed=slip_speed)
 
 
-def _rub(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
+def _rub_nodes(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
     return scene.with_hook(lambda: _DryFriction(size[0], slip_speed))
 
 

@@ -61,23 +61,23 @@ class SlackScene(SoftScene):
     def falling(self, last: int) -> SoftScene:
         """The body without the weight; places of all nodes are observed."""
         load = self.parameter("attached_mass")
-        return self._plain(
+        return self._make_plain(
             sample_times=torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64),
             time_scale=torch.ones((), dtype=torch.float64),
             clock_offset=torch.zeros((), dtype=torch.float64),
             late=(),
             parameters={**self.parameters, "attached_mass": torch.zeros_like(load)},
-            observe=_places,
+            observe=_flatten_places,
         )
 
     def swinging(self, fall: Tensor, last: int) -> SoftScene:
         """From the catch on: plastic along gravity, every loaded node shares the momentum."""
-        x, v = self._at_catch(fall, last)
+        x, v = self._interpolate_catch(fall, last)
         load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
         down = gravity / gravity.norm()
         own = self.solid_mass
         gap = (gravity * self.slack_s - v) @ down
-        return self._plain(
+        return self._make_plain(
             start="given",
             start_position=x,
             start_velocity=v + (load / (load + own) * gap)[:, None] * down,
@@ -100,11 +100,11 @@ class SlackScene(SoftScene):
 
         return self.by_clock(observed_at)
 
-    def _plain(self, **changes: Any) -> SoftScene:
+    def _make_plain(self, **changes: Any) -> SoftScene:
         kept = {f.name: getattr(self, f.name) for f in fields(SoftScene)}
         return SoftScene(**(kept | changes))
 
-    def _at_catch(self, fall: Tensor, last: int) -> tuple[Tensor, Tensor]:
+    def _interpolate_catch(self, fall: Tensor, last: int) -> tuple[Tensor, Tensor]:
         """Places and speeds (num_nodes, 3) by Lagrange through four steps around the catch."""
         first = max(last - 1, 0)
         s = self.slack_s / self.body.dt - first
@@ -150,6 +150,6 @@ def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
 
 
-def _places(x: Tensor) -> Tensor:
+def _flatten_places(x: Tensor) -> Tensor:
     """All nodes' places in a row, (..., 3 num_nodes)."""
     return x.flatten(-2)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Hertz, KilogramsPerCubicMeter, Meters, Seconds
 from diffsim.soft import MATERIALS
-from diffsim.systems.description import Quantity
+from diffsim.systems.description import known
 from diffsim.systems.quantities import (
     Angle,
     Density,
@@ -27,24 +27,20 @@ from diffsim.systems.soft_body.places import Point, Region
 Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
 
 
-def _known(value: float, unit: str) -> Quantity:
-    return Quantity(value=value, unit=unit)
-
-
 class Material(Part):
     """Material of the whole body, where no region says otherwise."""
 
     law: str = Field("pd", description=f"Energy of the solid: {', '.join(MATERIALS)}")
     youngs_modulus: Pressure = Field(description="Young's modulus [Pa]")
     poissons_ratio: Plain = Field(
-        _known(0.45, "-"), description="Poisson's ratio; cells lock as it nears 0.5"
+        known(0.45, "-"), description="Poisson's ratio; cells lock as it nears 0.5"
     )
     density: Density = Field(description="Density [kg/m^3]")
     rayleigh_beta: Time = Field(
-        _known(0.0, "s"), description="Damping that grows with the frequency: force -beta K v [s]"
+        known(0.0, "s"), description="Damping that grows with the frequency: force -beta K v [s]"
     )
     rayleigh_alpha: Rate = Field(
-        _known(0.0, "1/s"), description="Damping by speed against the room: -alpha M v [1/s]"
+        known(0.0, "1/s"), description="Damping by speed against the room: -alpha M v [1/s]"
     )
 
 
@@ -61,7 +57,7 @@ class MaterialRegion(Part):
     density: Density | None = Field(None, description="Density [kg/m^3]")
 
     @model_validator(mode="after")
-    def _one_place(self) -> MaterialRegion:
+    def _check_one_place(self) -> MaterialRegion:
         if (self.where is None) == (self.group is None):
             raise ValueError("give either where, or group, the name of a region of the mesh file")
         return self
@@ -79,8 +75,8 @@ class Gravity(Part):
     vector: tuple[float, float, float] = Field(
         (0.0, 0.0, -9.81), description="Acceleration of free fall along x, y, z [m/s^2]"
     )
-    roll: Angle = Field(_known(0.0, "rad"), description="Turned about x by this [rad]")
-    pitch: Angle = Field(_known(0.0, "rad"), description="Turned about y by this [rad]")
+    roll: Angle = Field(known(0.0, "rad"), description="Turned about x by this [rad]")
+    pitch: Angle = Field(known(0.0, "rad"), description="Turned about y by this [rad]")
 
 
 class Load(Part):
@@ -93,7 +89,7 @@ class Load(Part):
         None, description="Instead of `mass`: the fact of the runs' `setup` that holds it [kg]"
     )
     share: Plain = Field(
-        _known(1.0, "-"), description="Factor on the mass: a hook and a string weigh something"
+        known(1.0, "-"), description="Factor on the mass: a hook and a string weigh something"
     )
     acts_as: Literal["mass", "weight"] = Field(
         "mass",
@@ -102,7 +98,7 @@ class Load(Part):
     )
 
     @model_validator(mode="after")
-    def _one_mass(self) -> Load:
+    def _check_one_mass(self) -> Load:
         if (self.mass is None) == (self.mass_from is None):
             raise ValueError("give mass, or mass_from with a fact of the runs' setup")
         return self
@@ -114,7 +110,7 @@ class Drive(Part):
     name: str = Field(description="Short name; base parameters are called by it")
     command: str = Field(description="Name of the command that drives it")
     gain: Plain = Field(
-        _known(1.0, "-"), description="Factor on the command: radius of a pulley, unit of a scale"
+        known(1.0, "-"), description="Factor on the command: radius of a pulley, unit of a scale"
     )
 
 
@@ -141,7 +137,7 @@ class DescribedTendon(Drive):
     )
 
     @model_validator(mode="after")
-    def _stiff(self) -> DescribedTendon:
+    def _check_stiffness(self) -> DescribedTendon:
         if (self.axial_stiffness is None) == (self.means != "force"):
             raise ValueError("give axial_stiffness, except where the command means the force")
         return self
@@ -168,12 +164,12 @@ class Water(Part):
     """A fluid around the body."""
 
     density: KilogramsPerCubicMeter = Field(1000.0, gt=0, description="Density [kg/m^3]")
-    drag: Plain = Field(_known(1.0, "-"), description="Factor on the published drag coefficients")
+    drag: Plain = Field(known(1.0, "-"), description="Factor on the published drag coefficients")
     thrust: Plain = Field(
-        _known(1.0, "-"), description="Factor on the published thrust coefficients"
+        known(1.0, "-"), description="Factor on the published thrust coefficients"
     )
     added_mass: Plain = Field(
-        _known(1.0, "-"), description="Inertia of the fluid, as a share of what the body displaces"
+        known(1.0, "-"), description="Inertia of the fluid, as a share of what the body displaces"
     )
     current: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="Velocity of the fluid [m/s]"
@@ -228,10 +224,10 @@ class Start(Part):
         (0.0, 0.0, 1.0), description="For held: direction of `offset` and `speed`"
     )
     offset: Length = Field(
-        _known(0.0, "m"), description="For held: how far from the unstrained place [m]"
+        known(0.0, "m"), description="For held: how far from the unstrained place [m]"
     )
     speed: Speed = Field(
-        _known(0.0, "m/s"), description="For held: speed with which they are let go [m/s]"
+        known(0.0, "m/s"), description="For held: speed with which they are let go [m/s]"
     )
     at: Seconds | None = Field(
         None, description="Time on the run's clock; default: its first sample [s]"
@@ -244,7 +240,7 @@ class Start(Part):
     )
 
     @model_validator(mode="after")
-    def _held_somewhere(self) -> Start:
+    def _check_held_somewhere(self) -> Start:
         if (self.shape == "held") != (self.where is not None):
             raise ValueError("shape: held needs where, the nodes that are held; others have none")
         return self
@@ -273,12 +269,6 @@ class Numerics(Part):
     )
 
 
-def quantities_of(part: Part, prefix: str = "") -> dict[str, Any]:
-    """Quantities among a part's keys, by prefix and key."""
-    found = {key: getattr(part, key) for key in type(part).model_fields}
-    return {f"{prefix}{key}": q for key, q in found.items() if isinstance(q, Quantity)}
-
-
 __all__ = [
     "Chamber",
     "Clamp",
@@ -296,5 +286,4 @@ __all__ = [
     "Vibration",
     "Wall",
     "Water",
-    "quantities_of",
 ]

@@ -78,9 +78,9 @@ class LinePoints:
         # int64 where there are no lines, too: nothing may move
         rows = [k for k, n in enumerate(lines) for _ in n.points]
         self._line_of = torch.tensor(rows, dtype=torch.int64)
-        self._offset = _row([o for n in lines for o in n.stencil.offsets])[:, None, None]
+        self._offset = _make_row([o for n in lines for o in n.stencil.offsets])[:, None, None]
         self._weight = torch.zeros(len(lines), len(self.scenes), dtype=torch.float64)
-        weights = _row([w for n in lines for w in n.stencil.weights])
+        weights = _make_row([w for n in lines for w in n.stencil.weights])
         self._weight[self._line_of, torch.arange(len(weights))] = weights
 
     def at(self, x: Tensor, tangent: Tensor) -> Tensor:
@@ -116,5 +116,5 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
     return same and a.water is b.water
 
 
-def _row(values: Sequence[float]) -> Tensor:
+def _make_row(values: Sequence[float]) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)

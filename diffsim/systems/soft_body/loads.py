@@ -70,10 +70,10 @@ def stop_of(where: Region, direction: Sequence[float], gap_m: float) -> Apply:
         direction: In which it stops them, (3,).
         gap_m: How far they move freely [m].
     """
-    return partial(_stop, where=where, direction=tuple(direction), gap_m=gap_m)
+    return partial(_stop_node, where=where, direction=tuple(direction), gap_m=gap_m)
 
 
-def _stop(
+def _stop_node(
     scene: SoftScene,
     size: Tensor,
     run: Run,
@@ -109,10 +109,10 @@ def shaking_of(frequency_hz: float, axes: str) -> Apply:
         frequency_hz: Its frequency [Hz].
         axes: Along which axes it shakes.
     """
-    return partial(_shake, frequency_hz=frequency_hz, axes=axes)
+    return partial(_shake_body, frequency_hz=frequency_hz, axes=axes)
 
 
-def _shake(
+def _shake_body(
     scene: SoftScene, size: Tensor, run: Run, *, frequency_hz: float, axes: str
 ) -> SoftScene:
     return scene.with_hook(lambda: _Shaking(size, frequency_hz, axes))

@@ -29,7 +29,7 @@ def lose_in_motion(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     the stiffness is E at rest and E (1 + size (2 / pi) ln(...)) in fast motion. Memory is kept in
     world axes, so rotations of the body must stay small (a bending bar, not a tumbling one).
     """
-    return _relax(scene, _BRANCH_HZ, _STRENGTH * size[0])
+    return _relax_branches(scene, _BRANCH_HZ, _STRENGTH * size[0])
 
 
 def creep(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -38,10 +38,10 @@ def creep(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     Slow Maxwell branches, one per decade, of strength size: slower than any swing, so that no
     damping comes with them. The stiffness is E for loads that last, E (1 + 3 size) in motion.
     """
-    return _relax(scene, _CREEP_HZ, size[0])
+    return _relax_branches(scene, _CREEP_HZ, size[0])
 
 
-def _relax(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
+def _relax_branches(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
     """Maxwell branches of equal strength beside the solid."""
     # the branches' instantaneous part is stiffness, which the implicit step takes
     young = scene.parameter("youngs_modulus")

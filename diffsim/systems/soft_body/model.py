@@ -61,14 +61,14 @@ class SoftModel(SimModel):
         if any(isinstance(e, NumericalEffect) for e in acting):
             return None
         plain = _PlainScenes(self, run, numerics)
-        base = _owned(plain, at, acting)
+        base = _build_owned_scene(plain, at, acting)
         if base is None:
             return None
         physical = [n for n in lines if not isinstance(n.effect, NumericalEffect)]
         scene_lines = []
         for line in physical:
             present = acting if line.effect is None else acting | {line.effect}
-            points = [_owned(plain, p, present) for p in line.points]
+            points = [_build_owned_scene(plain, p, present) for p in line.points]
             scenes = tuple(p for p in points if p is not None)
             if len(scenes) < len(points):
                 return None
@@ -128,7 +128,9 @@ class _PlainScenes:
         return self._made[key]
 
 
-def _owned(plain: _PlainScenes, at: ModelPoint, present: set[Effect]) -> OwnedScene | None:
+def _build_owned_scene(
+    plain: _PlainScenes, at: ModelPoint, present: set[Effect]
+) -> OwnedScene | None:
     """The scene at a point with some of its effects; None where it is no soft scene."""
     scene = plain(at.q)
     if not isinstance(scene, SoftScene):

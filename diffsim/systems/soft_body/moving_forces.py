@@ -52,14 +52,14 @@ def _at_once(hooks: Sequence[tuple[int, SoftScene, Force]]) -> _Together | None:
     return None if one is None else _Together.of(scene, one, {p: _ONE for p, _, _ in hooks})
 
 
-def _multiples(
+def _group_multiples(
     hooks: Sequence[tuple[int, SoftScene, Force]],
 ) -> list[tuple[SoftScene, Force, dict[int, Tensor]]]:
     """Hooks of one maker at points, in groups: the first of each, and factors by point."""
     groups: list[tuple[SoftScene, Force, dict[int, Tensor]]] = []
     for p, scene, hook in hooks:
         for first, same, points in groups:
-            factor = _factor(first, same, scene, hook)
+            factor = _find_factor(first, same, scene, hook)
             if factor is not None:
                 points[p] = factor
                 break
@@ -68,7 +68,7 @@ def _multiples(
     return groups
 
 
-def _factor(one: SoftScene, hook: Force, two: SoftScene, other: Force) -> Tensor | None:
+def _find_factor(one: SoftScene, hook: Force, two: SoftScene, other: Force) -> Tensor | None:
     """How many times as large another hook is in its scene; None: it has to be evaluated."""
     if not hook.leading_axes or not same_surroundings(one, two, ()):
         return None
@@ -88,7 +88,7 @@ class MovingForces:
         makers = base.makers()
         hooks = {key: make() for key, make in makers.items()}
         self._hooks = list(hooks.values())
-        shared = {key: self._sharing(key, hook) for key, hook in hooks.items()}
+        shared = {key: self._find_sharing(key, hook) for key, hook in hooks.items()}
         self._together = [_Together.of(self._scene, makers[k](), p) for k, p in shared.items() if p]
         left: dict[Key, list[tuple[int, SoftScene, Force]]] = {}
         for p, owned in enumerate(self._points.scenes):
@@ -100,7 +100,7 @@ class MovingForces:
             if (at_once := _at_once(hooks_left)) is not None:
                 self._together.append(at_once)
                 continue
-            for scene, hook, points in _multiples(hooks_left):
+            for scene, hook, points in _group_multiples(hooks_left):
                 if len(points) > 1:
                     self._together.append(_Together.of(scene, hook, points))
                 else:
@@ -113,7 +113,7 @@ class MovingForces:
         self._before: list[Tensor] = []
         self._before_rates: list[Tensor] = []
 
-    def _sharing(self, key: Key, hook: Force) -> dict[int, Tensor]:
+    def _find_sharing(self, key: Key, hook: Force) -> dict[int, Tensor]:
         """The points at which a hook of the scene is what it is there, or a multiple of that: its
         factor, by point."""
         if not hook.leading_axes:
@@ -127,14 +127,14 @@ class MovingForces:
             ):
                 shared[p] = _ONE
             elif (make := owned.makers().get(key)) is not None:
-                factor = _factor(self._scene, hook, owned.scene, make())
+                factor = _find_factor(self._scene, hook, owned.scene, make())
                 if factor is not None:
                     shared[p] = factor
         return shared
 
     def total(self, k: int, state: soft.State) -> Tensor:
         """Nodal forces in step k, extrapolated as :class:`SoftScene` does [N]."""
-        return self._ahead(self._before, self._scene.force_at(k, state, self._hooks))
+        return self._extrapolate(self._before, self._scene.force_at(k, state, self._hooks))
 
     def rates(self, k: int, state: soft.State, tangent: soft.State) -> Tensor:
         """Their derivatives (K, V, 3)."""
@@ -150,9 +150,9 @@ class MovingForces:
             total.index_add_(0, idx, factor * force)
         for p, scene, hook in self._alone:
             total[p].add_(hook(scene, Moment(x[p], v[p], scene.time_of(k), dt)))
-        return self._ahead(self._before_rates, self._points.slopes(total))
+        return self._extrapolate(self._before_rates, self._points.slopes(total))
 
-    def _ahead(self, before: list[Tensor], now: Tensor) -> Tensor:
+    def _extrapolate(self, before: list[Tensor], now: Tensor) -> Tensor:
         past = before.pop() if before else now
         before.append(now)
         return now + self._scene.ahead * (now - past)

@@ -22,17 +22,17 @@ NEAR = 1e-4  # of the body's largest extent: how far nodes may be off a plane
 INSIDE = 1e-6  # of an element: how far a point may be outside of it
 
 
-def _vector(given: Any) -> Any:
+def _read_vector(given: Any) -> Any:
     if isinstance(given, (list, tuple)):
         return tuple(in_unit(v, "m") for v in given)
     return given
 
 
 #: A place or a shift: three numbers in meters, or texts with a unit.
-Point = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
+Point = Annotated[tuple[float, float, float], BeforeValidator(_read_vector)]
 
 
-def _bound(given: Any) -> Any:
+def _parse_bound(given: Any) -> Any:
     if given is None:
         return None
     if not isinstance(given, (list, tuple)):
@@ -43,7 +43,7 @@ def _bound(given: Any) -> Any:
 
 
 #: A coordinate: one number for a plane, [low, high] for a range, each may be ~ (open).
-Bound = Annotated[float | tuple[float | None, float | None] | None, BeforeValidator(_bound)]
+Bound = Annotated[float | tuple[float | None, float | None] | None, BeforeValidator(_parse_bound)]
 
 
 class Region(Part):
@@ -60,14 +60,14 @@ class Region(Part):
         Raises:
             ValueError: there is none.
         """
-        inside = torch.from_numpy(self._holds(mesh.x_rest.numpy(), mesh))
+        inside = torch.from_numpy(self._mark_inside(mesh.x_rest.numpy(), mesh))
         if self.surface:
             outer = torch.zeros_like(inside)
             outer[surface_vertices(mesh)] = True
             inside = inside & outer
         found = torch.nonzero(inside)[:, 0]
         if not len(found):
-            raise ValueError(f"no node of the body lies there; {_extent(mesh)}")
+            raise ValueError(f"no node of the body lies there; {_say_extent(mesh)}")
         return found
 
     def elements(self, mesh: AnyMesh) -> Tensor:
@@ -77,15 +77,15 @@ class Region(Part):
             ValueError: there is none.
         """
         center = mesh.x_rest[mesh.elements].mean(1).numpy()
-        found = torch.nonzero(torch.from_numpy(self._holds(center, mesh)))[:, 0]
+        found = torch.nonzero(torch.from_numpy(self._mark_inside(center, mesh)))[:, 0]
         if not len(found):
             raise ValueError(
-                f"no cell of the body has its center there; {_extent(mesh)}, cells are about "
-                f"{_cell(mesh):.3g} m long"
+                f"no cell of the body has its center there; {_say_extent(mesh)}, cells are about "
+                f"{_measure_cell(mesh):.3g} m long"
             )
         return found
 
-    def _holds(self, points: Array, mesh: AnyMesh) -> NDArray[np.bool_]:
+    def _mark_inside(self, points: Array, mesh: AnyMesh) -> NDArray[np.bool_]:
         tolerance = NEAR * float((mesh.x_rest.amax(0) - mesh.x_rest.amin(0)).max())
         inside = np.ones(len(points), dtype=bool)
         for axis, bound in enumerate((self.x, self.y, self.z)):
@@ -111,22 +111,22 @@ def point_weights(mesh: AnyMesh, point: Array) -> tuple[NDArray[np.int64], Array
     """
     cells = mesh.elements.numpy()
     x = mesh.x_rest.numpy()[cells]
-    margin = 1e-3 * _cell(mesh)
+    margin = 1e-3 * _measure_cell(mesh)
     near = ((x.min(1) - margin <= point) & (point <= x.max(1) + margin)).all(1)
     best, where, weights = -np.inf, 0, np.zeros(0)
     for e in np.flatnonzero(near):
-        found, depth = _local(x[e], point)
+        found, depth = _find_in_element(x[e], point)
         if depth > best:
             best, where, weights = depth, int(e), found
     if best < -INSIDE:
         raise ValueError(
             f"({', '.join(f'{c:.4g}' for c in point)}) m lies outside of the body; "
-            f"{_extent(mesh)}. A marker on a stub needs carried_by, the region that holds it"
+            f"{_say_extent(mesh)}. A marker on a stub needs carried_by, the region that holds it"
         )
     return cells[where], weights
 
 
-def _local(x: Array, point: Array) -> tuple[Array, float]:
+def _find_in_element(x: Array, point: Array) -> tuple[Array, float]:
     """Weights of one element's nodes and how deep inside the point is (below 0: outside)."""
     if len(x) == 4:
         weights = np.linalg.solve(np.vstack([x.T, np.ones(4)]), np.append(point, 1.0))
@@ -166,12 +166,12 @@ def spread_evenly(volume: Tensor, nodes: Tensor) -> Tensor:
     return out
 
 
-def _extent(mesh: AnyMesh) -> str:
+def _say_extent(mesh: AnyMesh) -> str:
     low, high = mesh.x_rest.amin(0).tolist(), mesh.x_rest.amax(0).tolist()
     spans = (f"{n} {a:.4g} to {b:.4g}" for n, a, b in zip("xyz", low, high, strict=True))
     return f"it spans {', '.join(spans)} m"
 
 
-def _cell(mesh: AnyMesh) -> float:
+def _measure_cell(mesh: AnyMesh) -> float:
     x = mesh.x_rest[mesh.elements]
     return float((x.amax(1) - x.amin(1)).mean())

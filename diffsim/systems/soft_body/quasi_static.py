@@ -38,31 +38,31 @@ class PosedScene(SoftScene):
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        return self.by_clock(self._observed_at)
+        return self.by_clock(self._observe_at)
 
-    def _observed_at(self, times: Tensor) -> Tensor:
+    def _observe_at(self, times: Tensor) -> Tensor:
         """What is observed in equilibrium at times (num_samples,) [s], (num_samples, width)."""
         if self.command is None:
-            still = self._poses(torch.zeros(1, 0, dtype=torch.float64))
+            still = self._observe_poses(torch.zeros(1, 0, dtype=torch.float64))
             return still.expand(len(times), -1)
         wanted = straight(self.changed_command(), self.command_dt, times)
         if self.pose_commands is None:
-            return self._poses(wanted)
+            return self._observe_poses(wanted)
         knots = self.pose_commands
-        places = self._poses(knots[:, None])
+        places = self._observe_poses(knots[:, None])
         spacing = float(knots[1] - knots[0])
         return curved(places, spacing, wanted[:, 0] - float(knots[0]))
 
-    def _poses(self, commands: Tensor) -> Tensor:
+    def _observe_poses(self, commands: Tensor) -> Tensor:
         """What is observed in equilibrium under each row of commands, (num_rows, width)."""
         drives = self.actuate(commands) if self.actuate is not None else commands
         pressures = None if self.pressurize is None else self.pressurize(commands)
-        key = self._key([drives, *([] if pressures is None else [pressures])])
+        key = self._make_key([drives, *([] if pressures is None else [pressures])])
         if key is None:
-            return self._computed(commands, drives, pressures)
-        return self.kept(key, lambda: self._computed(commands, drives, pressures))
+            return self._solve_poses(commands, drives, pressures)
+        return self.kept(key, lambda: self._solve_poses(commands, drives, pressures))
 
-    def _computed(self, commands: Tensor, drives: Tensor, pressures: Tensor | None) -> Tensor:
+    def _solve_poses(self, commands: Tensor, drives: Tensor, pressures: Tensor | None) -> Tensor:
         physics = self.body.physics(**self.parameters)
         order = commands.detach().norm(dim=-1).argsort().tolist()
         found: dict[int, Tensor] = {}
@@ -74,7 +74,7 @@ class PosedScene(SoftScene):
             guess, found[k] = state.x.detach(), self.observe(state.x)
         return torch.stack([found[k] for k in range(len(order))])
 
-    def _key(self, drives: list[Tensor]) -> Key | None:
+    def _make_key(self, drives: list[Tensor]) -> Key | None:
         """All that poses depend on; None where it is not known, or gradients are wanted."""
         if any(make is not HungWeight for make in self.forces) or self.water is not None:
             return None
@@ -101,10 +101,10 @@ def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int)
     """
     if not fitted[1] > fitted[0]:
         return None
-    first, last = _with_margin(fitted)
+    first, last = _add_margin(fitted)
     knots = torch.linspace(first, last, num_poses, dtype=torch.float64)
     spacing = float(knots[1] - knots[0])
-    low, high = _with_margin((min(now[0], fitted[0]), max(now[1], fitted[1])))
+    low, high = _add_margin((min(now[0], fitted[0]), max(now[1], fitted[1])))
     counts = [math.ceil(far / spacing - ROUNDING) for far in (first - low, high - last)]
     below, above = (
         torch.arange(1, min(max(n, 0), MOST_ADDED * num_poses) + 1, dtype=torch.float64)
@@ -113,7 +113,7 @@ def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int)
     return torch.cat([knots[0] - spacing * below.flip(0), knots, knots[-1] + spacing * above])
 
 
-def _with_margin(reach: Sequence[float]) -> tuple[float, float]:
+def _add_margin(reach: Sequence[float]) -> tuple[float, float]:
     """Ends a little beyond, as effects push commands there; what only pulls ends at zero."""
     margin = POSE_MARGIN * (reach[1] - reach[0])
     return (reach[0] - margin if reach[0] < 0.0 else 0.0), reach[1] + margin

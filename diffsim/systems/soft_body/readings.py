@@ -38,15 +38,15 @@ AXES: dict[str, tuple[float, float, float]] = {
 }
 
 
-def _names(given: Any) -> Any:
+def _read_names(given: Any) -> Any:
     return (given,) if isinstance(given, str) else given
 
 
-def _place(given: Any) -> Any:
+def _read_place(given: Any) -> Any:
     return {"at": given} if isinstance(given, (list, tuple)) else given
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_names)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_read_names)]
 
 
 class Marker(Part):
@@ -59,7 +59,7 @@ class Marker(Part):
 
 
 #: A marker, or its place alone.
-MarkerPlace = Annotated[Marker, BeforeValidator(_place)]
+MarkerPlace = Annotated[Marker, BeforeValidator(_read_place)]
 
 
 class Reading(Part):
@@ -80,12 +80,12 @@ class Reading(Part):
 
     @field_validator("zero", mode="before")
     @classmethod
-    def _in_its_unit(cls, given: Any, info: ValidationInfo) -> Any:
+    def _check_unit(cls, given: Any, info: ValidationInfo) -> Any:
         unit = "m" if info.data.get("about") is None else "rad"
         return TypeAdapter(quantity(unit)).validate_python(given)
 
     @model_validator(mode="after")
-    def _one_motion(self) -> Reading:
+    def _check_one_motion(self) -> Reading:
         if (self.axis is None) == (self.about is None):
             raise ValueError("give axis, the direction of a displacement, or about, of a rotation")
         return self
@@ -186,7 +186,7 @@ def look_of(
     nodes = np.flatnonzero((dense != 0.0).any(0))
     weights = dense[:, nodes]
     at_rest = weights @ mesh.x_rest.numpy()[nodes]
-    rows = [_row(reading, index, at_rest) for _, reading in readings]
+    rows = [_make_row(reading, index, at_rest) for _, reading in readings]
     return Look(
         tuple(used),
         torch.from_numpy(nodes),
@@ -197,7 +197,7 @@ def look_of(
     )
 
 
-def _row(reading: Reading, index: Mapping[str, int], places: Array) -> Array:
+def _make_row(reading: Reading, index: Mapping[str, int], places: Array) -> Array:
     """(3 num_markers,) of one channel."""
     row = np.zeros_like(places)
     if reading.about is not None:

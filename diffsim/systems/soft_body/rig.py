@@ -67,46 +67,46 @@ class Rig:
         with within("body"):
             self.mesh = given.body.mesh(coarser, folder)
         self.volume = meshes.nodal_volume(self.mesh)
-        self.fixed = self._fixed()
-        self.region_cells = self._regions(folder)
-        self.tendons = [self._tendon(i) for i in range(len(given.tendons))]
-        self._chambers = self._cavities()
-        self._muscles = [*(t.muscle for t in self.tendons), *self._fibers()]
-        self.body = self._body(self.fixed)
+        self.fixed = self._find_fixed()
+        self.region_cells = self._find_regions(folder)
+        self.tendons = [self._make_tendon(i) for i in range(len(given.tendons))]
+        self._chambers = self._make_cavities()
+        self._muscles = [*(t.muscle for t in self.tendons), *self._make_fibers()]
+        self.body = self._build_body(self.fixed)
         self.load_shares = [
-            spread_evenly(self.volume, self._nodes(f"masses[{i}].where", m.where))
+            spread_evenly(self.volume, self._find_nodes(f"masses[{i}].where", m.where))
             for i, m in enumerate(given.masses)
         ]
         self.sliding = None
         if given.sliding is not None:
-            self.sliding = spread_evenly(self.volume, self._nodes("sliding", given.sliding))
+            self.sliding = spread_evenly(self.volume, self._find_nodes("sliding", given.sliding))
         for i, stop in enumerate(given.stops):
-            self._nodes(f"stops[{i}].where", stop.where)
+            self._find_nodes(f"stops[{i}].where", stop.where)
         readings = [(name, given.channels[name]) for name in channels]
         self.look = look_of(self.mesh, given.markers, readings)
         self.observe = self.look.places
         self.places = self.look.shares(self.mesh.num_nodes)
         self._seen = {main_axis(r) for _, r in readings if r.axis is not None} or {0, 1, 2}
-        self._hold()
+        self._prepare_holder()
         self._water = lru_cache(maxsize=64)(self._new_water)
         self.poses: Memo[Tensor] = Memo(MOST_KEPT)
         self._held_shapes: Memo[Tensor] = Memo(MOST_HELD)
 
-    def _nodes(self, key: str, region: Any) -> Tensor:
+    def _find_nodes(self, key: str, region: Any) -> Tensor:
         with within(key):
             found: Tensor = region.nodes(self.mesh)
         return found
 
-    def _fixed(self) -> Tensor:
+    def _find_fixed(self) -> Tensor:
         """(num_nodes, 3) bool."""
         held = torch.zeros(self.mesh.num_nodes, 3, dtype=torch.bool)
         for i, clamp in enumerate(self.given.fixed):
-            nodes = self._nodes(f"fixed[{i}]", clamp)
+            nodes = self._find_nodes(f"fixed[{i}]", clamp)
             for axis in clamp.axes:
                 held[nodes, "xyz".index(axis)] = True
         return held
 
-    def _regions(self, folder: Path | None) -> list[Tensor]:
+    def _find_regions(self, folder: Path | None) -> list[Tensor]:
         """Cells of each region of material; the mesh file is read again for its groups, once."""
         found = []
         groups = None
@@ -124,7 +124,7 @@ class Rig:
                 found.append(cells)
         return found
 
-    def _tendon(self, i: int) -> soft.Tendon:
+    def _make_tendon(self, i: int) -> soft.Tendon:
         cable = self.given.tendons[i]
         stiffness = SOFT_CABLE_N if cable.axial_stiffness is None else cable.axial_stiffness.value
         with within(f"tendons[{i}].path"):
@@ -132,22 +132,22 @@ class Rig:
                 self.mesh, list(cable.path), axial_stiffness=stiffness, slack=not cable.pushes
             )
 
-    def _cavities(self) -> list[soft.PressureChamber]:
+    def _make_cavities(self) -> list[soft.PressureChamber]:
         made = []
         for i, chamber in enumerate(self.given.chambers):
             with within(f"chambers[{i}].cavity"):
                 made.append(soft.PressureChamber.from_cavity(self.mesh, chamber.cavity))
         return made
 
-    def _fibers(self) -> list[soft.Muscle]:
+    def _make_fibers(self) -> list[soft.Muscle]:
         made = []
         for i, muscle in enumerate(self.given.muscles):
             with within(f"muscles[{i}].where"):
                 cells = muscle.where.elements(self.mesh)
-            made.append(_fiber(cells, muscle))
+            made.append(_make_fiber(cells, muscle))
         return made
 
-    def _body(self, fixed: Tensor, **changes: Any) -> soft.SoftBody:
+    def _build_body(self, fixed: Tensor, **changes: Any) -> soft.SoftBody:
         material = self.given.material
         none = torch.zeros_like(self.volume)
         options: dict[str, Any] = {
@@ -168,16 +168,16 @@ class Rig:
         }
         return soft.SoftBody(self.mesh, **(options | changes))
 
-    def _hold(self) -> None:
+    def _prepare_holder(self) -> None:
         """What is needed of bodies that are held until they start."""
         start = self.given.start
         if start.where is None:
             return
-        nodes = self._nodes("start.where", start.where)
+        nodes = self._find_nodes("start.where", start.where)
         held = self.fixed.clone()
         for axis in start.axes:
             held[nodes, "xyz".index(axis)] = True
-        self.holder = self._body(held)
+        self.holder = self._build_body(held)
         direction = torch.tensor(start.direction, dtype=torch.float64)
         self.shift = torch.zeros_like(self.mesh.x_rest)
         self.shift[nodes] = direction / direction.norm()
@@ -197,11 +197,11 @@ class Rig:
         if activation is not None:
             inputs.append(activation)
         if any(v.requires_grad for v in inputs):
-            return self._shape_held(parameters, offset, activation)
+            return self._solve_held(parameters, offset, activation)
         key = tuple(float(v) for one in inputs for v in one.flatten())
-        return self._held_shapes(key, lambda: self._shape_held(parameters, offset, activation))
+        return self._held_shapes(key, lambda: self._solve_held(parameters, offset, activation))
 
-    def _shape_held(
+    def _solve_held(
         self, parameters: Mapping[str, Tensor], offset: Tensor, activation: Tensor | None
     ) -> Tensor:
         return self.holder.static_equilibrium(
@@ -213,13 +213,13 @@ class Rig:
     def water(self, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
         """The fluid, one object for one pair of factors: tangents know equal surroundings by it."""
         if drag.requires_grad or thrust.requires_grad:
-            return self._around(drag, thrust)
+            return self._make_water(drag, thrust)
         return self._water(float(drag), float(thrust))
 
     def _new_water(self, drag: float, thrust: float) -> soft.Hydrodynamics:
-        return self._around(torch.tensor(drag).double(), torch.tensor(thrust).double())
+        return self._make_water(torch.tensor(drag).double(), torch.tensor(thrust).double())
 
-    def _around(self, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
+    def _make_water(self, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
         """Published coefficients times factors; no water on planes of symmetry."""
         assert self.given.water is not None
         around = soft.Hydrodynamics(
@@ -244,7 +244,7 @@ class Rig:
 
         Scaled so that it is a property of the mesh: force [1], Young's modulus [1].
         """
-        bare = self._body(
+        bare = self._build_body(
             self.fixed, muscles=(), chambers=(), gravity=(0.0, 0.0, 0.0),
             solver=soft.SolverOptions(rtol=1e-5),
         )  # fmt: skip
@@ -276,7 +276,7 @@ class Rig:
         return {"youngs_modulus": field}
 
 
-def _fiber(cells: Tensor, muscle: DescribedMuscle) -> soft.Muscle:
+def _make_fiber(cells: Tensor, muscle: DescribedMuscle) -> soft.Muscle:
     return soft.Muscle(elements=cells, direction=muscle.direction, stiffness=muscle.stiffness.value)
 
 

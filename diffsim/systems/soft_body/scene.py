@@ -244,7 +244,9 @@ class SoftScene:
 
     def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> SoftScene:
         """A copy in which some channels are f(channels (width, num_samples), grid)."""
-        return self.changed(output_maps=(*self.output_maps, partial(_read, channels, change)))
+        return self.changed(
+            output_maps=(*self.output_maps, partial(_change_channels, channels, change))
+        )
 
     @property
     def play_start(self) -> None:
@@ -290,7 +292,7 @@ class SoftScene:
             self.body,
             self.initial_state(None if activations is None else activations[0], physics),
             num_steps,
-            external_force=self._external_force(),
+            external_force=self._make_external_force(),
             activation=None if activations is None else lambda k, state: activations[k],
             pressure=None if pressures is None else lambda k, state: pressures[k],
             obstacles=list(self.obstacles) or None,
@@ -301,7 +303,8 @@ class SoftScene:
     def num_steps(self) -> int:
         """Steps that the record needs."""
         last = max(
-            float(self._times(d).detach().max()) for d in (None, *delays_of(self.late).values())
+            float(self._compute_times(d).detach().max())
+            for d in (None, *delays_of(self.late).values())
         )
         # two more than asked for: the interpolation looks that far ahead
         return max(5, math.ceil(last / self.body.dt - 1e-9) + 2)
@@ -316,11 +319,11 @@ class SoftScene:
         Args:
             observed_at: What is observed at times (num_samples,) [s], since the start.
         """
-        out = self.shown(observed_at(self._times()))
+        out = self.shown(observed_at(self._compute_times()))
         for channels, delay in delays_of(self.late).items():
             own = torch.zeros(out.shape[-1], dtype=torch.bool)
             own[list(channels)] = True
-            out = torch.where(own, self.shown(observed_at(self._times(delay))), out)
+            out = torch.where(own, self.shown(observed_at(self._compute_times(delay))), out)
         return out
 
     def shown(self, observed: Tensor) -> Tensor:
@@ -329,7 +332,7 @@ class SoftScene:
             observed = change(observed, self.sample_times)
         return observed
 
-    def _times(self, delay: Tensor | None = None) -> Tensor:
+    def _compute_times(self, delay: Tensor | None = None) -> Tensor:
         """Times that are shown, since the start [s]."""
         since = self.sample_times - self.clock_offset
         return (since if delay is None else since - delay) * self.time_scale
@@ -338,11 +341,13 @@ class SoftScene:
         """State in which the body starts, under the first activation."""
         state = self.body.rest_state()
         if self.start == "equilibrium":
-            state = self._equilibrium(activation, physics)
+            state = self._find_first_equilibrium(activation, physics)
         x = state.x if self.start_position is None else self.start_position
         return soft.State(x, state.v if self.start_velocity is None else self.start_velocity)
 
-    def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+    def _find_first_equilibrium(
+        self, activation: Tensor | None, physics: soft.Physics
+    ) -> soft.State:
         """At rest under the first command and all hooks' forces."""
         pressures = self.pressures(1)
         pressure = None if pressures is None else pressures[0]
@@ -426,7 +431,7 @@ class SoftScene:
         """What explicit forces are extrapolated to, in steps ahead of the step's start."""
         return _AHEAD[self.body.integrator]
 
-    def _external_force(self) -> Callable[[int, soft.State], Tensor] | None:
+    def _make_external_force(self) -> Callable[[int, soft.State], Tensor] | None:
         """All hooks' forces, extrapolated; remembers, so it serves one rollout."""
         if not self.forces and self.water is None:
             return None
@@ -455,7 +460,9 @@ class SoftScene:
         return sum(found[1:], found[0]) if found else torch.zeros_like(state.x)
 
 
-def _read(channels: tuple[int, ...], change: SignalMap, y: Tensor, times: Tensor) -> Tensor:
+def _change_channels(
+    channels: tuple[int, ...], change: SignalMap, y: Tensor, times: Tensor
+) -> Tensor:
     """Channels (num_samples, num_channels) of which some are changed."""
     grid = Grid(times, torch.arange(len(times)), times.detach().numpy())
     return _change_rows(y.mT, channels, change, grid).mT

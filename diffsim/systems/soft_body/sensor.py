@@ -40,11 +40,11 @@ def _change_points(scene: SoftScene, effect: str, change: Callable[[Tensor], Ten
     rest = scene.rest_places
     if rest is None:
         _require_triples(scene, effect)
-        return scene.with_reading((), lambda y, grid: change(_as_triples(y.mT)).flatten(1).mT)
-    return scene.with_places(lambda y, t: rest + change(_as_triples(y - rest)).reshape(y.shape))
+        return scene.with_reading((), lambda y, grid: change(_split_triples(y.mT)).flatten(1).mT)
+    return scene.with_places(lambda y, t: rest + change(_split_triples(y - rest)).reshape(y.shape))
 
 
-def _as_triples(y: Tensor) -> Tensor:
+def _split_triples(y: Tensor) -> Tensor:
     return y.reshape(len(y), -1, 3)
 
 

@@ -48,7 +48,7 @@ class Bar(Part):
     )
 
     @model_validator(mode="after")
-    def _one_shape(self) -> Bar:
+    def _check_one_shape(self) -> Bar:
         if (self.size is None) == (not self.sections):
             raise ValueError("give either size or sections")
         if len(self.sections) == 1:
@@ -62,7 +62,7 @@ class Bar(Part):
         nx, ny, nz = (max(1, round(n / coarser)) for n in self.cells)
         grid = meshes.hex_box((nx, ny, nz))
         u = grid.x_rest.numpy()
-        at, y, z = self._stations()
+        at, y, z = self._list_stations()
         x = at[0] + u[:, 0] * (at[-1] - at[0])
         low, high = (np.stack([np.interp(x, at, e[:, i]) for e in (y, z)], 1) for i in (0, 1))
         across = low + u[:, 1:] * (high - low)
@@ -74,7 +74,7 @@ class Bar(Part):
         points = torch.from_numpy(np.column_stack([x, across]))
         return HexMesh(points, grid.hexes)
 
-    def _stations(self) -> tuple[Array, Array, Array]:
+    def _list_stations(self) -> tuple[Array, Array, Array]:
         if self.size is not None:
             low, size = np.array(self.corner), np.array(self.size)
             ends = np.stack([low, low + size], 1)
@@ -135,14 +135,14 @@ class MeshFile(Part):
 
     def mesh(self, coarser: float, folder: Path | None) -> HexMesh | TetMesh:
         """The body, a filled surface with cells ``coarser`` times as long."""
-        path, scale = self._at(folder)
+        path, scale = self._find_file(folder)
         if self.is_volume:
-            return self._kept(meshes.load(path, scale))
+            return self._keep_elements(meshes.load(path, scale))
         if self.spacing is None:
             raise ValueError(f"{self.path} is a surface; give the length of the cells, spacing")
         surface, spacing = meshes.load_surface(path, scale), self.spacing * coarser
         fill = meshes.voxelize if self.cells == "cubes" else meshes.tetrahedralize
-        return self._kept(fill(surface, spacing))
+        return self._keep_elements(fill(surface, spacing))
 
     def regions(self, folder: Path | None) -> RegionMesh:
         """The file's regions of material, of the cells that are kept.
@@ -155,24 +155,24 @@ class MeshFile(Part):
                 f"{self.path} is a surface, which has no regions of material; give where, or a "
                 f"mesh of cells ({', '.join(VOLUMES)})"
             )
-        path, scale = self._at(folder)
+        path, scale = self._find_file(folder)
         found = meshes.load_regions(path, scale, key=self.groups)
         if self.keep is None:
             return found
         cells = self.keep.elements(found.mesh)
         data = {name: values[cells] for name, values in found.element_data.items()}
-        return RegionMesh(self._kept(found.mesh), found.names, found.region[cells], data)
+        return RegionMesh(self._keep_elements(found.mesh), found.names, found.region[cells], data)
 
     @property
     def is_volume(self) -> bool:
         """Whether the file holds cells, not a surface."""
         return Path(self.path).suffix.lower() in VOLUMES
 
-    def _at(self, folder: Path | None) -> tuple[Path, float]:
+    def _find_file(self, folder: Path | None) -> tuple[Path, float]:
         """The file, and meters per unit of its coordinates."""
         return inside(folder or Path(), self.path, "model: path"), factor(self.unit, "m")
 
-    def _kept(self, made: HexMesh | TetMesh) -> HexMesh | TetMesh:
+    def _keep_elements(self, made: HexMesh | TetMesh) -> HexMesh | TetMesh:
         if self.keep is None:
             return made
         chosen = made.elements[self.keep.elements(made)]
@@ -192,7 +192,7 @@ class BodyShape(Part):
     shift: Point = Field((0.0, 0.0, 0.0), description="Moved by, after the rotation [m]")
 
     @model_validator(mode="after")
-    def _one(self) -> BodyShape:
+    def _check_one_form(self) -> BodyShape:
         if sum(s is not None for s in (self.bar, self.rod, self.file)) != 1:
             raise ValueError("give one of bar, rod and file")
         return self

@@ -33,10 +33,10 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
         return None
     if scene.obstacles or scene.pressurize is not None:
         return None
-    alike = [n for n in lines if _alike(scene, n)]
+    alike = [n for n in lines if _are_alike(scene, n)]
     observed, tangents = motion_tangents(base, alike)
     computed = {
-        line: line.difference(partial(_shown, observed, tangent))
+        line: line.difference(partial(_shift_channels, observed, tangent))
         for line, tangent in zip(alike, tangents, strict=True)
     }
     for line in lines:
@@ -47,7 +47,7 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
 
 
-def _shown(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -> Tensor:
+def _shift_channels(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -> Tensor:
     """Channels of a scene a little along a line."""
     return scene.channels(observed + offset * tangent)
 
@@ -61,7 +61,7 @@ def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tenso
     return observed, [still if k is None else tangent[:, k] for k in at]
 
 
-def _alike(scene: SoftScene, line: SceneLine) -> bool:
+def _are_alike(scene: SoftScene, line: SceneLine) -> bool:
     return all(
         type(s) is SoftScene
         and s.body is scene.body
@@ -86,11 +86,11 @@ class _Motion:
         every = [scene, *(p.scene for n in lines for p in n.points)]
         self._num_steps = max(s.num_steps() for s in every)
         self._activations = scene.activations(self._num_steps)
-        rates = [self._activation_rate(n) for n in lines]
-        moving = [k for k, n in enumerate(lines) if rates[k] is not None or _moves(base, n)]
+        rates = [self._find_activation_rate(n) for n in lines]
+        moving = [k for k, n in enumerate(lines) if rates[k] is not None or _find_moves(base, n)]
         self.place = {k: i for i, k in enumerate(moving)}
         self._lines = [lines[k] for k in moving]
-        self._activation_rates = self._stacked([rates[k] for k in moving])
+        self._activation_rates = self._stack_rates([rates[k] for k in moving])
         scenes = [scene, *(p.scene for n in self._lines for p in n.points)]
         forced = any(s.forces or s.water is not None for s in scenes)
         self._forces = MovingForces(base, self._lines) if forced else None
@@ -114,8 +114,8 @@ class _Motion:
         rate_of = _PhysicsRates()
         changing = stack_physics([rate_of(n) for n in self._lines])
         directions = soft.Directions(
-            x=self._start_rates(start, first, changing),
-            v=self._rates_of("start_velocity"),
+            x=self._stack_start_rates(start, first, changing),
+            v=self._stack_rates_of("start_velocity"),
             external_force=None if forces is None else forces.rates,
             activation=None if moved is None else lambda k, state, tangent: moved[:, k],
             physics=changing,
@@ -126,7 +126,7 @@ class _Motion:
         )
         return computed.x, computed.tangent
 
-    def _activation_rate(self, line: SceneLine) -> Tensor | None:
+    def _find_activation_rate(self, line: SceneLine) -> Tensor | None:
         """(num_steps, num_muscles), or None where the commands stay as they are."""
         computed = [p.scene.activations(self._num_steps) for p in line.points]
         given = [a for a in computed if a is not None]
@@ -137,20 +137,20 @@ class _Motion:
         )
         return rate if bool(rate.any()) else None
 
-    def _stacked(self, rates: Sequence[Tensor | None]) -> Tensor | None:
+    def _stack_rates(self, rates: Sequence[Tensor | None]) -> Tensor | None:
         """(K, num_steps, num_muscles)."""
         if self._activations is None or all(r is None for r in rates):
             return None
         none = torch.zeros_like(self._activations)
         return torch.stack([none if r is None else r for r in rates])
 
-    def _rates_of(self, name: str) -> Tensor | None:
+    def _stack_rates_of(self, name: str) -> Tensor | None:
         """(K, V, 3) of a field of the scenes, or None where there is none."""
         if getattr(self._scene, name) is None:
             return None
         return torch.stack([n.difference(lambda o, s: getattr(s, name)) for n in self._lines])
 
-    def _start_rates(
+    def _stack_start_rates(
         self, start: soft.State, first: Tensor | None, changing: soft.Physics
     ) -> Tensor | None:
         """(K, V, 3), or None where the body starts in its rest shape."""
@@ -158,7 +158,7 @@ class _Motion:
         if scene.start == "rest":
             return None
         if scene.start == "given":
-            return self._rates_of("start_position")
+            return self._stack_rates_of("start_position")
         if self._forces is None:
             directions = soft.Directions(
                 activation=None if moved is None else moved[:, 0],
@@ -181,7 +181,7 @@ class _Motion:
         return torch.stack([n.difference(at) for n in self._lines])
 
 
-def _moves(base: OwnedScene, line: SceneLine) -> bool:
+def _find_moves(base: OwnedScene, line: SceneLine) -> bool:
     """Whether a line changes the motion or how it is observed, commands apart."""
     return any(
         not same_surroundings(base.scene, p.scene, None)
@@ -225,15 +225,15 @@ class _Observer:
     def __call__(self, state: soft.State, tangent: soft.State) -> tuple[Tensor, Tensor]:
         x = self._points.at(state.x, tangent.x)
         if self._at_once and not self._checked:
-            self._at_once, self._checked = self._takes_leading_axes(x), True
-        rows = self._observe(x) if self._at_once else self._one_by_one(x)
+            self._at_once, self._checked = self._try_leading_axes(x), True
+        rows = self._observe(x) if self._at_once else self._differentiate_one_by_one(x)
         return self._observe(state.x), self._points.slopes(rows)
 
-    def _one_by_one(self, x: Tensor) -> Tensor:
+    def _differentiate_one_by_one(self, x: Tensor) -> Tensor:
         return torch.stack([f(one) for f, one in zip(self._each, x, strict=True)])
 
-    def _takes_leading_axes(self, x: Tensor) -> bool:
-        expected = self._one_by_one(x + torch.arange(len(x))[:, None, None])
+    def _try_leading_axes(self, x: Tensor) -> bool:
+        expected = self._differentiate_one_by_one(x + torch.arange(len(x))[:, None, None])
         try:
             computed = self._observe(x + torch.arange(len(x))[:, None, None])
         except (IndexError, RuntimeError):

@@ -27,16 +27,16 @@ def simulate_together(scenes: Sequence[Any]) -> list[Tensor]:
     waiting = list(range(len(scenes)))
     while waiting:
         first = scenes[waiting[0]]
-        group = [k for k in waiting if k == waiting[0] or _alike(first, scenes[k])]
+        group = [k for k in waiting if k == waiting[0] or _are_alike(first, scenes[k])]
         if len(group) == 1:
             out[group[0]] = first.simulate()
         else:
-            out |= zip(group, _simulated([scenes[k] for k in group]), strict=True)
+            out |= zip(group, _simulate_group([scenes[k] for k in group]), strict=True)
         waiting = [k for k in waiting if k not in out]
     return [out[k] for k in range(len(scenes))]
 
 
-def _alike(a: Any, b: Any) -> bool:
+def _are_alike(a: Any, b: Any) -> bool:
     """Whether two scenes differ by their commands and by what is read off them alone."""
     if type(a) is not SoftScene or type(b) is not SoftScene or a.body is not b.body:
         return False
@@ -48,7 +48,7 @@ def _alike(a: Any, b: Any) -> bool:
     return settings[0] == settings[1] and not a.relaxed and same_surroundings(a, b, None)
 
 
-def _simulated(scenes: Sequence[SoftScene]) -> list[Tensor]:
+def _simulate_group(scenes: Sequence[SoftScene]) -> list[Tensor]:
     scene = scenes[0]
     num_steps, physics = scene.num_steps(), scene.body.physics(**scene.parameters)
     every = [s.activations(num_steps) for s in scenes]

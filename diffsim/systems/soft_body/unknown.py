@@ -17,7 +17,7 @@ from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 _SHAPES = ("even", "growing")
 
 
-def _push(
+def _push_volume(
     scene: SoftScene,
     size: Tensor,
     run: Run,
@@ -104,6 +104,6 @@ def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
         unit="N/m^3",
         typical=100.0,
         also_looks_like=("anything",),
-        apply=partial(_push, num_knots=num_knots, spacing=spacing, axes=idx),
+        apply=partial(_push_volume, num_knots=num_knots, spacing=spacing, axes=idx),
         components=tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots)),
     )
