@@ -14,8 +14,8 @@ from torch import Tensor
 from diffsim.causes.catalogue import rows
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups, delays_of
 from diffsim.causes.ports import SignalMap
-from diffsim.causes.readings import SENSOR, Instrument, reading_cause, spell_plainly
-from diffsim.causes.row import ANY
+from diffsim.causes.readings import SENSOR, Instrument, reading_cause
+from diffsim.causes.row import ANY, spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Grid, smoothly_delayed
 from diffsim.data.study import Channel, Run

@@ -95,12 +95,6 @@ def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tens
     return ChainMap(middle, values)  # type: ignore[arg-type]  # it is only read
 
 
-def spell_plainly(name: str) -> str:
-    """A name as the names of causes are written: lower case, digits, underscores."""
-    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
-    return kept.strip("_") or "x"
-
-
 def pace(effects: Iterable[Effect], sample_s: float) -> tuple[Effect, ...]:
     """Delays and lags that may be as long as half a sample without surprise.
 
@@ -128,7 +122,6 @@ __all__ = [
     "pace",
     "reading_cause",
     "reading_causes",
-    "spell_plainly",
     "usual_sample",
     "with_play_start",
 ]

@@ -189,4 +189,10 @@ class Row(Part):
         return Effect(apply=apply, **{**stated, **own})
 
 
-__all__ = ["ANY", "Port", "Row"]
+def spell_plainly(name: str) -> str:
+    """A name as the names of causes are written: lower case, digits, underscores."""
+    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
+    return kept.strip("_") or "x"
+
+
+__all__ = ["ANY", "Port", "Row", "spell_plainly"]

@@ -42,8 +42,8 @@ def command(args: argparse.Namespace) -> None:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read, or OUT cannot be written so.
     """
-    from diffsim.data.columns import Table
     from diffsim.data.formats import is_container, parts_of, renamed, split_part, write_columns
+    from diffsim.data.table import Table
 
     file, part = split_part(args.source)
     if args.out is None:

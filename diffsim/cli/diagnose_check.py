@@ -21,7 +21,7 @@ from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
-from diffsim.diagnose.faults.given import given_by
+from diffsim.diagnose.faults.given import take_apart
 from diffsim.systems.registry import description_of, setup_of
 
 MAX_RUNS = 24  # rows of the table
@@ -208,7 +208,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     base, causes = setup.model.base, [e.name for e in setup.effects]
     if study.faults is not None:
         try:
-            given_by(study, setup)
+            take_apart(study, setup)
         except ValueError as error:
             return [Problem("error", "study.yaml", str(error))], ""
     # where a play begins is only fitted beside a play

@@ -8,7 +8,7 @@ from torch import Tensor
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.core.check import require
-from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import custom_op
 from diffsim.core.values import Vector, dot, scalar, vector
 
 # Catmull-Rom cubics of the four neighbors, by rising powers of t: interpolating, C1

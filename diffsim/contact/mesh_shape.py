@@ -8,7 +8,7 @@ from torch import Tensor
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.contact.triangles import feature_distance
-from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import custom_op
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, to_trimesh
 from diffsim.mesh.closed_surface import SurfaceLike
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from diffsim.contact.handles import new_handle
 from diffsim.core.check import require
-from diffsim.core.custom_op import outside_of_graphs
+from diffsim.core.layer import outside_of_graphs
 from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
 from diffsim.mesh import primitive
 from diffsim.mesh.sdf import Sdf

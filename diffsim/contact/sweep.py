@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Shape
-from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import custom_op
 from diffsim.core.values import dot
 
 _NEAR = 1.0 / 32.0

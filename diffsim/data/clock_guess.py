@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
-from diffsim.data.columns import Table
 from diffsim.data.study_check import LATE
+from diffsim.data.table import Table
 from diffsim.data.table_guess import Column, TableLayout
 
 TIME = re.compile(

@@ -17,11 +17,11 @@ import numpy as np
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.clock_guess import TIME
-from diffsim.data.columns import Table
 from diffsim.data.formats import SUFFIXES, parts_of
 from diffsim.data.log_columns import BESIDE, COMMAND, DRIVES, log_column
 from diffsim.data.paired_files import clocks_of, joined, joined_layout, paired, share_columns
 from diffsim.data.runs_guess import say
+from diffsim.data.table import Table
 from diffsim.data.table_guess import TableLayout, column_of, layout_of, tables_in
 
 LOGS = (".ulg", ".mcap", ".bag", ".db3")

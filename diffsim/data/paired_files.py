@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
 from diffsim.data.clock_guess import guess_clock
-from diffsim.data.columns import Table
 from diffsim.data.steps import rest_and_jump
+from diffsim.data.table import Table
 from diffsim.data.table_guess import Column, TableLayout
 
 _LAST = re.compile(r"(?P<rest>.+)[_\-. ](?P<tag>[^_\-. ]+)")

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor, to_si
-from diffsim.data.columns import Rows, Table, require_increasing
 from diffsim.data.run_plan import (
     RunFiles,
     cases_of,
@@ -42,6 +41,7 @@ from diffsim.data.study_schema import (
     StudyFile,
     TimeSource,
 )
+from diffsim.data.table import Rows, Table, require_increasing
 
 Array = NDArray[np.float64]
 _TIME = "time_s"  # column of the clock where none is stated

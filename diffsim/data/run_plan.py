@@ -12,9 +12,9 @@ import numpy as np
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import inside
-from diffsim.data.columns import Rows, Table, as_label
 from diffsim.data.formats import is_container, split_part
 from diffsim.data.study_schema import RunEntry, RunKeys
+from diffsim.data.table import Rows, Table, as_label
 
 _FIELD = re.compile(r"\{(\w+)(?::[^}]*)?\}")
 _RANGE = ("at_least", "below")

@@ -16,10 +16,10 @@ from pydantic import ValidationError
 
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
-from diffsim.data.columns import Rows, Table, as_label
 from diffsim.data.formula import evaluate
 from diffsim.data.run_plan import filled
 from diffsim.data.study_schema import Fact, RunEntry, Source
+from diffsim.data.table import Rows, Table, as_label
 
 Array = NDArray[np.float64]
 _SLACK_S = 1e-9  # times such as 0.30000000000000004 are 0.3

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.columns import Table
+from diffsim.data.table import Table
 from diffsim.data.table_guess import Column
 
 _IN_NAME = re.compile(

@@ -4,10 +4,12 @@ that rest and jump, as what is sent to an actuator does.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from diffsim.data.study import Run
 
 Array = NDArray[np.float64]
 FEWEST_VALUES = 8  # different readings from which on steps are no coincidence
@@ -57,6 +59,33 @@ def rest_and_jump(columns: Iterable[ArrayLike]) -> bool:
         return False
     changes, alone = counts.sum(0)
     return bool(alone >= ISOLATED * changes)
+
+
+def looks_held(runs: Iterable[Run], commands: Sequence[str]) -> bool:
+    """Whether commands rest and jump: all changes but a few stand alone.
+
+    A ramp changes from sample to sample, a jump between two samples that equal their neighbors.
+    Columns that change all the time, as a sine does, say nothing. Test runs have no say: a frozen
+    model stays what it is.
+
+    Args:
+        runs: Runs of a study; those to fit or to select by are looked at.
+        commands: Names of the commands.
+    """
+    seen = [run.command for run in runs if run.use in ("fit", "select")]
+    return rest_and_jump(c[name] for c in seen for name in commands if name in c)
+
+
+def moves_on(runs: Iterable[Run], commands: Sequence[str]) -> bool:
+    """Whether some run has a command that changes all the time: it shows no holding.
+
+    Args:
+        runs: Runs of a study; those to fit or to select by are looked at.
+        commands: Names of the commands.
+    """
+    seen = [run.command for run in runs if run.use in ("fit", "select")]
+    columns = [np.asarray(c[name]) for c in seen for name in commands if name in c]
+    return any(len(c) >= FEWEST and np.mean(np.diff(c) != 0.0) > RESTS for c in columns)
 
 
 def _changes(column: NDArray[np.float64]) -> tuple[int, int]:

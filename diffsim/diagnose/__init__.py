@@ -12,7 +12,7 @@ order:
 4. ``checks``: ``gates`` (data), ``numerics`` (steps, mesh, tolerance), ``gradients``, ``noise``
    (the noise floor and its whitening).
 5. ``search``: ``fit``, ``gauss_newton`` (the plain model, by Gauss-Newton in a trust region),
-   ``evidence``, ``optimum``, ``simulations``, ``weighed_sets``, ``search``, ``scan`` (Laplace
+   ``evidence``, ``optimum``, ``simulations``, ``fitted_sets``, ``search``, ``scan`` (Laplace
    evidence of sets of effects, and what was simulated for it).
 6. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face
    runs that were not fitted, ``gain`` and ``left_out``), ``averaging``, ``stand_ins``,

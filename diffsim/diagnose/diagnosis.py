@@ -23,28 +23,28 @@ from diffsim.diagnose.checks.gates import (
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
-from diffsim.diagnose.judge.gain import Referee, referee_of
+from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
-from diffsim.diagnose.search.coarse import Corrected, coarse_gate, corrected, renewed_at
+from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
 from diffsim.diagnose.search.evidence import screen
 from diffsim.diagnose.search.fit import (
     Case,
     Null,
     Progress,
-    Refined,
+    RefinedNull,
     check_numerics,
     coarsen_first_look,
     null_fit,
     refit_under,
     silent,
 )
+from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import begin, search_sets, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.diagnose.search.store import Store, key_of
-from diffsim.diagnose.search.weighed_sets import Search
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
@@ -53,8 +53,8 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
-FIRST_SHARE = 0.4  # of the gradient checks' time, where simulations are dear
-MAX_TOLD = 3  # times that finer simulations are made at an answer
+FIRST_SHARE = 0.4  # of the gradient checks' time, where simulations are expensive
+MAX_RENEWALS = 3  # times that finer simulations are made at an answer
 MAX_SEARCHES = 3  # each may end at a set that needs finer numerical settings
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
@@ -97,28 +97,28 @@ def diagnose(
     started = process_time()
     gates = (*data_gate(study), *effort_gate(settings or DiagnosisSettings()))
     # from here to the end of the search nothing can look at a test run: there is none
-    case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
+    case = _make_case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))
     case.progress("null fit", 0.0, "the model without effects")
     case, once = coarsen_first_look(case)
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")
-    null, checks, simulations = _checked(null, gates, cache, started, once)
+    null, checks, simulations = _check_null(null, gates, cache, started, once)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = screen(checks.center.evidence)
         frozen = report_of(null, checks, Judgment(decision), screened, seed, bank)
         return tested(frozen, study, seed)
-    search, told = _told_again(search_rounds(null, simulations))
-    checks, null = checks.joined(told), search.null
+    search, renewal = _renew_correction(search_rounds(null, simulations))
+    checks, null = checks.joined(renewal), search.null
     screened = screen(search.plain.evidence)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
-    referee = referee_of(search.fit_of(NONE), select)
+    validation = validation_of(search.fit_of(NONE), select)
     num_unscanned = len(search.simulations.scans_late)
     late = tuple(budget_gates(num_unscanned, search.num_late, search.settings))
-    checks, judgment = _judged(search, checks.joined(late), referee, seed)
-    frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
+    checks, judgment = _judge_search(search, checks.joined(late), validation, seed)
+    frozen = report_of(search.null, checks, judgment, screened, seed, bank, validation)
     # only now test runs are looked at, once
     return tested(frozen, study, seed)
 
@@ -128,7 +128,7 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
     was simulated before."""
     case = null.case
     for round_ in range(case.settings.noise_rounds):
-        search = _settled(null, simulations)
+        search = _search_fine_enough(null, simulations)
         null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
@@ -143,24 +143,24 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
     return replace(search, null=replace(null, noise=after))
 
 
-def _told_again(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
+def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
     """The search under a correction that holds at its answer, where coarse simulations have one.
 
     Returns:
         The search, and what coarse simulations have wrong at the answer.
     """
     size = 0.0
-    for round_ in range(MAX_TOLD):
+    for round_ in range(MAX_RENEWALS):
         null, fit = search.null, search.fit_of(decision_of(search).best)
         if fit.problem.correction is None:
             return search, ()
         null.case.progress("search", 0.84, "finer simulations of the answer")
         new, change, size = renewed_at(fit)
-        if size < NUMERICS_LAMBDA or round_ == MAX_TOLD - 1:
+        if size < NUMERICS_LAMBDA or round_ == MAX_RENEWALS - 1:
             break
         case = replace(null.case, correction=new)
         if case.store is not None:
-            case = replace(case, store=case.store.beside(f"told{round_}"))
+            case = replace(case, store=case.store.beside(f"renewed{round_}"))
         at = replace(null.at, record=null.at.record + change)
         ended = gauss_newton(case.problem(null.noise.whitener), at)
         null = Null(case, null.noise, *ended, null.num_spikes)
@@ -168,7 +168,7 @@ def _told_again(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
     return search, (coarse_gate(size, search.null.fit.problem),)
 
 
-def _settled(null: Null, simulations: Simulations) -> Search:
+def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
     allow; simulations under coarser ones do not serve."""
     for round_ in range(MAX_SEARCHES):
@@ -184,12 +184,12 @@ def _settled(null: Null, simulations: Simulations) -> Search:
         if is_late:
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
-        null = _stored_anew(refit_under(null, checked.finer), simulations)
+        null = _store_anew(refit_under(null, checked.finer), simulations)
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
 
 
-def _stored_anew(null: Null, before: Simulations) -> Null:
+def _store_anew(null: Null, before: Simulations) -> Null:
     """With a store of its own: what is kept there holds for one choice of numerical settings."""
     if before.store is None:
         return null
@@ -197,7 +197,7 @@ def _stored_anew(null: Null, before: Simulations) -> Null:
     return replace(null, case=replace(null.case, store=store))
 
 
-def _case(
+def _make_case(
     study: Study,
     model: SimModel,
     effects: Sequence[Effect],
@@ -225,11 +225,11 @@ def _case(
     )
 
 
-def _checked(
+def _check_null(
     null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, started: float, once: float
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
-    found: Corrected | Refined
+    found: NullCorrection | RefinedNull
     if once > 0.0:
         null, found = corrected(null, once)
     else:
@@ -258,15 +258,15 @@ def _checked(
     return null, Checks(gates, changes, center), simulations
 
 
-def _judged(
-    search: Search, checks: Checks, referee: Referee | None, seed: int
+def _judge_search(
+    search: Search, checks: Checks, validation: Validation | None, seed: int
 ) -> tuple[Checks, Judgment]:
     """Repeatability with the effects that the evidence asks for; then names and unknown causes."""
     evident = decision_of(search)
     repeats = repeatability_gate(search.fit_of(evident.best))
     checks = checks.joined(repeats)
     if search.null.noise.is_repeatable and all(g.passed for g in repeats):
-        judgment = judge(search, referee, seed)
+        judgment = judge(search, validation, seed)
         return checks.joined(judgment.gates), judgment
     decision = replace(evident, verdict="unrepeatable", rivals=())
     return checks, Judgment(decision, search)
@@ -278,6 +278,6 @@ def _key(case: Case) -> str:
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
     s = case.settings
     fits = s.fit_rtol, s.fit_nats, s.bend_after
-    told = None if case.correction is None else case.correction.key
-    settings = (s.jacobian, case.numerics, fits, told)
+    correction = None if case.correction is None else case.correction.key
+    settings = (s.jacobian, case.numerics, fits, correction)
     return key_of(case.study, case.model, causes, generic, *settings, __version__)

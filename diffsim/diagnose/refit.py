@@ -23,11 +23,10 @@ from diffsim.diagnose.say.report import fit_to_dict, save_model
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
-from diffsim.identify.effect import Effect, effect_coordinates
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of, effect_coordinates
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]
 CORRELATED = 0.8

@@ -16,8 +16,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from diffsim.core.check import require_choice, require_number
-from diffsim.core.check_options import require_options
+from diffsim.core.check import require_choice, require_number, require_options
 from diffsim.core.plugins import ENVIRONMENTS, find_plugins, load_plugin
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task

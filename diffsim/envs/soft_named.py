@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from diffsim.core.check_options import require_options
+from diffsim.core.check import require_options
 from diffsim.envs.soft_jump import Jump
 from diffsim.envs.soft_tasks import Advance, Reach
 from diffsim.systems import robots

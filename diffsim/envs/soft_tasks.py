@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.core.check import require_number
-from diffsim.core.check_options import require_count
+from diffsim.core.check import require_count, require_number
 from diffsim.envs.pictures import body_picture
 from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 from diffsim.systems.robots import SoftRobot

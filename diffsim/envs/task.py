@@ -18,8 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice
-from diffsim.core.check_options import require_count
+from diffsim.core.check import require, require_choice, require_count
 
 TaskState = dict[str, Tensor]
 """Tensors by name, all with a leading batch axis; holds everything that the next step needs."""

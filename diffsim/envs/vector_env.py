@@ -12,8 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.core.check import require_choice
-from diffsim.core.check_options import require_count
+from diffsim.core.check import require_choice, require_count
 from diffsim.envs.env import RENDER_MODES, action_rows, frame_rate, spaces_of
 from diffsim.envs.sensing import ObservationNoise
 from diffsim.envs.starts import RESET_MASK, Generators, checked_mask, with_options

@@ -32,13 +32,12 @@ from diffsim.core.check import require_choice, require_number
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
-from diffsim.identify.effect import Effect, effect_coordinates, is_of_run
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates, is_of_run
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.identify.sizes import PRIOR_WIDTH
 
 MODEL_FILE = "extended_model.yaml"
 _ENTRY_KEYS = ("value", "sd", "unit")

@@ -23,14 +23,21 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.identify.correction import Correction
-from diffsim.identify.effect import Effect, effect_coordinates, touches
+from diffsim.identify.effect import (
+    PRIOR_WIDTH,
+    Effect,
+    coordinate_of,
+    effect_coordinates,
+    scaled_at,
+    stretch_at,
+    touches,
+)
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import DifferenceLine, ModelPoint
 from diffsim.identify.model import SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
-from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of, scaled_at, stretch_at
 from diffsim.identify.whitening import Whitener
 
 Array = NDArray[np.float64]

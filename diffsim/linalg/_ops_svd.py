@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import custom_op, make_first_order, make_layer
 
 GAP_TOLERANCE = 1e-15
 """Gaps of singular values below this, relative to s0, are rounding; kGapTolerance of svd3_vjp.h."""

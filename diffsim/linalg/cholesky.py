@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require, require_choice, require_threads
 from diffsim.core.errors import FactorizationError
 from diffsim.linalg._ops_cholesky import SparseFactor
 

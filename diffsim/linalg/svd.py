@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require, require_threads
 from diffsim.linalg import _ops_svd
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from diffsim.core.check_options import require_counts, require_numbers
+from diffsim.core.check import require_counts, require_numbers
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_CORNERS, Array, IntArray
 

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from diffsim.core.check import require_number
-from diffsim.core.check_options import require_numbers
+from diffsim.core.check import require_number, require_numbers
 from diffsim.mesh import sdf
 from diffsim.mesh.box import box_arrays
 from diffsim.mesh.core import HexMesh, TetMesh

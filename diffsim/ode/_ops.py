@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import directions_of, make_first_order, make_layer
+from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
 
 _PROBLEM = (
     *("rate_code", "reading_code", "rate_out", "reading_out", "constants"),

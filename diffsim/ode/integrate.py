@@ -11,8 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require, require_choice, require_threads
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.ode import _ops
 from diffsim.ode.tape import Tapes, make_tapes

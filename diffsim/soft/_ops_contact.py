@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import custom_op, make_first_order, make_layer
 from diffsim.soft._arrays import ContactArrays, StepArrays, require_array
 from diffsim.soft._context import (
     contact_addresses,

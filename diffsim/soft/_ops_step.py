@@ -13,9 +13,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
-from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.layer import custom_op, make_first_order, make_layer
 from diffsim.core.record import warn
 from diffsim.soft._arrays import StepArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses

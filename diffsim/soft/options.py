@@ -8,8 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from diffsim.core.check import require_choice, require_number
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require_choice, require_number, require_threads
 from diffsim.soft import _ops_step
 from diffsim.soft._context import MULTIGRID_METHODS, PRECONDITIONERS
 from diffsim.soft.parameters import Value

@@ -9,8 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_choice, require_indices, require_number
-from diffsim.core.check_options import require_count
+from diffsim.core.check import (
+    require,
+    require_choice,
+    require_count,
+    require_indices,
+    require_number,
+)
 from diffsim.core.values import as_array
 from diffsim.mesh import (
     HexMesh,

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import directions_of, make_first_order, make_layer
+from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
 
 
 def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import directions_of, make_first_order, make_layer
+from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
 from diffsim.stokes._ended import STATS, finish
 from diffsim.stokes._systems import StokesContext, context
 from diffsim.stokes.boundary import refuse_net_inflow

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require, require_threads
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 

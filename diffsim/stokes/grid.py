@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_number
-from diffsim.core.check_options import require_counts, require_numbers
+from diffsim.core.check import require, require_counts, require_number, require_numbers
 
 AXES = "xyz"
 

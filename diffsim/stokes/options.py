@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from diffsim.core.check import require_choice, require_number
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require_choice, require_number, require_threads
 
 METHODS = ("auto", "direct", "iterative")
 

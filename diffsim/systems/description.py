@@ -300,9 +300,11 @@ def chosen_effects(
         ValueError: a name that the library does not have, or has twice; a row that cannot act.
     """
     own = [row for row in choice.own if isinstance(row, OwnRow)]
-    if own and (study is None or ports is None):
-        raise ValueError(f"effects.own: systems of this kind take no rows, such as {own[0].name!r}")
-    if study is not None and ports is not None:
+    if own:
+        if study is None or ports is None:
+            raise ValueError(
+                f"effects.own: systems of this kind take no rows, such as {own[0].name!r}"
+            )
         library = (*library, *own_causes(own, ports, study))
     known = [e.name for e in library]
     if repeated := sorted({name for name in known if known.count(name) > 1}):

@@ -8,7 +8,7 @@ import sys
 CALL = """
 import sys
 import torch
-from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import custom_op
 
 @custom_op("diffsim_test::double")
 def double(x: torch.Tensor) -> torch.Tensor:

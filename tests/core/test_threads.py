@@ -11,7 +11,7 @@ import scipy.sparse
 import torch
 
 from diffsim import copter, linalg, mesh, soft, stokes
-from diffsim.core.check_options import MAX_THREADS
+from diffsim.core.check import MAX_THREADS
 from diffsim.core.threads import one_thread
 from tests import warm
 

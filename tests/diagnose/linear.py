@@ -9,7 +9,7 @@ import torch
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Effect, Parameter, Problem, SimModel, WhiteNoise
-from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.identify.effect import PRIOR_WIDTH
 
 CHANNELS = (Channel("a", "m", "position", sd=0.5), Channel("b", "m", "position", sd=2.0))
 NUM_SAMPLES = 15

@@ -291,10 +291,10 @@ def test_numerical_cause_blends_predictions_one_by_one_and_many():
 
 def test_interrupted_diagnosis_goes_on_from_its_cache(tmp_path):
     study = toy.generate(2, {"drag": 0.2})
-    told = []
+    reports = []
 
     def stop(stage, fraction, message):
-        told.append((stage, fraction))
+        reports.append((stage, fraction))
         if stage == "gain":
             raise KeyboardInterrupt
 
@@ -304,7 +304,7 @@ def test_interrupted_diagnosis_goes_on_from_its_cache(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         go(stop)
-    assert [f for _, f in told] == sorted(f for _, f in told)
+    assert [f for _, f in reports] == sorted(f for _, f in reports)
     again, fresh = go(), go(cache=None)
     assert again.verdict == fresh.verdict == "named" and again.named == fresh.named
     row, same = (next(r for r in x.table if r.effect == "drag") for x in (again, fresh))

@@ -6,7 +6,7 @@ import torch
 from scipy import integrate
 
 from diffsim.identify import fit
-from diffsim.identify.sizes import coordinate_of, precision_at, scaled_at, stretch_at
+from diffsim.identify.effect import coordinate_of, precision_at, scaled_at, stretch_at
 from tests.diagnose import linear
 
 X = np.linspace(-4.0, 4.0, 81)

@@ -13,7 +13,7 @@ import yaml
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from diffsim.causes.holding import looks_held
+from diffsim.data.steps import looks_held
 from diffsim.data.study import Command, Run
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.search.fit import Case, _with_own_step

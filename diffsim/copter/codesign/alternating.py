@@ -102,7 +102,7 @@ def alternating(
     records: list[StartRecord] = []
     best: tuple[float, Alternation] | None = None
     points = [replace(start, spins=chosen, gamma=LEVEL) for start in starts]
-    for end, value, violation in run_each(partial(_judged, task, options), points, executor):
+    for end, value, violation in run_each(partial(_rate_start, task, options), points, executor):
         records.append(
             StartRecord(
                 spins=tuple(chosen.tolist()),
@@ -125,7 +125,7 @@ def alternating(
     return best[1].point, best[1], records
 
 
-def _judged(
+def _rate_start(
     task: Task, options: AlternatingOptions, start: Point
 ) -> tuple[Alternation, float, float]:
     """Where a start ends, its objective and its violation."""

@@ -91,7 +91,7 @@ def codesign(
     return _result(solved, method, began)
 
 
-class _Solved(NamedTuple):
+class _Solution(NamedTuple):
     """A solved program and how it came about.
 
     Attributes:
@@ -123,10 +123,10 @@ def _by_joint_program(
     search: SearchOptions,
     rng: np.random.Generator,
     executor: Executor | None,
-) -> _Solved:
+) -> _Solution:
     best = refine(joint(task, spins, search, rng, executor), search.solver)
     first = min(best.records, key=lambda r: r.value)
-    return _Solved(
+    return _Solution(
         best.task,
         best.point,
         best.program,
@@ -146,12 +146,12 @@ def _by_alternation(
     num_starts: int,
     rng: np.random.Generator,
     executor: Executor | None,
-) -> _Solved:
+) -> _Solution:
     starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
     point, best, records = alternating(task, spins, options, starts, executor)
     _, _, solution, program = judge(task, best)
     s, d, gamma, _, _ = program.split(solution.x)
-    return _Solved(
+    return _Solution(
         task,
         Point(s, d, point.spins, gamma),
         program,
@@ -164,7 +164,7 @@ def _by_alternation(
     )
 
 
-def _result(solved: _Solved, method: str, began: float) -> CoDesignResult:
+def _result(solved: _Solution, method: str, began: float) -> CoDesignResult:
     """The result of a solved program, with what is measured on the whole model."""
     task, point, program, x = solved.task, solved.point, solved.program, solved.x
     thrusts = torch.tensor(program.hover_thrusts(x))
@@ -182,7 +182,7 @@ def _result(solved: _Solved, method: str, began: float) -> CoDesignResult:
         objective=value,
         metrics=design_metrics(task, program, x),
         max_weight=largest_weight(task, point),
-        bound=_bound(task, warnings),
+        bound=_find_bound(task, warnings),
         history=solved.history,
         seconds_history=solved.seconds_history,
         hover_residual=residual,
@@ -195,7 +195,7 @@ def _result(solved: _Solved, method: str, began: float) -> CoDesignResult:
     )
 
 
-def _bound(task: Task, warnings: list[str]) -> float:
+def _find_bound(task: Task, warnings: list[str]) -> float:
     """The lower bound; without cvxpy none, and a warning."""
     try:
         return lower_bound(task)

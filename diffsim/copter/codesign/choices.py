@@ -78,7 +78,7 @@ def choose(
         pruned += [k for k in order if k in out]
         order = [k for k in order if k not in out]
         now, order = order[:at_once], order[at_once:]
-        answers = run_each(_Tried(solve), [choices[k] for k in now], executor)
+        answers = run_each(_Attempt(solve), [choices[k] for k in now], executor)
         for k, answer in zip(now, answers, strict=True):
             if isinstance(answer, str):
                 failed.append((k, answer))
@@ -98,7 +98,7 @@ def choose(
     )
 
 
-class _Tried(Generic[C]):
+class _Attempt(Generic[C]):
     """``solve``, with the reason as text where there is no solution."""
 
     def __init__(self, solve: Callable[[C], Sequence[float]]):

@@ -57,13 +57,13 @@ def pareto_front(
     mixes = [dict(zip(names, mix, strict=True)) for mix in _simplex(len(names), num_points)]
     with show_progress(total=len(mixes), disable=not progress, unit="mix") as bar:
         results = run_each(
-            partial(_designed, design, settings), mixes, executor, done=lambda *_: bar.update()
+            partial(_design_mix, design, settings), mixes, executor, done=lambda *_: bar.update()
         )
     keep = undominated(np.array([[r.metrics[name] for name in names] for r in results]))
     return sorted((results[i] for i in keep), key=lambda r: r.metrics[names[0]])
 
 
-def _designed(
+def _design_mix(
     design: DesignSpace, settings: Mapping[str, Any], mix: Mapping[str, float]
 ) -> CoDesignResult:
     return codesign(design, mix, **settings)

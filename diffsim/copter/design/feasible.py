@@ -49,7 +49,7 @@ class FeasibleSet:
     basis: Array
 
     @cached_property
-    def _reduced(self) -> tuple[Array, Array, tuple[str, ...]]:
+    def _reduced_rows(self) -> tuple[Array, Array, tuple[str, ...]]:
         a, b = matrix(self.names, self.inequalities)
         reduced, rest = _without_dust(a @ self.basis), b - a @ self.offset
         keep = np.abs(reduced).max(axis=1, initial=0.0) > _RANK_TOL
@@ -59,17 +59,17 @@ class FeasibleSet:
     @property
     def inequality_matrix(self) -> Array:
         """A of A s <= b, (num_rows, n_free); rows that no free parameter moves are left out."""
-        return self._reduced[0]
+        return self._reduced_rows[0]
 
     @property
     def inequality_bound(self) -> Array:
         """b of A s <= b, (num_rows,)."""
-        return self._reduced[1]
+        return self._reduced_rows[1]
 
     @property
     def inequality_labels(self) -> tuple[str, ...]:
         """What the rows of A s <= b are."""
-        return self._reduced[2]
+        return self._reduced_rows[2]
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
@@ -78,7 +78,9 @@ class FeasibleSet:
         result = np.full((2, n), np.inf)
         for i in range(n):
             for k, sign in enumerate((1.0, -1.0)):
-                solution = linprog(sign * np.eye(n)[i], *self._reduced[:2], bounds=(None, None))
+                solution = linprog(
+                    sign * np.eye(n)[i], *self._reduced_rows[:2], bounds=(None, None)
+                )
                 if solution.status == 0:
                     result[k, i] = solution.fun
         return result[0], -result[1]

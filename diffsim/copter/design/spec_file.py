@@ -105,12 +105,12 @@ def _part_entry(part: PartSpec, folder: Path | None, path: Path) -> dict[str, An
     options = dict(part.options)
     if "file" in options:
         here = (folder or Path()) / options["file"]
-        options["file"] = _brought(here.resolve(), path.resolve().parent)
+        options["file"] = _bring_file(here.resolve(), path.resolve().parent)
     rest = _without_defaults(part)
     return {"kind": rest.pop("kind"), **options, **{k: rest[k] for k in rest if k in _PART}}
 
 
-def _brought(file: Path, folder: Path) -> str:
+def _bring_file(file: Path, folder: Path) -> str:
     """Path of a file from a folder; one that is not in it is copied there."""
     if file.is_relative_to(folder):
         return file.relative_to(folder).as_posix()

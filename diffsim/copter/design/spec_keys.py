@@ -15,14 +15,14 @@ from diffsim.core.schema import FinitePart
 from diffsim.core.schema_numbers import Degrees, Meters, Ratio
 
 
-def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
+def _require_order(interval: tuple[float, float]) -> tuple[float, float]:
     lower, upper = interval
     if not lower <= upper:
         raise ValueError(f"must be [lower, upper], got [{lower:g}, {upper:g}]")
     return interval
 
 
-Interval = Annotated[tuple[Meters, Meters], AfterValidator(_ordered)]
+Interval = Annotated[tuple[Meters, Meters], AfterValidator(_require_order)]
 Place = Annotated[
     tuple[Meters, ...], BeforeValidator(lambda given: [given] if _is_single(given) else given)
 ]

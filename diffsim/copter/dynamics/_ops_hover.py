@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import directions_of, make_first_order, make_layer
+from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
 
 INFO = ("status", "rank", "free_rank", "num_iters")
 FEASIBLE: float = core.HOVER_FEASIBLE
@@ -70,7 +69,7 @@ def _check(name: str, value: Tensor, shape: tuple[int, ...], dtype: torch.dtype)
     return value.contiguous()
 
 
-def _checked(problem: HoverProblem) -> HoverProblem:
+def _check_problem(problem: HoverProblem) -> HoverProblem:
     batch, _, n = problem.force.shape
     return HoverProblem(
         force=_check("force", problem.force, (batch, 3, n), torch.float64),
@@ -95,7 +94,7 @@ def hover(
     force: Tensor, torque: Tensor, weights: Tensor, upper: Tensor, barrier: float, num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """``HoverSolution`` of a ``HoverProblem``."""
-    problem = _checked(HoverProblem(force, torque, weights, upper))
+    problem = _check_problem(HoverProblem(force, torque, weights, upper))
     batch, _, n = force.shape
     solution = HoverSolution(
         thrusts=force.new_empty(batch, n),
@@ -139,7 +138,7 @@ def hover_vjp(
     num_threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Gradients of a ``HoverProblem`` from its ``HoverSolution`` and dL/dthrusts."""
-    problem = _checked(HoverProblem(force, torque, weights, upper))
+    problem = _check_problem(HoverProblem(force, torque, weights, upper))
     batch, _, n = force.shape
     solution = _checked_solution(HoverSolution(thrusts, multipliers, state, info), problem)
     grad_thrusts = _check("grad_thrusts", grad_thrusts, (batch, n), torch.float64)
@@ -209,8 +208,8 @@ def hover_jvp(
     num_threads: int,
 ) -> Tensor:
     """Thrusts along one direction in a ``HoverProblem``, from its ``HoverSolution``."""
-    problem = _checked(HoverProblem(force, torque, weights, upper))
-    directions = _checked(HoverProblem(d_force, d_torque, d_weights, d_upper))
+    problem = _check_problem(HoverProblem(force, torque, weights, upper))
+    directions = _check_problem(HoverProblem(d_force, d_torque, d_weights, d_upper))
     solution = _checked_solution(HoverSolution(thrusts, multipliers, state, info), problem)
     d_thrusts = force.new_empty(thrusts.shape)
     core.hover_tangent(

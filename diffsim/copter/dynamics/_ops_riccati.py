@@ -14,8 +14,7 @@ from torch import Tensor
 
 from diffsim.copter.dynamics.stabilizability import raise_lyapunov_failure, raise_riccati_failure
 from diffsim.core.compiled import core
-from diffsim.core.custom_op import custom_op
-from diffsim.core.layer import make_layer
+from diffsim.core.layer import custom_op, make_layer
 from diffsim.core.record import Solve, announce, is_recording, verdict
 
 RTOL = 1e-8

@@ -21,8 +21,14 @@ from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.vehicle.effects import FlightEffects, require_wind
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
-from diffsim.core.check import all_finite, require, require_number, values_of
-from diffsim.core.check_options import require_count, require_threads
+from diffsim.core.check import (
+    all_finite,
+    require,
+    require_count,
+    require_number,
+    require_threads,
+    values_of,
+)
 from diffsim.core.errors import DiffsimError
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as

@@ -10,8 +10,13 @@ from diffsim.copter.dynamics import _ops_hover
 from diffsim.copter.dynamics._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.dynamics.hover_result import HoverResult, report
 from diffsim.copter.vehicle.multicopter import Multicopter
-from diffsim.core.check import require, require_choice, require_number, require_range
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import (
+    require,
+    require_choice,
+    require_number,
+    require_range,
+    require_threads,
+)
 from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 from diffsim.core.values import scalar

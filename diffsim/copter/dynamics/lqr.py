@@ -9,8 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter.dynamics import _ops_riccati
-from diffsim.core.check import require
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require, require_threads
 from diffsim.core.record import Solve
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart

@@ -42,7 +42,7 @@ def body_of(path: Path) -> Body:
         ValueError: MuJoCo refuses it, or nothing in it moves.
         ImportError: MuJoCo is not installed.
     """
-    return _body(*_compiled(path), path)
+    return _body(*_compile_model(path), path)
 
 
 def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
@@ -58,7 +58,7 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
         ValueError: no such motors, or what ``body_of`` refuses.
         ImportError: MuJoCo is not installed.
     """
-    mujoco, model, data = _compiled(path)
+    mujoco, model, data = _compile_model(path)
     body = _body(mujoco, model, data, path)
     places, axes, spins, motors = [], [], [], []
     for k in range(model.nu):
@@ -114,7 +114,7 @@ def _rotor(radius: float, max_thrust: float, torque_ratio: float) -> RotorModel:
     return replace(rotor, assumed=(*rotor.assumed, "nominal_voltage", "radius"))
 
 
-def _compiled(path: Path) -> tuple[Any, Any, Any]:
+def _compile_model(path: Path) -> tuple[Any, Any, Any]:
     """The module, the compiled model, and its state at rest."""
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}")

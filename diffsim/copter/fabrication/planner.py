@@ -172,7 +172,7 @@ def plan(
         bars=pack(cuts, stock, kerf),
         motors=motors,
         places=places,
-        printed=_printed(design, values, motors, printer),
+        printed=_plan_prints(design, values, motors, printer),
         materials=bill(entries, design.parts),
         consumables=consumables(design),
         steps=steps(design, motors, places, values),
@@ -182,7 +182,7 @@ def plan(
     return result
 
 
-def _printed(
+def _plan_prints(
     design: Design,
     values: dict[str, float],
     motors: tuple[MotorPlan, ...],

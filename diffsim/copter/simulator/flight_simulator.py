@@ -84,7 +84,7 @@ class FlightSimulator:
         idle_power: float = 3.0,
         seed: int = 0,
     ):
-        vehicle, known, pack = _known(design)
+        vehicle, known, pack = _unpack_vehicle(design)
         rotors = known or flight_rotors(vehicle) if rotors is None else tuple(rotors)
         battery = pack if battery is None else battery
         self.dt = 1.0 / require_number("rate", rate, above=0.0)
@@ -263,7 +263,7 @@ class FlightSimulator:
         )
 
 
-def _known(
+def _unpack_vehicle(
     design: Design | FlyingVehicle | Multicopter,
 ) -> tuple[Multicopter, tuple[RotorModel, ...], Battery | None]:
     """Vehicle without gradients, and the rotors and the battery that come with it."""

@@ -116,10 +116,12 @@ def _model(name: str) -> RotorModel:
     part = rotor_data(name)
     measured = [r for r in map(rotor_data, ROTOR_NAMES) if r.measured]
     near = min(measured, key=lambda r: abs(r.radius - part.radius))
-    return _scaled(rotor_model(near.name), name, part.radius, part.max_thrust, part.torque_ratio)
+    return _scale_model(
+        rotor_model(near.name), name, part.radius, part.max_thrust, part.torque_ratio
+    )
 
 
-def _scaled(
+def _scale_model(
     model: RotorModel, name: str, radius: float, max_thrust: float, torque_ratio: float
 ) -> RotorModel:
     """The same motor with another propeller: equal signal and speed, thrust in proportion.

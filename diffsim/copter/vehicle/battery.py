@@ -12,8 +12,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.effects import BatterySag
 from diffsim.copter.vehicle.rotor import RotorModel
-from diffsim.core.check import require_number
-from diffsim.core.check_options import require_count
+from diffsim.core.check import require_count, require_number
 
 # Resting voltage of a lithium-polymer cell against its charge: the table that hobby chargers and
 # battery alarms print, 0 to 100 % in steps of 5 %.

@@ -226,12 +226,12 @@ def write_rotor(fit: RotorFit, folder: Path) -> Path:
             "command": "diffsim fit-rotors",
         },
     }
-    text = yaml.safe_dump(_rounded(record), sort_keys=False, width=100)
+    text = yaml.safe_dump(_round_numbers(record), sort_keys=False, width=100)
     return write_text_atomic(folder / f"{fit.table.name}.yaml", text)
 
 
-def _rounded(value: Any) -> Any:
+def _round_numbers(value: Any) -> Any:
     """Ten digits: what is behind them changes with the version of the least-squares solver."""
     if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items()}
+        return {k: _round_numbers(v) for k, v in value.items()}
     return float(f"{value:.10g}") if isinstance(value, float) else value

@@ -44,8 +44,8 @@ def require_separate(study: Study) -> None:
     for ours, theirs in _uses(study):
         index = _rows_by_content(ours)
         for b in theirs:
-            for a, count in _shared(index, ours, b):
-                if not _declared(a, b):
+            for a, count in _find_shared(index, ours, b):
+                if not _are_blocks_of_one(a, b):
                     raise ValueError(
                         f"run {b.name} (use: {b.use}) and run {a.name} (use: {a.use}) share "
                         f"{count} samples: they are one recording. Give both the same use, leave "
@@ -59,7 +59,7 @@ def shared_samples(a: Run, b: Run) -> int:
 
     Whole rows are compared, all channels to the last digit; missing channels equal each other.
     """
-    return max((count for _, count in _shared(_rows_by_content([a]), [a], b)), default=0)
+    return max((count for _, count in _find_shared(_rows_by_content([a]), [a], b)), default=0)
 
 
 def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
@@ -85,7 +85,7 @@ def _alike(study: Study, column: int) -> Iterator[tuple[str, str]]:
     shared: dict[tuple[int, int], set[int]] = {}
     for alike in places.values():
         for (a, _), (b, i) in combinations(alike, 2) if 1 < len(alike) <= COMMON else ():
-            if study.runs[a].use != study.runs[b].use and not _declared(
+            if study.runs[a].use != study.runs[b].use and not _are_blocks_of_one(
                 study.runs[a], study.runs[b]
             ):
                 shared.setdefault((a, b), set()).update(range(i, i + STRETCH))
@@ -144,7 +144,7 @@ def cut_in_two(study: Study) -> list[tuple[Run, Run]]:
         for ours, theirs in _uses(study)
         for pair in (*_on_one_clock(ours, theirs), *_on_one_clock(theirs, ours))
         for first, second in [pair]
-        if not _declared(first, second) and _goes_on(first, second)
+        if not _are_blocks_of_one(first, second) and _goes_on(first, second)
     ]
 
 
@@ -166,7 +166,7 @@ def _uses(study: Study) -> Iterator[tuple[Sequence[Run], Sequence[Run]]]:
     yield study.select_runs, study.test_runs
 
 
-def _declared(a: Run, b: Run) -> bool:
+def _are_blocks_of_one(a: Run, b: Run) -> bool:
     """Whether both runs are declared as blocks of one recording."""
     return BLOCK_OF in a.setup and a.setup[BLOCK_OF] == b.setup.get(BLOCK_OF)
 
@@ -181,7 +181,7 @@ def _rows_by_content(runs: Sequence[Run]) -> dict[bytes, list[Place]]:
     return {key: places for key, places in out.items() if len(places) <= COMMON}
 
 
-def _shared(
+def _find_shared(
     index: dict[bytes, list[Place]], runs: Sequence[Run], b: Run
 ) -> Iterator[tuple[Run, int]]:
     """Runs with a stretch of ``b`` that was recorded once, and its length."""

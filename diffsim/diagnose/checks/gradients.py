@@ -104,7 +104,7 @@ def gradient_gate(
         return []
     moved = np.array([[part.moved(e) for e in effects] for part in parts])
     shows = moved >= SHOWN * moved.max(0)
-    order = _ordered(shows, [len(part.residual) for part in parts])
+    order = _order_runs(shows, [len(part.residual) for part in parts])
     first, leaf = parts[order[0]].problem, torch.tensor(x, requires_grad=True)
     if not first.predict(first.runs[0], leaf).requires_grad:
         return []  # the scene has no gradient
@@ -116,7 +116,7 @@ def gradient_gate(
             break
     shown = [e for e, there in zip(effects, shows[checked].any(0), strict=True) if there]
     some = _Slopes.joined([parts[place] for place in checked])
-    errors, late = _compared(some, shown, adjoint, start + seconds)
+    errors, late = _compare_adjoint(some, shown, adjoint, start + seconds)
     note = "adjoint against finite differences"
     if len(checked) < len(parts):
         note += f", {len(checked)} of {len(parts)} runs"
@@ -157,7 +157,7 @@ def _unit(values: Array) -> Array:
     return values / length if length > 0.0 else values
 
 
-def _ordered(shows: NDArray[np.bool_], lengths: Sequence[int]) -> list[int]:
+def _order_runs(shows: NDArray[np.bool_], lengths: Sequence[int]) -> list[int]:
     """Runs in the order in which they are checked: few and short ones show every effect first.
 
     Args:
@@ -173,7 +173,7 @@ def _ordered(shows: NDArray[np.bool_], lengths: Sequence[int]) -> list[int]:
     return order
 
 
-def _compared(
+def _compare_adjoint(
     slopes: _Slopes, effects: Sequence[Effect], adjoint: Array, end: float
 ) -> tuple[dict[Effect, float], set[Effect]]:
     """Errors of the adjoint over the length of an effect's slopes, and the effects for which time
@@ -200,7 +200,7 @@ def _compared(
             continue
         errors[effect] = np.inf
         for share in SHORTER:
-            wanted = _extrapolated(slopes, problem.columns_of(effect), share)
+            wanted = _extrapolate_scores(slopes, problem.columns_of(effect), share)
             errors[effect] = min(errors[effect], error(effect, wanted))
             if errors[effect] < GRADIENT_RTOL:
                 break
@@ -254,7 +254,7 @@ def _agrees_along(slopes: _Slopes, effects: Sequence[Effect]) -> bool:
     return False
 
 
-def _extrapolated(slopes: _Slopes, only: list[int], share: float) -> Array:
+def _extrapolate_scores(slopes: _Slopes, only: list[int], share: float) -> Array:
     """Scores of some coordinates by differences of two steps, extrapolated (Richardson): good to
     the fourth (third, one-sided) order; ``share`` of the problem's own step."""
     step, scores = share * slopes.problem.jacobian.step, []

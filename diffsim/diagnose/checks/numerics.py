@@ -226,14 +226,14 @@ def refine_within(
     """
     problem, x, paid = fit.problem, fit.x, 1.0
     numerics = problem.numerics or Numerics()
-    dear: set[str] = set()  # beyond the budget: what is left of it goes to the others
-    while failing := [name for name in names_of_failed(gates) if name not in dear]:
+    unaffordable: set[str] = set()  # beyond the budget: what is left of it goes to the others
+    while failing := [name for name in names_of_failed(gates) if name not in unaffordable]:
         record = None
         for name in failing:
             finer = numerics.refined(REFINEMENTS[name])
             tried, seconds = _time_record(replace(problem, numerics=finer), x)
             if seconds > budget * once:
-                dear.add(name)
+                unaffordable.add(name)
             else:
                 numerics, paid, record = finer, seconds / once, tried
                 if is_any_enough:

@@ -1,6 +1,6 @@
 """Evidence of one set of causes in one group, averaged over what is not known of the scatter.
 
-Sizes have the heavy-tailed prior of ``diffsim.identify.sizes``; near the most probable size a
+Sizes have the heavy-tailed prior of ``diffsim.identify.effect``; near the most probable size a
 normal one stands for it, and one-sided sizes are integrated over their side only.
 """
 
@@ -15,8 +15,7 @@ from scipy.special import log_ndtr, logsumexp, ndtr, owens_t
 
 from diffsim.diagnose.faults.local import Local
 from diffsim.diagnose.faults.marginal import Information, Priors, without
-from diffsim.identify.effect import Effect
-from diffsim.identify.sizes import TAIL, coordinate_of, precision_at
+from diffsim.identify.effect import TAIL, Effect, coordinate_of, precision_at
 
 Array = NDArray[np.float64]
 NUM_MODE_STEPS = 8

@@ -13,7 +13,7 @@ from diffsim.identify.setup import DiagnosisSetup
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class FaultStudy:
     """A study with ``faults``, taken apart.
 
     Attributes:
@@ -29,7 +29,7 @@ class Given:
     sets: tuple[tuple[str, ...], ...]
 
 
-def given_by(study: Study, setup: DiagnosisSetup) -> Given:
+def take_apart(study: Study, setup: DiagnosisSetup) -> FaultStudy:
     """What a study states for its faults; nothing is simulated.
 
     Raises:
@@ -39,4 +39,4 @@ def given_by(study: Study, setup: DiagnosisSetup) -> Given:
     if keys is None:
         raise ValueError("the study has no `faults`; see `faults` in docs/study_keys.md")
     sets = sets_of(keys, setup.effects)
-    return Given(keys, groups_of(study, keys), layout_of(setup.model.base, keys), sets)
+    return FaultStudy(keys, groups_of(study, keys), layout_of(setup.model.base, keys), sets)

@@ -17,25 +17,24 @@ from diffsim.diagnose.faults.candidates import (
     candidates,
 )
 from diffsim.diagnose.faults.evidence import Evidence, evidence, informations, mixed
-from diffsim.diagnose.faults.given import given_by
+from diffsim.diagnose.faults.given import take_apart
 from diffsim.diagnose.faults.groups import Group
-from diffsim.diagnose.faults.learn import Learned, learn
+from diffsim.diagnose.faults.learn import GroupPosterior, learn
 from diffsim.diagnose.faults.local import Local, local_at, problem_of
 from diffsim.diagnose.faults.marginal import Information, Priors
 from diffsim.diagnose.faults.states import possible_states
 from diffsim.diagnose.faults.verdict import (
+    CandidateEvidence,
     FaultReport,
     FaultVerdict,
     Spread,
-    Weighed,
     verdict_of,
 )
 from diffsim.diagnose.judge.records import Interval
 from diffsim.diagnose.search.evidence import VISIBLE
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.identify.sizes import PRIOR_WIDTH
 from diffsim.identify.whitening import WhiteNoise
 
 Array = NDArray[np.float64]
@@ -68,7 +67,7 @@ def judge_faults(
     Raises:
         ValueError: the study has no ``faults``, or they name what is not there.
     """
-    given = given_by(study, setup)
+    given = take_apart(study, setup)
     keys, all_groups, sets = given.keys, given.groups, given.sets
     for label in groups:
         require_choice("--groups", label, [g.label for g in all_groups])
@@ -91,7 +90,7 @@ def _unknown(groups: Sequence[Group]) -> list[Group]:
 
 def _verdict(
     group: Group,
-    learned: Learned,
+    learned: GroupPosterior,
     keys: FaultKeys,
     sets: Sequence[tuple[str, ...]],
     seed: int,
@@ -128,18 +127,22 @@ def _verdict(
     for candidate, row in zip(tried, found, strict=True):
         for k, (state, problem) in enumerate(zip(states, problems, strict=True)):
             if candidate.causes and row[k].log_evidence + state.log_odds > best - REFINED_NATS:
-                row[k] = _refined(problem, learned, point, candidate, row[k], rng, priors[k])
+                row[k] = _refine_evidence(
+                    problem, learned, point, candidate, row[k], rng, priors[k]
+                )
     odds = [s.log_odds for s in states]
-    weighed = [Weighed(c, mixed(row, odds)) for c, row in zip(tried, found, strict=True)]
+    evidences = [
+        CandidateEvidence(c, mixed(row, odds)) for c, row in zip(tried, found, strict=True)
+    ]
     sound = [e.log_evidence + o for e, o in zip(found[0], odds, strict=True)]
     likely = int(np.argmax(sound))
     visible = _smallest_visible(sizes[likely], learned.problem.effects)
-    return verdict_of(group, weighed, effects, visible)
+    return verdict_of(group, evidences, effects, visible)
 
 
-def _refined(
+def _refine_evidence(
     problem: Problem,
-    learned: Learned,
+    learned: GroupPosterior,
     point: Array,
     candidate: Candidate,
     found: Evidence,
@@ -160,7 +163,7 @@ def _refined(
 
 def _local_near(
     problem: Problem,
-    learned: Learned,
+    learned: GroupPosterior,
     at: Array,
     columns: Sequence[int],
     step: Array,
@@ -186,7 +189,7 @@ def _smallest_visible(found: Sequence[Information], effects: Sequence[Effect]) -
     }
 
 
-def _spreads(learned: Learned) -> tuple[Spread, ...]:
+def _spreads(learned: GroupPosterior) -> tuple[Spread, ...]:
     """Learned spreads with their intervals."""
     sd = np.sqrt(np.diag(learned.covariance))
     return tuple(

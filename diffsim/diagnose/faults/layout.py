@@ -49,10 +49,10 @@ class Layout:
     def of(self, runs: Sequence[Run]) -> tuple[list[int], list[int]]:
         """Indices of the parameters that act in runs: shared ones, then those of the runs alone."""
         key = tuple((run.name, tuple(run.setup.items())) for run in runs)
-        common, scatter = self._acting(key, lambda: self._touched(runs))
+        common, scatter = self._acting(key, lambda: self._split_acting(runs))
         return list(common), list(scatter)
 
-    def _touched(self, runs: Sequence[Run]) -> tuple[list[int], list[int]]:
+    def _split_acting(self, runs: Sequence[Run]) -> tuple[list[int], list[int]]:
         acting = [i for i, n in enumerate(self.names) if any(touches(n, run) for run in runs)]
         shared = set(self.shared)
         return [i for i in acting if i in shared], [i for i in acting if i not in shared]

@@ -32,7 +32,7 @@ SETTLED = 1e-3  # change of common parameters in prior sd, at which rounds end
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class GroupPosterior:
     """What groups with known faults say of all others.
 
     Attributes:
@@ -111,13 +111,13 @@ class Learned:
             precision[k, num:, num:] = np.diag(scatter)
         return Priors.of(precision, means)
 
-    def without(self, label: str) -> Learned:
+    def without(self, label: str) -> GroupPosterior:
         """What the other groups say."""
         if label not in self.locals:
             return self
         left = {k: v for k, v in self.locals.items() if k != label}
         states = {k: v for k, v in self.states.items() if k != label}
-        return _learned(replace(self, states=states), left, self.log_spread)
+        return _learn_posterior(replace(self, states=states), left, self.log_spread)
 
 
 def learn(
@@ -127,7 +127,7 @@ def learn(
     *,
     seed: int,
     state: str | None = None,
-) -> Learned:
+) -> GroupPosterior:
     """Learn from the groups whose faults are known.
 
     Args:
@@ -155,7 +155,7 @@ def learn(
     half = rng.standard_normal((NUM_DRAWS // 2, len(layout.families)))
     empty = np.zeros(0)
     states = {g.label: str(g.runs[0].setup.get(state or "", "")) for g in teachers}
-    started = Learned(
+    started = GroupPosterior(
         layout,
         problem,
         {},
@@ -180,14 +180,18 @@ def learn(
         place = np.zeros(num_base)
         place[layout.shared] = common
         for g in teachers:
-            points[g.label] = _solved(own[g.label], layout, locals_[g.label], place, log_spread)
+            points[g.label] = _solve_point(
+                own[g.label], layout, locals_[g.label], place, log_spread
+            )
         if np.abs(place - before).max() < SETTLED:
             break
         before = place
-    return _learned(started, locals_, log_spread)
+    return _learn_posterior(started, locals_, log_spread)
 
 
-def _learned(state: Learned, locals_: Mapping[str, Local], start: Array) -> Learned:
+def _learn_posterior(
+    state: GroupPosterior, locals_: Mapping[str, Local], start: Array
+) -> GroupPosterior:
     """Posterior of spreads and common parameters; ``state`` gives layout and draws."""
     layout = state.layout
     best = best_spread(layout, locals_, start)
@@ -209,7 +213,7 @@ def _learned(state: Learned, locals_: Mapping[str, Local], start: Array) -> Lear
     )
 
 
-def _standard(state: Learned) -> Array:
+def _standard(state: GroupPosterior) -> Array:
     """The draws of a state, standardized."""
     factor = np.linalg.cholesky(state.covariance)
     return np.asarray(np.linalg.solve(factor, (state.draws - state.log_spread).T).T)
@@ -311,7 +315,7 @@ def _precision(layout: Layout, local: Local, log_spread: Array, daily_factor: fl
     return np.asarray((spread * np.where(layout.is_daily[at], daily_factor, 1.0)) ** -2)
 
 
-def _solved(
+def _solve_point(
     problem: Problem, layout: Layout, local: Local, common: Array, log_spread: Array
 ) -> Array:
     """Scaled coordinates of a group's problem at which scatter and known sizes fit best."""

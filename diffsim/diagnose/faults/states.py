@@ -14,7 +14,7 @@ import numpy as np
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import Run
 from diffsim.diagnose.faults.groups import Group
-from diffsim.diagnose.faults.learn import Learned
+from diffsim.diagnose.faults.learn import GroupPosterior
 
 NEW_STATE_COUNT = 1.0  # groups that the probability of a new state is worth
 
@@ -34,7 +34,7 @@ class State:
     log_odds: float
 
 
-def possible_states(group: Group, learned: Learned, keys: FaultKeys) -> tuple[State, ...]:
+def possible_states(group: Group, learned: GroupPosterior, keys: FaultKeys) -> tuple[State, ...]:
     """States that a group may be in; one without further ado where ``state`` is not used.
 
     Args:
@@ -64,14 +64,14 @@ def possible_states(group: Group, learned: Learned, keys: FaultKeys) -> tuple[St
 
 
 def _in_state(group: Group, label: str, keys: FaultKeys) -> Group:
-    return replace(group, runs=tuple(_relabeled(run, label, keys) for run in group.runs))
+    return replace(group, runs=tuple(_relabel_run(run, label, keys) for run in group.runs))
 
 
-def _relabeled(run: Run, label: str, keys: FaultKeys) -> Run:
+def _relabel_run(run: Run, label: str, keys: FaultKeys) -> Run:
     return replace(run, setup={**run.setup, str(keys.state): label})
 
 
-def _alike(learned: Learned, group: Group, other: str, label: str, keys: FaultKeys) -> bool:
+def _alike(learned: GroupPosterior, group: Group, other: str, label: str, keys: FaultKeys) -> bool:
     """Whether another group shares all parameters but those of states: the same vehicle."""
     layout = learned.layout
     own = layout.of(_in_state(group, label, keys).runs)[0]

@@ -18,8 +18,7 @@ from diffsim.diagnose.faults.evidence import Evidence
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, Interval
-from diffsim.identify.effect import Effect
-from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.identify.effect import PRIOR_WIDTH, Effect
 
 Array = NDArray[np.float64]
 SILENT, UNLISTED = "nothing visible", "not in the library"
@@ -146,7 +145,7 @@ class FaultReport:
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class CandidateEvidence:
     """One candidate with its evidence."""
 
     candidate: Candidate
@@ -155,7 +154,7 @@ class Weighed:
 
 def verdict_of(
     group: Group,
-    weighed: Sequence[Weighed],
+    evidences: Sequence[CandidateEvidence],
     effects: Mapping[str, Effect],
     smallest_visible: Mapping[str, float],
 ) -> FaultVerdict:
@@ -163,21 +162,21 @@ def verdict_of(
 
     Args:
         group: The group.
-        weighed: All candidates with their evidence.
+        evidences: All candidates with their evidence.
         effects: Causes by name.
         smallest_visible: Smallest size of each cause that would be visible alone.
     """
-    level = np.array([w.evidence.log_evidence for w in weighed])
-    learned = _normalized(level + [w.candidate.learned_odds for w in weighed])
-    alone = _normalized(level + [w.candidate.log_odds for w in weighed])
+    level = np.array([w.evidence.log_evidence for w in evidences])
+    learned = _normalize_weights(level + [w.candidate.learned_odds for w in evidences])
+    alone = _normalize_weights(level + [w.candidate.log_odds for w in evidences])
     order = np.argsort(-learned)
-    sound = next(i for i, w in enumerate(weighed) if w.candidate.is_sound)
+    sound = next(i for i, w in enumerate(evidences) if w.candidate.is_sound)
     best = int(order[0])
-    status = _status(weighed, learned, alone, sound, best)
+    status = _status(evidences, learned, alone, sound, best)
     is_named = status not in (SILENT, UNLISTED)
-    causes = weighed[best].candidate.causes if is_named else ()
-    sizes = _sizes(causes, weighed[best].evidence, effects) if is_named else ()
-    rivals = _rivals(weighed, alone, best) if is_named else ()
+    causes = evidences[best].candidate.causes if is_named else ()
+    sizes = _sizes(causes, evidences[best].evidence, effects) if is_named else ()
+    rivals = _rivals(evidences, alone, best) if is_named else ()
     return FaultVerdict(
         group=group.label,
         runs=tuple(run.name for run in group.runs),
@@ -186,15 +185,15 @@ def verdict_of(
         status=status,
         causes=causes,
         sound=float(alone[sound]),
-        strength=weighed[best].evidence.strength if is_named else 0.0,
+        strength=evidences[best].evidence.strength if is_named else 0.0,
         sizes=sizes,
         rivals=rivals,
         sets=tuple(
             SetRow(
-                weighed[i].candidate.causes,
+                evidences[i].candidate.causes,
                 float(learned[i]),
                 float(alone[i]),
-                weighed[i].candidate.is_unlisted,
+                evidences[i].candidate.is_unlisted,
             )
             for i in order[:MAX_ROWS]
         ),
@@ -203,27 +202,31 @@ def verdict_of(
     )
 
 
-def _status(weighed: Sequence[Weighed], learned: Array, alone: Array, sound: int, best: int) -> str:
+def _status(
+    evidences: Sequence[CandidateEvidence], learned: Array, alone: Array, sound: int, best: int
+) -> str:
     if alone[sound] > SOUND_LIMIT:
         return SILENT
-    if weighed[best].candidate.is_unlisted:
+    if evidences[best].candidate.is_unlisted:
         return UNLISTED
-    chosen = set(weighed[best].candidate.causes)
-    holds = np.array([chosen <= set(w.candidate.causes) for w in weighed])
+    chosen = set(evidences[best].candidate.causes)
+    holds = np.array([chosen <= set(w.candidate.causes) for w in evidences])
     is_expected = learned[holds].sum() >= LIKELY_FROM
-    if not _rivals(weighed, alone, best):
+    if not _rivals(evidences, alone, best):
         is_certain = is_expected and alone[sound] <= CERTAIN_LIMIT
         return CERTAIN if is_certain else LIKELY
     return LIKELY if is_expected else UNTOLD
 
 
-def _rivals(weighed: Sequence[Weighed], alone: Array, best: int) -> tuple[tuple[str, ...], ...]:
+def _rivals(
+    evidences: Sequence[CandidateEvidence], alone: Array, best: int
+) -> tuple[tuple[str, ...], ...]:
     """Sets within reach that lack a cause of the best one; those with more causes do not count."""
-    chosen = set(weighed[best].candidate.causes)
+    chosen = set(evidences[best].candidate.causes)
     within = alone >= alone.max() * np.exp(-REACH_NATS)
     found = [
         (-float(p), _name(w.candidate))
-        for w, p, near in zip(weighed, alone, within, strict=True)
+        for w, p, near in zip(evidences, alone, within, strict=True)
         if near and not chosen <= set(w.candidate.causes)
     ]
     return tuple(name for _, name in sorted(found))
@@ -279,5 +282,5 @@ def _words(status: str, sizes: Sequence[Size], rivals: Sequence[tuple[str, ...]]
     return text[0].upper() + text[1:]
 
 
-def _normalized(log_weight: Array) -> Array:
+def _normalize_weights(log_weight: Array) -> Array:
     return np.asarray(np.exp(log_weight - logsumexp(log_weight)))

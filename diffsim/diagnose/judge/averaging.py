@@ -27,8 +27,8 @@ from diffsim.diagnose.judge.left_out import (
     moved,
 )
 from diffsim.diagnose.judge.records import Interval
-from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
-from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, SetPosterior
+from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, is_of_run
 
@@ -40,7 +40,7 @@ POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a p
 
 
 @dataclass(frozen=True, eq=False)
-class Averaged:
+class ModelAverage:
     """Weights of all sets in play.
 
     Attributes:
@@ -89,7 +89,7 @@ class Averaged:
         if (members, u) not in made.unknown_slopes:
             u = None
         without, both = Hypothesis(members, u), Hypothesis(members | {i}, u)
-        known = {**search.linear, **search.weighed}
+        known = {**search.linear, **search.posteriors}
         if both in known and without in known:
             return known[both].nats - known[without].nats
         if members not in made.screened:
@@ -145,7 +145,7 @@ class Averaged:
         excluded, of their sum it can. By the heaviest set with a fit, at 90 %, widened as intervals
         are.
         """
-        fits = {h: w.fit for h, w in self.search.weighed.items() if i in h.effects}
+        fits = {h: w.fit for h, w in self.search.posteriors.items() if i in h.effects}
         held = [h for h, fit in fits.items() if fit is not None and self.weights.get(h, 0.0) > 0.0]
         if not held:
             return False
@@ -166,7 +166,7 @@ class Averaged:
             i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
-        effect, fit = self.search.wide.effects[i], self._weighed(h).fit
+        effect, fit = self.search.wide.effects[i], self._find_set(h).fit
         own = (self.search.wide if fit is None else fit.problem).columns_of(effect)
         mean, sd = (values[own] for values in self._posterior(h))
         if names is None:
@@ -181,24 +181,24 @@ class Averaged:
         return self._posteriors(h, lambda: self._computed_posterior(h))
 
     def _computed_posterior(self, h: Hypothesis) -> tuple[Array, Array]:
-        weighed = self._weighed(h)
-        fit = weighed.fit
+        posterior = self._find_set(h)
+        fit = posterior.fit
         if fit is None:
-            problem, x, sd = self.search.wide, weighed.x, weighed.sd
+            problem, x, sd = self.search.wide, posterior.x, posterior.sd
         else:
             problem, x = fit.problem, fit.x
             shift = numerical_shift(fit, self.changes)
             sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
         return problem.scaled(x), sd * problem.stretch(x)
 
-    def _weighed(self, h: Hypothesis) -> Weighed:
-        found = self.search.weighed.get(h)
+    def _find_set(self, h: Hypothesis) -> SetPosterior:
+        found = self.search.posteriors.get(h)
         return self.search.linear[h] if found is None else found
 
 
 def averaged(
     search: Search, judgment: Judgment, fit: Fit, changes: Mapping[str, Array]
-) -> Averaged:
+) -> ModelAverage:
     """Weights of all sets and the widening of intervals.
 
     Args:
@@ -208,12 +208,12 @@ def averaged(
         fit: Fit of the best set, whose parts are left out one after the other.
         changes: Change of the record by refining each numerical setting.
     """
-    nats = {h: w.nats for h, w in {**search.linear, **search.weighed}.items()}
+    nats = {h: w.nats for h, w in {**search.linear, **search.posteriors}.items()}
     nats = {h: e for h, e in nats.items() if not h.effects & judgment.withdrawn}
     nats |= {Hypothesis(members): e for members, (_, e) in judgment.decision.instead.items()}
     wider = widening(fit)
     kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in judgment.refuted}
-    return Averaged(
+    return ModelAverage(
         search,
         _weights(kept),
         _weights(nats),
@@ -226,7 +226,7 @@ def averaged(
 
 @dataclass(frozen=True, eq=False)
 class Widening:
-    """How fits without a part of the runs spread; fields as of ``Averaged``."""
+    """How fits without a part of the runs spread; fields as of ``ModelAverage``."""
 
     factors: Mapping[str, float] = field(default_factory=dict)
     spread: Mapping[str, float] = field(default_factory=dict)

@@ -39,7 +39,7 @@ def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
             channel.name: {"sd": float(sd), "coefficients": a.tolist()}
             for channel, sd, a in zip(study.channels, noise.sd, noise.coefficients, strict=True)
         },
-        "seen_runs": {run.name: _seen(run) for run in seen},
+        "seen_runs": {run.name: _describe_run(run) for run in seen},
         "range": {
             what: {**asdict(span), "labels": list(span.labels)}
             for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
@@ -47,7 +47,7 @@ def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
     }
 
 
-def _seen(run: Run) -> dict[str, Any]:
+def _describe_run(run: Run) -> dict[str, Any]:
     """What tells later that a run, or a part of it, was seen."""
     known = {"use": run.use, "content": content_of(run), "stretches": " ".join(stretches_of(run))}
     return known | ({BLOCK_OF: run.setup[BLOCK_OF]} if BLOCK_OF in run.setup else {})
@@ -72,7 +72,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         ValueError: no such runs, runs that were fitted, another system's file, or one of before.
     """
     study, facts = inputs.study, saved.facts
-    runs = _chosen(study, saved, names)
+    runs = _choose_unseen(study, saved, names)
     saved = without_values_of(saved, [run.name for run in runs])
     models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved)]
     noise = _noise_of(saved, study)
@@ -94,7 +94,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
     )
 
 
-def _chosen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:
+def _choose_unseen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:
     """Runs to judge, none of which the model has seen."""
     by_name = {run.name: run for run in study.runs}
     for name in names:

@@ -176,7 +176,7 @@ def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen)
     return np.asarray(table[table[:, 0] > 0], dtype=np.float64)
 
 
-class Referee(Protocol):
+class Validation(Protocol):
     """Runs, or parts of runs, that a fit has not seen.
 
     Attributes:
@@ -243,7 +243,7 @@ class LeftOut:
         )
 
 
-def referee_of(plain: Fit, select: Sequence[Run]) -> Referee | None:
+def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
     """Select runs if there are any, else fit runs left out; None where they are too few.
 
     Args:
@@ -256,7 +256,7 @@ def referee_of(plain: Fit, select: Sequence[Run]) -> Referee | None:
     return None if folds is None else LeftOut(plain.problem, folds)
 
 
-def gain_over(referee: Referee, without: Fit, best: Fit, seed: int) -> Gain:
+def gain_over(validation: Validation, without: Fit, best: Fit, seed: int) -> Gain:
     """Gain of a fit over another on what neither has seen."""
-    before, after = referee.residuals(without), referee.residuals(best)
-    return compared(referee.runs, without, before, after, seed=seed)
+    before, after = validation.residuals(without), validation.residuals(best)
+    return compared(validation.runs, without, before, after, seed=seed)

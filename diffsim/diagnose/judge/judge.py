@@ -1,6 +1,6 @@
-"""From evidence to one verdict; unknown causes face the repeats, names face a referee.
+"""From evidence to one verdict; unknown causes face the repeats, names face a validation.
 
-The referee is runs with use: select, else fit runs that are left out one after the other.
+Validation is by runs with use: select, else fit runs that are left out one after the other.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.crosscheck import swap_probability
-from diffsim.diagnose.judge.gain import Gain, Referee, gain_over
+from diffsim.diagnose.judge.gain import Gain, Validation, gain_over
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.search import refit, weigh_unknowns_beside
 from diffsim.diagnose.search.simulations import Members
-from diffsim.diagnose.search.weighed_sets import Search
 
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
@@ -45,8 +45,8 @@ class Decision:
             more before the best set although that explains enough; its lead is ``lead`` [nats].
         forms: Effects that may be the form of another one of the set, each with what they may be.
         equal: Those of the rivals that fit as well.
-        sheets: Parameters whose data sheet is wrong in place of a cause: where a wide prior puts
-            them and their sd, in standard deviations of the data sheet.
+        data_sheets: Parameters whose data sheet is wrong in place of a cause: where a wide prior
+            puts them and their sd, in standard deviations of the data sheet.
         instead: Wrong data sheets in place of a member of the best set: what it leaves, with the
             data sheet in words and the evidence of both [nats].
     """
@@ -60,7 +60,7 @@ class Decision:
     lead: float = 0.0
     forms: Mapping[int, str] = field(default_factory=dict)
     equal: tuple[Hypothesis, ...] = ()
-    sheets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    data_sheets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     instead: Mapping[frozenset[int], tuple[str, float]] = field(default_factory=dict)
 
 
@@ -152,15 +152,15 @@ def prune(nats: Mapping[Hypothesis, float], best: Hypothesis) -> Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """Decision after the checks by the referee and on repeats.
+    """Decision after the checks by the validation and on repeats.
 
     Attributes:
         decision: Decision after all checks.
         search: Behind it, with what was refitted for the checks; None if nothing was searched.
-        gain: Gain of the best set before the referee; None without one, or without a name.
-        gains: Gain before the referee of each member of the sets that were considered, by index of
+        gain: Gain of the best set on the validation; None without one, or without a name.
+        gains: Gain on the validation of each member of the sets that were considered, by index of
             the effect.
-        withdrawn: Effects that the evidence asked for and the referee refuted.
+        withdrawn: Effects that the evidence asked for and the validation refuted.
         gates: Checks of unknown causes against repeats.
         refuted: Unknown causes, by index, that repeats refuted.
         helps: Effects that remove error from what they were not fitted to although the verdict is
@@ -177,7 +177,7 @@ class Judgment:
     helps: frozenset[int] = frozenset()
 
 
-def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
+def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
     """Decide; while a name of the best set makes unseen runs worse, withdraw the worst one.
 
     One at a time: members that share a misfit look bad together, and the rest may be good once one
@@ -185,7 +185,7 @@ def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
 
     Args:
         search: Search with all sets that were weighed.
-        referee: What names are held against; None: the evidence alone decides.
+        validation: What names are held against; None: the evidence alone decides.
         seed: Seed of the bootstraps.
     """
     gains: dict[int, Gain] = {}
@@ -201,27 +201,27 @@ def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
         judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
-        if referee is None:
+        if validation is None:
             return judgment
         if decision.verdict not in NAMES:
-            return _with_help(judgment, referee, seed)
+            return _with_help(judgment, validation, seed)
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
         for i in sorted(decision.best):
             search = refit(search, decision.best - {i})
-            without = search.weighed.get(Hypothesis(decision.best - {i}))
+            without = search.posteriors.get(Hypothesis(decision.best - {i}))
             if without is not None and without.fit is not None:
-                now[i] = gain_over(referee, without.fit, best, seed)
+                now[i] = gain_over(validation, without.fit, best, seed)
         gains = gains | now
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
         if not harmful:
-            total = gain_over(referee, search.fit_of(frozenset()), best, seed)
+            total = gain_over(validation, search.fit_of(frozenset()), best, seed)
             return replace(judgment, search=search, gain=total, gains=gains)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)
 
 
-def _with_help(judgment: Judgment, referee: Referee, seed: int) -> Judgment:
+def _with_help(judgment: Judgment, validation: Validation, seed: int) -> Judgment:
     """With the set of effects that removes most error where an unknown cause has the verdict."""
     search, withdrawn = judgment.search, judgment.withdrawn
     if judgment.decision.verdict != "unknown" or search is None:
@@ -229,12 +229,12 @@ def _with_help(judgment: Judgment, referee: Referee, seed: int) -> Judgment:
     search = _with_singles(search, withdrawn)
     fits = {
         h.effects: w.fit
-        for h, w in search.weighed.items()
+        for h, w in search.posteriors.items()
         if h.unknown is None and h.effects and not h.effects & withdrawn and w.fit is not None
     }
     plain = search.fit_of(frozenset())
     nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MAX_HELPERS]
-    gains = {members: gain_over(referee, plain, fits[members], seed) for members in nearest}
+    gains = {members: gain_over(validation, plain, fits[members], seed) for members in nearest}
     helpful = [m for m in nearest if gains[m].status == "confirmed"]
     if not helpful:
         return replace(judgment, search=search)
@@ -261,27 +261,27 @@ def _ready_without(search: Search, rest: Members) -> Search:
     for i in rest:
         search = refit(search, rest - {i})
     search = refit(search, rest)
-    if Hypothesis(rest) in search.weighed:
+    if Hypothesis(rest) in search.posteriors:
         search = weigh_unknowns_beside(search, rest)
     return search
 
 
 def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Decision:
     """Decision from the evidence, sets with withdrawn effects left out."""
-    weighed = {h: w for h, w in search.weighed.items() if not h.effects & withdrawn}
+    posteriors = {h: w for h, w in search.posteriors.items() if not h.effects & withdrawn}
     null = search.fit_of(frozenset())
     # samples less effectively fitted parameters: tr (J'J) (J'J + 1)^-1
     fitted = null.problem.num_base - float(np.trace(null.covariance))
     return decide(
-        {h: w.nats for h, w in weighed.items()},
-        {h: w.chi2 for h, w in weighed.items() if h.unknown is None},
+        {h: w.nats for h, w in posteriors.items()},
+        {h: w.chi2 for h, w in posteriors.items() if h.unknown is None},
         null.num_samples - fitted,
         {
             h: float(w.x @ w.x) if w.fit is None else w.fit.prior
-            for h, w in weighed.items()
+            for h, w in posteriors.items()
             if h.unknown is None
         },
-        {h: sum(len(search.wide.effects[i].components) for i in h.effects) for h in weighed},
+        {h: sum(len(search.wide.effects[i].components) for i in h.effects) for h in posteriors},
     )
 
 

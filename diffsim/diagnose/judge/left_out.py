@@ -68,7 +68,7 @@ class Folds:
 
 
 def folds_of(fit: Fit) -> Folds | None:
-    """Parts of the runs for a referee: groups, at most 8 parts; else blocks of time.
+    """Parts of the runs for cross-validation: groups, at most 8 parts; else blocks of time.
 
     Blocks, where all runs repeat one command, or where half of the parameters or more are known
     from one group each, such as a stiffness per material: what leaves with a group is not told by
@@ -207,7 +207,7 @@ def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
     change = fit.jacobian[fold.rows] @ step
     predicted = fit.residual[fold.rows] - change
     try:
-        found = _simulated(fit, fold, x)
+        found = _simulate_part(fit, fold, x)
     except DiffsimError:  # too far to be simulated: a fit of its own ends elsewhere
         found = None
     size = NONLINEAR * float(np.linalg.norm(change))
@@ -215,25 +215,25 @@ def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
     worse = found is None or 0.5 * (found @ found - predicted @ predicted) > WORSE_NATS
     if far and worse and repeats.left > 0:
         repeats.left -= 1
-        again = _refitted(fit, fold, x)
+        again = _refit_without(fit, fold, x)
         if again is not None and (found is None or again @ again < found @ found):
             found = again
     return predicted if found is None else found
 
 
-def _refitted(fit: Fit, fold: Fold, x: Array) -> Array | None:
+def _refit_without(fit: Fit, fold: Fold, x: Array) -> Array | None:
     """Residual of the part after a full fit to the rest; None if that cannot be simulated."""
     problem = replace(fit.problem, runs=_kept_runs(fit.problem, fold))
     for start in (x, fit.x):
         try:
             rest, _ = gauss_newton(problem, linearization_at(problem, start))
-            return _simulated(fit, fold, rest.x)
+            return _simulate_part(fit, fold, rest.x)
         except DiffsimError:
             continue
     return None
 
 
-def _simulated(fit: Fit, fold: Fold, x: Array) -> Array:
+def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     """Residual of a part simulated at x, the values of its own runs fitted to it."""
     rows = _run_of_rows(fit.problem)
     found = np.zeros(len(rows))

@@ -120,7 +120,7 @@ class _Alone:
         self._problem, self._x, self._own = problem, x, own
         self._bounds = tuple(b[own] for b in problem.bounds)
         # where slopes of the start are given up, they are asked for twice
-        self._slopes = lru_cache(maxsize=1)(self._simulated)
+        self._slopes = lru_cache(maxsize=1)(self._simulate_slopes)
 
     def full(self, part: Array) -> Array:
         """All coordinates, (n,)."""
@@ -158,7 +158,7 @@ class _Alone:
             return False
         return _promise(left, self.columns(part), part) > _STRAIGHT
 
-    def _simulated(self, key: bytes) -> Array:
+    def _simulate_slopes(self, key: bytes) -> Array:
         point = self.full(np.frombuffer(key, dtype=np.float64))
         return -np.asarray(self._problem.linearize(point, only=self._own)[1][:, self._own])
 

@@ -31,7 +31,7 @@ from diffsim.diagnose.checks.numerics import (
 )
 from diffsim.diagnose.judge.data_sheet import WIDE, pull_limit, words_of
 from diffsim.diagnose.judge.judge import NAMES, Decision
-from diffsim.diagnose.judge.records import WRONG_SHEET
+from diffsim.diagnose.judge.records import WRONG_DATA_SHEET
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
     Hypothesis,
@@ -39,7 +39,7 @@ from diffsim.diagnose.search.evidence import (
     price_of_family,
     unrealized,
 )
-from diffsim.diagnose.search.weighed_sets import Search
+from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.linearization import whitened
 
@@ -113,7 +113,7 @@ def _strongest(lacks: Array, does: Mapping[int, Array], num_samples: int) -> int
     return first if usual < min(1.0, FORM**2 * there[first]) else None
 
 
-def without_wrong_sheets(decision: Decision, search: Search) -> Decision:
+def without_wrong_data_sheets(decision: Decision, search: Search) -> Decision:
     """The decision with wrong data sheets beside the causes that may stand in for them.
 
     Where the record holds more than the library does, nothing is changed: pulls of data sheets are
@@ -125,30 +125,31 @@ def without_wrong_sheets(decision: Decision, search: Search) -> Decision:
     """
     if decision.verdict not in NAMES or decision.beside is not None or decision.unknown is not None:
         return decision
-    found = {i: sheet for i in decision.best if (sheet := _instead(search, decision.best, i))}
+    found = {i: sheet for i in decision.best if (sheet := _find_stand_in(search, decision.best, i))}
     if not found:
         return decision
-    forms = {**decision.forms, **{i: off_sheet(sheet.name) for i, sheet in found.items()}}
+    forms = {**decision.forms, **{i: wrong_data_sheet(sheet.name) for i, sheet in found.items()}}
     own = search.nats(Hypothesis(decision.best))
     instead = {
-        decision.best - {i}: (off_sheet(sheet.name), own + sheet.nats) for i, sheet in found.items()
+        decision.best - {i}: (wrong_data_sheet(sheet.name), own + sheet.nats)
+        for i, sheet in found.items()
     }
     if len(decision.best) == 1 and all(sheet.nats >= ALONE_NATS for sheet in found.values()):
         at = {sheet.name: (sheet.x, sheet.sd) for sheet in found.values()}
         alone = replace(decision, verdict="none", best=frozenset(), rivals=(), equal=())
-        return replace(alone, forms=forms, sheets=at, instead=instead)
+        return replace(alone, forms=forms, data_sheets=at, instead=instead)
     rest = Hypothesis(decision.best - set(forms))
     rivals = (rest, *(h for h in decision.rivals if h != rest))
     return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms, instead=instead)
 
 
-def off_sheet(name: str) -> str:
+def wrong_data_sheet(name: str) -> str:
     """What stands in for a cause, in words."""
-    return f"{WRONG_SHEET}{words_of(name)}"
+    return f"{WRONG_DATA_SHEET}{words_of(name)}"
 
 
 @dataclass(frozen=True)
-class _Sheet:
+class _DataSheet:
     """A data sheet that may be wrong.
 
     Attributes:
@@ -163,12 +164,12 @@ class _Sheet:
     sd: float
 
 
-def _instead(search: Search, best: frozenset[int], i: int) -> _Sheet | None:
+def _find_stand_in(search: Search, best: frozenset[int], i: int) -> _DataSheet | None:
     """The data sheet that explains best what a member does, if it can stand in its place."""
-    rest = search.weighed.get(Hypothesis(best - {i}))
+    rest = search.posteriors.get(Hypothesis(best - {i}))
     if rest is None or rest.fit is None:
         return None
-    tried = list(_wrong_sheets(rest.fit, search.num_families))
+    tried = list(_wrong_data_sheets(rest.fit, search.num_families))
     if not tried:
         return None
     sheet = max(tried, key=lambda s: s.nats)
@@ -176,7 +177,7 @@ def _instead(search: Search, best: frozenset[int], i: int) -> _Sheet | None:
     return replace(sheet, nats=lead) if lead > -ALONE_NATS else None
 
 
-def _wrong_sheets(fit: Fit, num_families: int) -> Iterator[_Sheet]:
+def _wrong_data_sheets(fit: Fit, num_families: int) -> Iterator[_DataSheet]:
     """Evidence of a set with the prior of one pulled parameter wide."""
     problem = fit.problem
     evidence = LaplaceEvidence(problem, fit.x, fit.residual, fit.jacobian, [], num_families)
@@ -185,6 +186,6 @@ def _wrong_sheets(fit: Fit, num_families: int) -> Iterator[_Sheet]:
     limit = pull_limit(problem.model.base)
     for j, p in enumerate(problem.model.base):
         if "@" not in p.name and abs(fit.x[j]) > limit:
-            weighed = evidence.weigh(members, wide={j: WIDE})
-            nats = weighed.nats - lost - price_of_family(num_families)
-            yield _Sheet(p.name, nats, float(weighed.x[j]), float(weighed.sd[j]))
+            posterior = evidence.weigh(members, wide={j: WIDE})
+            nats = posterior.nats - lost - price_of_family(num_families)
+            yield _DataSheet(p.name, nats, float(posterior.x[j]), float(posterior.sd[j]))

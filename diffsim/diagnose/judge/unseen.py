@@ -253,7 +253,7 @@ def on_unseen(
                 At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
                 for frozen in (plain, extended)
             ]
-            said = (_predicted(points[0], run), _predicted(points[1], run))
+            said = (_predict_run(points[0], run), _predict_run(points[1], run))
             whitened = [point.problem.residual(point.x) for point in points]
         except DiffsimError as error:  # of one run: the answer to all others stands
             failed[given.name] = str(error)
@@ -300,7 +300,7 @@ def shown_unit(channel: Channel) -> tuple[str, float]:
     return (unit, 1.0) if unit == channel.unit else (unit, factor(channel.unit, unit))
 
 
-def _predicted(frozen: Frozen, run: Run) -> Array:
+def _predict_run(frozen: Frozen, run: Run) -> Array:
     """What a model says of a run, (num_samples, num_channels) [unit of the channel]."""
     with torch.no_grad():
         return np.asarray(frozen.problem.predict(run, torch.from_numpy(frozen.x)).numpy())
@@ -309,7 +309,7 @@ def _predicted(frozen: Frozen, run: Run) -> Array:
 def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     """The run without isolated spikes; a spike is one in the record itself and to every model."""
     is_spike = np.isfinite(run.measured)
-    left = (run.measured - _predicted(frozen, run) for frozen in models)
+    left = (run.measured - _predict_run(frozen, run) for frozen in models)
     for record in (run.measured, *left):
         cleaned, _ = without_spikes(run, record)
         is_spike &= ~np.isfinite(cleaned.measured)

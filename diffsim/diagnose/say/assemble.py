@@ -16,13 +16,13 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
-from diffsim.diagnose.judge.averaging import Averaged, averaged, widening
+from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
 from diffsim.diagnose.judge.data_sheet import base_rows, far_off
-from diffsim.diagnose.judge.gain import Referee
+from diffsim.diagnose.judge.gain import Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import unmet_by
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, BaseRow, CauseRow
-from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_sheets
+from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_data_sheets
 from diffsim.diagnose.judge.unseen import on_unseen, spans_of
 from diffsim.diagnose.say.causes import CauseEvidence, cause_rows, certain_of, open_rivals, vetoed
 from diffsim.diagnose.say.force_map import ForceMap, force_map
@@ -33,9 +33,9 @@ from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows
 from diffsim.diagnose.say.wording import sentences
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
+from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.search import refit, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Center
-from diffsim.diagnose.search.weighed_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.unknown import UnknownForce
 
@@ -93,7 +93,7 @@ def report_of(
     screened: Screen,
     seed: int,
     bank: Sequence[Run],
-    referee: Referee | None = None,
+    validation: Validation | None = None,
 ) -> Report:
     """The answer of a diagnosis, before any test run is looked at.
 
@@ -104,7 +104,7 @@ def report_of(
         screened: Scores of all candidates at the plain model.
         seed: Seed of the bootstraps.
         bank: Runs that could be recorded next.
-        referee: What names were held against.
+        validation: What names were held against.
     """
     judgment, checks, members = _settle_best_set(judgment, checks)
     case, search, decision = null.case, judgment.search, judgment.decision
@@ -114,10 +114,10 @@ def report_of(
     if members and not best.converged:
         why = f"of the extended model: its sizes are not to be trusted ({best.message})"
         checks = checks.joined([GateResult("fit_converged", False, 0.0, 1.0, why)])
-    strained = {} if decision.beside is None else far_off(best)
+    far_pulls = {} if decision.beside is None else far_off(best)
     rest = float(np.sqrt(best.chi2 / best.num_samples))
     left = None if decision.beside is None or rest <= MUCH_LEFT else rest
-    may_stand_in = bool(strained) or left is not None
+    may_stand_in = bool(far_pulls) or left is not None
     surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
     about = None if search is None else averaged(search, judgment, best, checks.changes)
     certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
@@ -130,7 +130,7 @@ def report_of(
     refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
     is_off = any(row.finding for row in base)
     verdict, named = _verdict(judgment, certain, is_off=is_off, stands_in=bool(refused))
-    # of a verdict that names what all sets share, the sets are all told
+    # of a verdict that names what all sets share, the sets are all given
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
     rows = effect_rows(effects, judgment, screened, checks.changes)
     case.progress("done", 1.0, verdict)
@@ -144,9 +144,9 @@ def report_of(
         named=set_names(Hypothesis(named), effects, ()),
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside=_beside(judgment),
-        strained=strained,
+        far_pulls=far_pulls,
         left=left,
-        chosen_by="" if referee is None else referee.words,
+        chosen_by="" if validation is None else validation.words,
         hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
         screened=screened,
@@ -221,7 +221,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
-    wrong = judgment.decision.sheets
+    wrong = judgment.decision.data_sheets
     return base_rows(best, best.problem.runs, widening(best), judged=judged, wrong=wrong)
 
 
@@ -252,7 +252,7 @@ def _verdict(
 def _with_forms(judgment: Judgment, search: Search, unrefined: Mapping[str, Array]) -> Judgment:
     """The judgment, what may be another cause's form left open; the set without it is fitted."""
     decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best), unrefined)
-    decision = without_wrong_sheets(decision, search)
+    decision = without_wrong_data_sheets(decision, search)
     if decision.forms:  # of several forms, the search need not have come by
         search = refit(search, decision.best - set(decision.forms))
     return replace(judgment, decision=decision, search=search)
@@ -263,7 +263,7 @@ def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
     search, fits = judgment.search, [best]
     if search is not None:
         rivals = [h for h in judgment.decision.rivals if h.unknown is None]
-        fits += [search.fit_of(h.effects) for h in rivals if h in search.weighed]
+        fits += [search.fit_of(h.effects) for h in rivals if h in search.posteriors]
     return next_run(fits, bank) if bank and len(fits) > 1 else None
 
 
@@ -277,7 +277,7 @@ def _unknown_share(null: Null, best: Fit, judgment: Judgment) -> float | None:
     return float(np.clip((best.chi2 - best.num_samples) / missing, 0.0, 1.0))
 
 
-def _interval_factor(causes: Sequence[CauseRow], about: Averaged | None) -> float:
+def _interval_factor(causes: Sequence[CauseRow], about: ModelAverage | None) -> float:
     """The largest widening among causes that have a status of their own."""
     shown = [row.factor for row in causes if row.probability is not None and row.rivals]
     shown += [row.factor for row in causes if row.status in ("certain", "likely")]
@@ -320,10 +320,10 @@ def _trouble(search: Search) -> dict[str, list[str]]:
     def name(h: Hypothesis) -> str:
         return " + ".join(set_names(h, search.wide.effects, search.unknowns)) or "no effect"
 
-    weighed: Mapping[Hypothesis, Any] = search.weighed
+    posteriors: Mapping[Hypothesis, Any] = search.posteriors
     return {
         "could_not_be_simulated": [name(h) for h in search.failed],
-        "not_converged": [name(h) for h, w in weighed.items() if w.fit and not w.fit.converged],
+        "not_converged": [name(h) for h, w in posteriors.items() if w.fit and not w.fit.converged],
         "slopes_borrowed_at": [name(Hypothesis(m)) for m in search.borrowed],
     }
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diffsim.diagnose.judge.averaging import HALF_90, Averaged
+from diffsim.diagnose.judge.averaging import HALF_90, ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.judge.records import (
@@ -34,13 +34,13 @@ REST = "what else is missing"
 ORDER = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 
 
-def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> frozenset[int]:
+def certain_of(decision: Decision, about: ModelAverage, judgment: Judgment) -> frozenset[int]:
     """Effects in every set within reach or that fits as well, with a probability of 99 %.
 
     None where an unknown cause beside the best set is a rival: the set explains too little then.
     Where larger sets were not fitted although they have the evidence, what they would hold must not
     be enough to replace the effect. Nor is an effect certain that only stands in for what the
-    referee took away, that helps nothing on unseen parts, or whose size may as well be zero. A
+    validation took away, that helps nothing on unseen parts, or whose size may as well be zero. A
     single recording makes nothing certain: no other one could contradict it.
     """
     case = about.search.null.case
@@ -66,22 +66,22 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
 
 
 def vetoed(
-    about: Averaged, best: frozenset[int], withdrawn: frozenset[int]
+    about: ModelAverage, best: frozenset[int], withdrawn: frozenset[int]
 ) -> list[frozenset[int]]:
-    """The best sets with effects that the referee withdrew, where they have the evidence.
+    """The best sets with effects that the validation withdrew, where they have the evidence.
 
     The fit runs ask for them and unseen runs refuse them: something that the library has not got
     right acts there. What is named instead may stand in for it, unless these sets hold it as well.
     """
-    weighed = {h: w.nats for h, w in about.search.weighed.items() if h.unknown is None}
-    taken = {h.effects: nats for h, nats in weighed.items() if h.effects & withdrawn}
+    by_set = {h: w.nats for h, w in about.search.posteriors.items() if h.unknown is None}
+    taken = {h.effects: nats for h, nats in by_set.items() if h.effects & withdrawn}
     most = max(taken.values(), default=-np.inf)
-    if most < weighed[Hypothesis(best)] + ALONE_NATS:
+    if most < by_set[Hypothesis(best)] + ALONE_NATS:
         return []
     return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
 
 
-def _may_be_zero(about: Averaged, i: int) -> bool:
+def _may_be_zero(about: ModelAverage, i: int) -> bool:
     """Whether the widened intervals of all components of a size hold zero, together too."""
     sizes = about.size(i).values()
     if not sizes or not all(size.low <= 0.0 <= size.high for size in sizes):
@@ -89,7 +89,7 @@ def _may_be_zero(about: Averaged, i: int) -> bool:
     return len(sizes) == 1 or not about.differs_jointly(i)
 
 
-def _left_out(decision: Decision, about: Averaged) -> float:
+def _left_out(decision: Decision, about: ModelAverage) -> float:
     """Most that one more cause would add to the largest set that is allowed [nats]."""
     search = about.search
     if len(decision.best) < search.settings.max_effects:
@@ -99,7 +99,7 @@ def _left_out(decision: Decision, about: Averaged) -> float:
     return most if most >= KEEP_NATS else 0.0
 
 
-def _may_be_replaced(about: Averaged, i: int, left_out: float) -> bool:
+def _may_be_replaced(about: ModelAverage, i: int, left_out: float) -> bool:
     """Whether sets larger than were fitted could do without a member.
 
     Without it the evidence falls by so much that even twice what one more cause adds elsewhere does
@@ -107,13 +107,13 @@ def _may_be_replaced(about: Averaged, i: int, left_out: float) -> bool:
     """
     if left_out == 0.0:
         return False
-    nats = {h: w.nats for h, w in {**about.search.linear, **about.search.weighed}.items()}
+    nats = {h: w.nats for h, w in {**about.search.linear, **about.search.posteriors}.items()}
     without = max(n for h, n in nats.items() if i not in h.effects)
     return max(nats.values()) - without < 2.0 * left_out + ALONE_NATS
 
 
 def open_rivals(
-    decision: Decision, about: Averaged, certain: frozenset[int]
+    decision: Decision, about: ModelAverage, certain: frozenset[int]
 ) -> tuple[Hypothesis, ...]:
     """Sets that the choice is open to.
 
@@ -145,7 +145,7 @@ class CauseEvidence:
     """
 
     judgment: Judgment
-    about: Averaged | None
+    about: ModelAverage | None
     screened: Screen
     effects: Sequence[Effect]
     members: frozenset[int]
@@ -223,7 +223,9 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
     )
 
 
-def _status(known: CauseEvidence, about: Averaged, i: int, p: float) -> tuple[str, tuple[str, ...]]:
+def _status(
+    known: CauseEvidence, about: ModelAverage, i: int, p: float
+) -> tuple[str, tuple[str, ...]]:
     """Status of an effect, and what it cannot be told from."""
     judgment, decision = known.judgment, known.judgment.decision
     if i in judgment.withdrawn:
@@ -290,7 +292,7 @@ def _smallest_visible(known: CauseEvidence, i: int) -> dict[str, float]:
     screened = known.screened.smallest_visible[k : k + len(effect.components)]
     out = dict(zip(effect.components, (float(s) for s in screened), strict=True))
     search = known.judgment.search
-    for h, w in ({} if search is None else search.weighed).items():
+    for h, w in ({} if search is None else search.posteriors).items():
         if i in h.effects and w.fit is not None and w.fit.converged:
             own = w.fit.problem.columns_of(effect)
             names = [w.fit.problem.names[c] for c in own]
@@ -340,7 +342,7 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
 
 
 def _sets_without_pull(
-    known: CauseEvidence, about: Averaged | None, row: BaseRow
+    known: CauseEvidence, about: ModelAverage | None, row: BaseRow
 ) -> tuple[str, ...]:
     """Causes of the sets within reach in which the parameter stays near its data sheet."""
     names: dict[str, None] = {}
@@ -348,7 +350,7 @@ def _sets_without_pull(
     for h in () if about is None else about.reach:
         if h.effects & set(forms):  # the data sheet was weighed against these
             continue
-        fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
+        fit = about.search.posteriors[h].fit if about and h in about.search.posteriors else None
         if fit is None:
             continue
         own = [

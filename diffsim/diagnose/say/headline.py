@@ -14,7 +14,7 @@ from diffsim.diagnose.judge.records import (
     DATA_SHEET,
     EFFECT,
     LIKELY,
-    WRONG_SHEET,
+    WRONG_DATA_SHEET,
     CauseRow,
     ErrorRow,
 )
@@ -50,7 +50,7 @@ def headline(
         failed: Runs that could not be simulated; errors are not quoted then.
         gained: Gain over all these errors; None: not known.
     """
-    said = _said(answer)
+    said = _say_findings(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
     named = [row for row in effects_of(answer) if row.name in answer.named]
     said_of = [row for row in named if row.status == CERTAIN] or named  # as `_missing` says them
@@ -81,7 +81,7 @@ def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended
     return f"{capital(ends[0].lstrip('.; ').removeprefix('but '))}."
 
 
-def _said(answer: Answer) -> list[str]:
+def _say_findings(answer: Answer) -> list[str]:
     """What is wrong, without a full stop; shorter ones later."""
     named = [
         r
@@ -122,9 +122,9 @@ def _open(answer: Answer) -> list[str]:
     if not names or len(shown.split()) > MAX_OPEN:
         shown = "one of several causes"
     off = [
-        w.removeprefix(WRONG_SHEET)
+        w.removeprefix(WRONG_DATA_SHEET)
         for w in answer.decision.forms.values()
-        if w.startswith(WRONG_SHEET)
+        if w.startswith(WRONG_DATA_SHEET)
     ]
     also = f" or {off[0]} is off its data sheet" if off else ""
     return [f"{capital(shown)} is missing{also}; these runs cannot tell which"]

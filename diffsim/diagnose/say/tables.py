@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
-from diffsim.diagnose.search.evidence import Hypothesis, Screen, Weighed
-from diffsim.diagnose.search.weighed_sets import Search
-from diffsim.identify.effect import Effect, effect_coordinates
-from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.diagnose.search.evidence import Hypothesis, Screen, SetPosterior
+from diffsim.diagnose.search.fitted_sets import Search
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -115,7 +114,7 @@ def effect_rows(
             missing = null.chi2 - null.num_samples
             if alone is not None and missing > 0.0:
                 share = (null.chi2 - alone.chi2) / missing
-            size, sd = _refitted(search, decision, i, size, sd, changes)
+            size, sd = _read_refit(search, decision, i, size, sd, changes)
         gained = judgment.gains.get(i)
         note = "" if gained is None or gained.status == "confirmed" else gained.status
         rows.append(
@@ -144,7 +143,7 @@ def evidence_for(search: Search, i: int) -> float:
 
     Linear evidence stands for an effect that no refitted set holds.
     """
-    plain = {h: w.nats for h, w in search.weighed.items() if h.unknown is None}
+    plain = {h: w.nats for h, w in search.posteriors.items() if h.unknown is None}
     linear = {h: w.nats for h, w in search.linear.items() if i in h.effects}
     with_it = [n for h, n in plain.items() if i in h.effects] or list(linear.values())
     return max(with_it) - max(n for h, n in plain.items() if i not in h.effects)
@@ -168,19 +167,19 @@ def hypothesis_rows(
         return ()
     base = search.nats(Hypothesis())
 
-    def row(h: Hypothesis, weighed: Weighed, refitted: bool) -> HypothesisRow:
+    def row(h: Hypothesis, posterior: SetPosterior, refitted: bool) -> HypothesisRow:
         return HypothesisRow(
             effects=tuple(effects[i].name for i in sorted(h.effects)),
             unknown=None if h.unknown is None else unknowns[h.unknown].name,
-            nats=weighed.nats - base,
-            chi2=weighed.chi2,
+            nats=posterior.nats - base,
+            chi2=posterior.chi2,
             refitted=refitted,
         )
 
-    rows = [row(h, w, True) for h, w in search.weighed.items()]
+    rows = [row(h, w, True) for h, w in search.posteriors.items()]
     rows += [row(h, w, False) for h, w in search.linear.items()]
     for members, (words, nats) in (instead or {}).items():
-        plain = row(Hypothesis(members), search.weighed[Hypothesis(members)], True)
+        plain = row(Hypothesis(members), search.posteriors[Hypothesis(members)], True)
         rows.append(replace(plain, unknown=words, nats=nats - base))
     return tuple(sorted(rows, key=lambda r: (not r.refitted, -r.nats)))
 
@@ -225,7 +224,7 @@ def set_names(
     return names if h.unknown is None else (*names, unknowns[h.unknown].name)
 
 
-def _refitted(
+def _read_refit(
     search: Search,
     decision: Decision,
     i: int,
@@ -234,7 +233,7 @@ def _refitted(
     changes: Mapping[str, Array],
 ) -> tuple[Array, Array]:
     """Size and sd from the best refit that holds the effect; the decision's set comes first."""
-    holding = [h for h in search.weighed if h.unknown is None and i in h.effects]
+    holding = [h for h in search.posteriors if h.unknown is None and i in h.effects]
     if not holding:
         return size, sd
     best = max(holding, key=lambda h: (h.effects == decision.best, search.nats(h)))

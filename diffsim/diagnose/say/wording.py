@@ -19,7 +19,7 @@ from diffsim.diagnose.judge.records import (
     EFFECT,
     LIKELY,
     UNKNOWN,
-    WRONG_SHEET,
+    WRONG_DATA_SHEET,
     CauseRow,
     ErrorRow,
     Interval,
@@ -48,7 +48,7 @@ class Answer:
         beside: Name of an unknown cause that leads beside the named set; empty if none.
         chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
             after the other", "leaving out blocks of 2.5 s".
-        strained: Parameters that the set takes further off their data sheets than even wrong ones
+        far_pulls: Parameters that the set takes further off their data sheets than even wrong ones
             lie while something unknown acts, in words, each with its distance [prior sd].
         left: What the set leaves, if that is much and an unknown cause explains it [noise sd].
     """
@@ -63,7 +63,7 @@ class Answer:
     best_names: tuple[str, ...] = ()
     beside: str = ""
     chosen_by: str = ""
-    strained: Mapping[str, float] = field(default_factory=dict)
+    far_pulls: Mapping[str, float] = field(default_factory=dict)
     left: float | None = None
 
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
@@ -159,7 +159,7 @@ def sentences(
         unseen: Errors on test runs.
         failed: Runs that could not be simulated, by name, with why.
     """
-    out = [_first(answer), *_strained(answer), *_data_sheets(answer), *_rest(answer)]
+    out = [_first(answer), *_say_doubts(answer), *_data_sheets(answer), *_rest(answer)]
     if gained is not None:
         out.append(gained.words)
     elif failed:
@@ -203,7 +203,9 @@ def _first(answer: Answer) -> str:
         if not answer.rivals:
             return f"{asked}, but not so clearly that it is certain."
         forms = answer.decision.forms.values()
-        nothing = "a wrong data sheet" if any(f.startswith(WRONG_SHEET) for f in forms) else "none"
+        nothing = (
+            "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
+        )
         return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
     if answer.verdict == "unknown":
         text = "Something real and repeatable is missing that the library does not hold"
@@ -223,14 +225,14 @@ def _first(answer: Answer) -> str:
     )
 
 
-def _strained(answer: Answer) -> list[str]:
+def _say_doubts(answer: Answer) -> list[str]:
     """Why a set is not certain that left data sheets far behind, or leaves much."""
     if answer.verdict != "named":
         return []
     out = [
         f"{opened(words)} is {abs(pull):.0f} standard deviations off its data sheet, and something "
         "unknown acts: what is named may stand in for that."
-        for words, pull in answer.strained.items()
+        for words, pull in answer.far_pulls.items()
     ]
     if answer.left is not None:
         out.append(

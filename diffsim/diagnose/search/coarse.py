@@ -1,4 +1,4 @@
-"""First answers about dear simulations: coarse ones, which are told what finer ones would say.
+"""First answers about expensive simulations: coarse ones, corrected by what finer ones say.
 
 A simulation of all fitted runs that takes longer than ``DiagnosisSettings.dear_seconds`` begins
 with larger cells and longer steps. At the plain fit settings are refined, one at a time, until what
@@ -36,7 +36,7 @@ CHEAP = 2.0  # times the first simulation: to refine more than is needed
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class NullCorrection:
     """A correction, with what is left beyond it.
 
     Attributes:
@@ -50,35 +50,35 @@ class Corrected:
     gates: tuple[GateResult, ...]
 
 
-def corrected(null: Null, once: float) -> tuple[Null, Corrected]:
+def corrected(null: Null, once: float) -> tuple[Null, NullCorrection]:
     """The plain model with the correction that its fit asks for, and fitted again.
 
     Args:
         null: The plain model, fitted with coarse settings.
         once: CPU seconds of a simulation of all runs with the cells that were given.
     """
-    told = _tell_finer(null, once)
-    case = replace(null.case, correction=told.correction)
-    x = null.at.x - told.correction.shift.numpy()
+    found = _find_correction(null, once)
+    case = replace(null.case, correction=found.correction)
+    x = null.at.x - found.correction.shift.numpy()
     problem = case.problem(null.noise.whitener)
     x = np.clip(x, *problem.bounds)
     fit, at = gauss_newton(problem, replace(null.at, x=x, record=record_at(problem, x)))
-    return replace(null, case=case, fit=fit, at=at), told
+    return replace(null, case=case, fit=fit, at=at), found
 
 
-def _tell_finer(null: Null, once: float) -> Corrected:
-    refined = [_refined(null, name, once) for name in REFINEMENTS]
+def _find_correction(null: Null, once: float) -> NullCorrection:
+    refined = [_refine_setting(null, name, once) for name in REFINEMENTS]
     coarse = null.fit.problem.numerics or Numerics()
     finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
     total = np.sum([r.added for r in refined], axis=0)
     correction = Correction(null.fit.problem, null.at.x, finer)
     gates = tuple(_gate(r.name, r.left, coarse, r.numerics) for r in refined)
     changes = {r.name: _next(r.sizes) * r.change for r in refined}
-    return Corrected(correction.known(null.fit.problem.runs, total), changes, gates)
+    return NullCorrection(correction.known(null.fit.problem.runs, total), changes, gates)
 
 
 @dataclass(frozen=True, eq=False)
-class _Refined:
+class _RefinedSetting:
     """One setting, refined step by step at the plain fit.
 
     Attributes:
@@ -103,12 +103,12 @@ class _Refined:
         return _next(self.sizes) * self.sizes[-1]
 
 
-def _refined(null: Null, name: str, once: float) -> _Refined:
-    """Refine a setting until what is left is well below the limit, or too dear."""
+def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
+    """Refine a setting until what is left is well below the limit, or costs too much."""
     problem, at = null.fit.problem, null.at
     coarse, dearest = problem.numerics or Numerics(), null.case.settings.refine_budget
     nothing = np.zeros_like(at.record)
-    here = _Refined(name, coarse, np.zeros(problem.num_base), nothing, nothing)
+    here = _RefinedSetting(name, coarse, np.zeros(problem.num_base), nothing, nothing)
     for _ in range(MAX_LEVELS):
         start = process_time()
         there = here.numerics.refined(REFINEMENTS[name])
@@ -117,10 +117,10 @@ def _refined(null: Null, name: str, once: float) -> _Refined:
         raw = numerics_gate(null.fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
-        shift, added = _mapped(null, record, here.shift)
+        shift, added = _fit_shift(null, record, here.shift)
         change = at.columns @ (shift - here.shift) + added - here.added
         size = numerics_gate(null.fit, {name: change})[0].value
-        here = _Refined(name, there, shift, added, change, (*here.sizes, size))
+        here = _RefinedSetting(name, there, shift, added, change, (*here.sizes, size))
         enough = here.left < NUMERICS_LAMBDA
         if min(size, here.left) < 0.5 * NUMERICS_LAMBDA:
             break
@@ -129,7 +129,7 @@ def _refined(null: Null, name: str, once: float) -> _Refined:
     return here
 
 
-def _mapped(null: Null, record: Array, shift: Array) -> tuple[Array, Array]:
+def _fit_shift(null: Null, record: Array, shift: Array) -> tuple[Array, Array]:
     """Base parameters at which coarse records are most like a finer one, and what is left of it.
 
     Args:
@@ -175,7 +175,7 @@ def _shift(fit: Fit, change: Array) -> Array:
 
 
 def renewed_at(fit: Fit) -> tuple[Correction, Array, float]:
-    """The correction told at a fit, by how much it differs there, and that in noise sd.
+    """The correction made at a fit, by how much it differs there, and that in noise sd.
 
     Args:
         fit: Fit of a corrected problem.

@@ -38,9 +38,8 @@ from scipy import linalg, special
 
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, precision_at
 from diffsim.identify.problem import PredictionError, Problem
-from diffsim.identify.sizes import precision_at
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -64,7 +63,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class SetPosterior:
     """Evidence of a hypothesis and where its posterior lies.
 
     Attributes:
@@ -133,7 +132,7 @@ class LaplaceEvidence:
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
 
-    def weigh(self, hypothesis: Hypothesis, wide: Mapping[int, float] = NORMAL) -> Weighed:
+    def weigh(self, hypothesis: Hypothesis, wide: Mapping[int, float] = NORMAL) -> SetPosterior:
         """Evidence of a hypothesis and its optimum.
 
         Args:
@@ -145,7 +144,7 @@ class LaplaceEvidence:
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
         if hypothesis.unknown is None:
             nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0, wide)
-            return Weighed(nats - len(members) * price, x, sd, chi2, 0.0)
+            return SetPosterior(nats - len(members) * price, x, sd, chi2, 0.0)
         extra = self.unknown_columns[hypothesis.unknown]
         tried = [self._gaussian(free, members, extra, a, wide) for a in AMPLITUDES]
         evidences = np.array([t[0] for t in tried])
@@ -154,7 +153,9 @@ class LaplaceEvidence:
         _, x, sd, chi2 = tried[best]
         # the unknown causes share what one more family may claim
         price_unknown = price + np.log(self.num_unknowns)
-        return Weighed(mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best])
+        return SetPosterior(
+            mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best]
+        )
 
     def _gaussian(
         self,
@@ -239,7 +240,7 @@ def price_of_family(num_families: int) -> float:
     return float(np.log(max(num_families, 1)))
 
 
-def unrealized(fit: Fit, weighed: Weighed) -> float:
+def unrealized(fit: Fit, posterior: SetPosterior) -> float:
     """Nats that a Gauss-Newton step from a fit promises but the fit did not reach.
 
     The evidence from a linearization holds at its optimum; a fit that stopped elsewhere (a kink, a
@@ -247,9 +248,9 @@ def unrealized(fit: Fit, weighed: Weighed) -> float:
 
     Args:
         fit: Fit that was linearized.
-        weighed: Evidence from that linearization.
+        posterior: Evidence from that linearization.
     """
-    return 0.5 * (fit.chi2 + fit.prior - weighed.chi2 - float(weighed.x @ weighed.x))
+    return 0.5 * (fit.chi2 + fit.prior - posterior.chi2 - float(posterior.x @ posterior.x))
 
 
 def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:

@@ -72,14 +72,14 @@ def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
     for _ in range(MAX_SHORTENED):
         problem = replace(problem, model=model)
         try:
-            return _grown(problem, windows)
+            return _fit_growing(problem, windows)
         except DiffsimError:
             shorter = model.shortened(problem.runs)
             if shorter is None:
                 raise
             shorter.simulations = model.simulations  # goes on counting
             model = shorter
-    return _grown(problem, windows)
+    return _fit_growing(problem, windows)
 
 
 def cut(run: Run, share: float) -> Run:
@@ -98,7 +98,7 @@ def cut(run: Run, share: float) -> Run:
     return replace(run, time_s=run.time_s[:keep], measured=run.measured[:keep], command=command)
 
 
-def _grown(problem: Problem, windows: Sequence[float]) -> Ended:
+def _fit_growing(problem: Problem, windows: Sequence[float]) -> Ended:
     start = np.zeros(problem.num_base)
     try:
         whole = gauss_newton(problem, linearization_at(problem, start))
@@ -165,7 +165,7 @@ class Case:
         unmet: What the study lacks for the candidates that were left out, by name.
         num_simulated: Simulations that the model had made before.
         numerics: Refined numerical settings of all simulations; None: the model's own.
-        correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
+        correction: What finer settings than ``numerics`` change, made at one point; None: nothing.
         num_tests: Test runs that are kept, and looked at after the answer is frozen.
     """
 
@@ -229,7 +229,7 @@ class Null:
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class RefinedNull:
     """The plain model under settings that are fine enough, or as fine as the budget allows.
 
     Attributes:
@@ -248,7 +248,7 @@ def coarsen_first_look(case: Case) -> tuple[Case, float]:
 
     Returns:
         The case, and the CPU seconds of a simulation of all fitted runs with the cells that it was
-        given; 0 where that is not dear.
+        given; 0 where that is cheap.
     """
     case, settings = _with_own_step(case), case.settings
     if not np.isfinite(settings.dear_seconds) or settings.accept_numerics:
@@ -332,7 +332,7 @@ def residual_of(fit: Fit, run: Run) -> Array:
         return run.measured - fit.problem.predict(run, torch.from_numpy(fit.x)).numpy()
 
 
-def check_numerics(null: Null) -> Refined:
+def check_numerics(null: Null) -> RefinedNull:
     """Check the settings at the null fit; refine and fit again where the gate fails.
 
     Args:
@@ -343,7 +343,7 @@ def check_numerics(null: Null) -> Refined:
     settings = null.case.settings
     if settings.accept_numerics or settings.refine_budget <= 1.0 or not names_of_failed(gates):
         gates = note_numerics(gates, null.fit.problem.numerics, 1.0, settings.refine_budget)
-        return Refined(null, changes, gates)
+        return RefinedNull(null, changes, gates)
     once = time_simulation(null.fit.problem, null.at.x)
     paid = 1.0
     for _ in range(MAX_REFITS):
@@ -359,7 +359,7 @@ def check_numerics(null: Null) -> Refined:
         gates = tuple(numerics_gate(null.fit, changes))
         if not names_of_failed(gates):
             break
-    return Refined(
+    return RefinedNull(
         null, changes, note_numerics(gates, null.fit.problem.numerics, paid, settings.refine_budget)
     )
 

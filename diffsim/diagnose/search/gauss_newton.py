@@ -187,14 +187,14 @@ class _Iterate:
             cost = float(r @ r + x @ x)
         if not cost < self.cost:
             return shorter, False
-        after = self._updated(x, step, record, r)
+        after = self._update_slopes(x, step, record, r)
         if after.at.slope_error - self.at.slope_error > REFRESH_RTOL:
             return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), True
         if longest > 0.9 * self.radius:
             return replace(after, radius=2.0 * longest), True
         return after, True
 
-    def _updated(self, x: Array, step: Array, record: Array, residual: Array) -> _Iterate:
+    def _update_slopes(self, x: Array, step: Array, record: Array, residual: Array) -> _Iterate:
         """At x, the end of a step; Broyden's update of the slopes."""
         here = self.at
         off = record - here.record - here.columns @ step

@@ -87,7 +87,7 @@ def scan_located(
     proposals = list(effect.locate.propose(course))[:MAX_PROPOSALS]
     if not proposals:
         return Scan(None, 0)
-    placed = sorted({i for p in proposals for i in _placed(wide, p)})
+    placed = sorted({i for p in proposals for i in _find_parameters(wide, p)})
     columns = [*placed, *wide.columns_of(effect)]
     coordinates = sorted({*own, *columns})
     points = np.stack([_point(wide, center.x, effect, p) for p in proposals])
@@ -134,7 +134,7 @@ def _responses(
     return np.hstack(parts)
 
 
-def _placed(wide: Problem, proposal: Proposal) -> list[int]:
+def _find_parameters(wide: Problem, proposal: Proposal) -> list[int]:
     names = [p.name for p in wide.model.base]
     return [names.index(n) for n in proposal.parameters]
 
@@ -142,7 +142,9 @@ def _placed(wide: Problem, proposal: Proposal) -> list[int]:
 def _point(wide: Problem, x: Array, effect: Effect, proposal: Proposal) -> Array:
     """Standardized coordinates of a proposal at a center."""
     out = x.copy()
-    for i, value in zip(_placed(wide, proposal), proposal.parameters.values(), strict=True):
+    for i, value in zip(
+        _find_parameters(wide, proposal), proposal.parameters.values(), strict=True
+    ):
         parameter = wide.model.base[i]
         low, high = wide.bounds[0][i], wide.bounds[1][i]
         out[i] = np.clip(parameter.coordinate_of(value), low, high)

@@ -2,7 +2,7 @@
 simulation.
 
 All in scaled coordinates v: the misfit is v'Gv - 2 b'v + const, the prior |q|^2 of base parameters
-and x(u)^2 of sizes (``identify.sizes``).
+and x(u)^2 of sizes (``identify.effect``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim.identify.sizes import TAIL, coordinate_of, precision_at, scaled_at
+from diffsim.identify.effect import TAIL, coordinate_of, precision_at, scaled_at
 
 Array = NDArray[np.float64]
 MAX_REWEIGHTS = 60
@@ -58,7 +58,7 @@ def optimum(
     if (v[base] < low[base]).any() or (v[base] > high[base]).any():
         first = np.ones(len(b))
         first[sizes] = precision_at(v[sizes])
-        v = _reweighted(gram, b, low, high, sizes, first)
+        v = _reweight_sizes(gram, b, low, high, sizes, first)
     return v
 
 
@@ -71,16 +71,16 @@ def kept_definite(gram: Array) -> Array:
 def _sizes_optimum(gram: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
     """The optimum where all coordinates are sizes: the lower end of two valleys."""
     every = np.ones(len(b), dtype=bool)
-    near = _reweighted(gram, b, low, high, every, precision_at(start))
+    near = _reweight_sizes(gram, b, low, high, every, precision_at(start))
     free = quadratic_optimum(gram + FREE * np.eye(len(b)), b, low, high)
     if (np.abs(free) < CONVEX).all() or np.allclose(free, near, rtol=SAME_VALLEY, atol=SAME_VALLEY):
         return near  # there is but one valley
-    far = _reweighted(gram, b, low, high, every, precision_at(free))
+    far = _reweight_sizes(gram, b, low, high, every, precision_at(free))
 
     return min(near, far, key=lambda u: _cost(u, gram, b, every))
 
 
-def _reweighted(
+def _reweight_sizes(
     gram: Array, b: Array, low: Array, high: Array, sizes: NDArray[np.bool_], weights: Array
 ) -> Array:
     """Least squares, reweighted until the sizes stand; Newton's steps where the prior's penalty is
@@ -132,10 +132,10 @@ def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Arra
         v = np.where(active < 0, low, np.where(active > 0, high, 0.0))
         free = active == 0
         if free.all():
-            v = _solved(hessian, b)
+            v = _solve_step(hessian, b)
         elif free.any():
             right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
-            v[free] = _solved(hessian[np.ix_(free, free)], right)
+            v[free] = _solve_step(hessian[np.ix_(free, free)], right)
         beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))
         if beyond.any():
             active = active + beyond
@@ -181,7 +181,7 @@ def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
     return top + float(np.log(area)) - float(np.log(sd)) - 0.5 * (mean / sd) ** 2
 
 
-def _solved(hessian: Array, b: Array) -> Array:
+def _solve_step(hessian: Array, b: Array) -> Array:
     """H^-1 b; where two sizes do the same and hardly have a prior, they share it."""
     # scaled to a unit diagonal: sizes that nothing shows differ by many decades
     root = np.sqrt(np.diagonal(hessian))

@@ -19,7 +19,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Problem
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
@@ -28,7 +28,6 @@ from diffsim.identify.linearization import (
     whitened,
 )
 from diffsim.identify.numerics import NumericalEffect
-from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]
 Members = frozenset[int]
@@ -107,7 +106,7 @@ def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
         effects: The group.
         num_runs: Runs that are simulated for each size; one in one run alone counts by its share.
     """
-    count = len(_combined(effects))
+    count = len(_combine_tries(effects))
     if not _is_close(effects):
         return count
     return FEW + BEST + -(-(count + 2 * BEST * ROUNDS) // num_runs)
@@ -125,7 +124,7 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
     effects = [wide.effects[i] for i in group]
     columns = [c for e in effects for c in wide.columns_of(e)]
     rest = [c for c in own if c not in columns]
-    count, tried = num_points(effects, len(first_runs(wide.runs))), _combined(effects)
+    count, tried = num_points(effects, len(first_runs(wide.runs))), _combine_tries(effects)
     if _is_close(effects):
         tried = _best_of_one_run(wide, own, center, columns, tried)
     costs = _costs_at(wide, own, center, columns, tried)
@@ -245,14 +244,14 @@ def _mask(a: Effect, b: Effect) -> bool:
     return names(a, b) or names(b, a)
 
 
-def _combined(effects: Sequence[Effect]) -> Array:
+def _combine_tries(effects: Sequence[Effect]) -> Array:
     """Standardized coordinates to try, (num_points, num_components)."""
     is_coarse = len(effects) > 1
-    parts = [_tried(e, is_coarse or len(e.components) > 1) for e in effects]
+    parts = [_list_tries(e, is_coarse or len(e.components) > 1) for e in effects]
     return np.array([np.concatenate(p) for p in product(*parts)])
 
 
-def _tried(effect: Effect, is_coarse: bool) -> list[Array]:
+def _list_tries(effect: Effect, is_coarse: bool) -> list[Array]:
     """Coordinates of one effect: each component alone, of both signs where it may have them."""
     times = np.array(effect.tries or (COARSE_TIMES if is_coarse else TIMES))
     signs = (1.0, -1.0) if effect.signed else (1.0,)

@@ -20,15 +20,15 @@ from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.numerics import check_numerics_of_set
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, families
 from diffsim.diagnose.search.fit import Null
-from diffsim.diagnose.search.from_sheet import (
+from diffsim.diagnose.search.fitted_sets import Search, weigh_unknowns
+from diffsim.diagnose.search.from_prior import (
     LEAST_REFITS,
-    center_at_sheet,
+    center_at_prior,
     cooled,
     promising_sets,
 )
 from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
-from diffsim.diagnose.search.weighed_sets import Search, weigh_unknowns
 from diffsim.identify import Fit, Problem
 from diffsim.identify.linearization import Linearization
 
@@ -37,7 +37,7 @@ Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 MAX_OVERTAKING = 2  # refits after the time for them is over
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FROM_SHEET = 0.5  # of the time of refits, for those from the data sheet
+FROM_PRIOR = 0.5  # of the time of refits, for those from the data sheet
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -56,14 +56,14 @@ def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
     until = process_time() + search.settings.refit_seconds
-    center, search = _from_data_sheet(search)
+    center, search = _refit_from_prior(search)
     if center is search.plain:
-        center, search = _scanned(search, search.plain)
+        center, search = _scan_kinks(search, search.plain)
         search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
         ranked, search = _promising(search, center)
         search = repaired(_refit_promising(search, center, ranked, until))
-        best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
+        best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
         if best == center.members:
             break
         center, search = _center(search, best, center)
@@ -90,28 +90,28 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
     return replace(search, numerics={**search.numerics, members: found})
 
 
-def has_left_sheet(fit: Fit) -> bool:
+def has_left_prior(fit: Fit) -> bool:
     """Whether a fit of the plain model took a base parameter far from its prior."""
     base = np.abs(fit.x[: fit.problem.num_base])
     return bool(base.max(initial=0.0) > FAR)
 
 
-def _from_data_sheet(search: Search) -> tuple[Center, Search]:
+def _refit_from_prior(search: Search) -> tuple[Center, Search]:
     """The plain model; or the best set that was fitted from the data sheet, if its fit has left
     that."""
-    if not has_left_sheet(search.fit_of(NONE)):
+    if not has_left_prior(search.fit_of(NONE)):
         return search.plain, search
-    sheet, made = center_at_sheet(search.simulations, search.settings, search.num_families)
+    at_prior, made = center_at_prior(search.simulations, search.settings, search.num_families)
     search = replace(search, simulations=made)
-    if sheet is not None:
-        ranked = promising_sets(sheet, search.settings.max_effects)
+    if at_prior is not None:
+        ranked = promising_sets(at_prior, search.settings.max_effects)
         settings = search.settings
-        seconds = min(settings.scan_seconds, FROM_SHEET * settings.refit_seconds)
+        seconds = min(settings.scan_seconds, FROM_PRIOR * settings.refit_seconds)
         until = process_time() + seconds
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
             if process_time() < until:
-                search = refit(search, members, sheet, begin=cooled)
-    best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
+                search = refit(search, members, at_prior, begin=cooled)
+    best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
 
@@ -128,15 +128,15 @@ def refit(
         begin: Finds where a fit begins, from a start of its own.
     """
     key = Hypothesis(members)
-    if key in search.weighed or key in search.failed:
+    if key in search.posteriors or key in search.failed:
         return search
     names = " + ".join(search.wide.effects[i].name for i in sorted(members))
     # how many refits it will take is not known before: each takes a tenth of what is left
-    share = 0.85 - 0.6 * 0.9 ** len(search.weighed)
+    share = 0.85 - 0.6 * 0.9 ** len(search.posteriors)
     search.null.case.progress("search", share, names or "no effect")
     near = near or search.plain
-    weighed = near.weigh(members)
-    promised = 0.5 * (weighed.chi2 + float(weighed.x @ weighed.x))
+    posterior = near.weigh(members)
+    promised = 0.5 * (posterior.chi2 + float(posterior.x @ posterior.x))
     message, best = "", None
     starts = _starts(search, members, near)
     begin = None if members in search.simulations.fitted else begin
@@ -211,7 +211,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
 
 def weigh_unknowns_beside(search: Search, members: Members) -> Search:
     """Weigh a fitted set with every unknown cause, if that was not done."""
-    if not search.unknowns or Hypothesis(members, 0) in search.weighed:
+    if not search.unknowns or Hypothesis(members, 0) in search.posteriors:
         return search
     center, search = _center(search, members, search.plain)
     return weigh_unknowns(search, center)
@@ -226,10 +226,10 @@ def _center(search: Search, members: Members, last: Center) -> tuple[Center, Sea
         at = made.fitted[members].joined(last.at)
         borrowed = {**borrowed, members: str(error)}
     center = made.center(members, at, search.num_families)
-    return _scanned(replace(search, simulations=made, borrowed=borrowed), center)
+    return _scan_kinks(replace(search, simulations=made, borrowed=borrowed), center)
 
 
-def _scanned(search: Search, center: Center) -> tuple[Center, Search]:
+def _scan_kinks(search: Search, center: Center) -> tuple[Center, Search]:
     """A center with the scans of effects with kinks, where a misfit is left for them."""
     fit, settings = search.fit_of(center.members), search.settings
     if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
@@ -243,7 +243,7 @@ def _with_linear(
 ) -> tuple[dict[Members, float], Search]:
     """Linear evidence of sets at a center [nats], kept for the table."""
     entries = {s: center.weigh(s) for s in sets}
-    new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.weighed}
+    new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.posteriors}
     nats = {s: w.nats for s, w in entries.items()}
     return nats, replace(search, linear={**search.linear, **new})
 
@@ -273,16 +273,16 @@ def _refit_promising(
     most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
     for k, members in enumerate(ranked[:most]):
         has_time = k == 0 or (k < wanted and process_time() < until)
-        if not has_time and any(_is_near_sheet(search, tried) for tried in ranked[:k]):
+        if not has_time and any(_is_near_prior(search, tried) for tried in ranked[:k]):
             break
         search = refit(search, members, center)
     return search
 
 
-def _is_near_sheet(search: Search, members: Members) -> bool:
+def _is_near_prior(search: Search, members: Members) -> bool:
     """Whether the fit of a set left all base parameters near their priors."""
-    weighed = search.weighed.get(Hypothesis(members))
-    return weighed is not None and weighed.fit is not None and not has_left_sheet(weighed.fit)
+    posterior = search.posteriors.get(Hypothesis(members))
+    return posterior is not None and posterior.fit is not None and not has_left_prior(posterior.fit)
 
 
 def _refit_rivals(search: Search, center: Center, until: float) -> Search:

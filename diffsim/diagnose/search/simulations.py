@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, Weighed
+from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.located import course_at, scan_located
@@ -63,7 +63,7 @@ class Center:
         """Where a fit of a set starts: at the sizes of what it adds, if they were scanned."""
         return self.scanned.get(members - self.members, self)
 
-    def weigh(self, members: Members) -> Weighed:
+    def weigh(self, members: Members) -> SetPosterior:
         """Linear evidence of a set, from here or from the sizes that were scanned, if better."""
         here, there = self.evidence, self.towards(members).evidence
         entries = [e.weigh(Hypothesis(members)) for e in dict.fromkeys((here, there))]
@@ -86,8 +86,8 @@ class Simulations:
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_seconds: CPU time that these took [s].
         scans_late: Groups of effects that were not tried because that time was over.
-        sheet: All slopes of the plain model at its prior, where they were asked for.
-        sheet_scans: Sizes that were tried there.
+        at_prior: All slopes of the plain model at its prior, where they were asked for.
+        prior_scans: Sizes that were tried there.
         place: Where the plain model is, for what is kept on disk; empty: at its fit.
     """
 
@@ -100,8 +100,8 @@ class Simulations:
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_seconds: float = 0.0
     scans_late: frozenset[tuple[Members, Members]] = frozenset()
-    sheet: Linearization | None = None
-    sheet_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
+    at_prior: Linearization | None = None
+    prior_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     place: str = ""
 
     def under(self, null: Null) -> Simulations:
@@ -130,8 +130,8 @@ class Simulations:
             screened={k: of(at) for k, at in self.screened.items()},
             at_unknowns={k: tuple(of(at) for at in v) for k, v in self.at_unknowns.items()},
             scans=tried(self.scans),
-            sheet=None if self.sheet is None else of(self.sheet),
-            sheet_scans=tried(self.sheet_scans),
+            at_prior=None if self.at_prior is None else of(self.at_prior),
+            prior_scans=tried(self.prior_scans),
         )
         return made.under(null)
 

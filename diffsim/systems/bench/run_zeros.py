@@ -13,7 +13,7 @@ import numpy as np
 from torch import Tensor
 
 from diffsim.causes.catalogue import rows
-from diffsim.causes.readings import spell_plainly
+from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Effect

@@ -11,7 +11,8 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 from diffsim.causes.channel_groups import channel_groups
-from diffsim.causes.readings import Instrument, pace, reading_causes, spell_plainly, usual_sample
+from diffsim.causes.readings import Instrument, pace, reading_causes, usual_sample
+from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.data.study import Channel, Study
 from diffsim.identify.effect import Effect

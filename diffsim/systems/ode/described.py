@@ -12,11 +12,11 @@ import numpy as np
 from torch import Tensor
 
 from diffsim.causes.channel_groups import channels_of, clock_of
-from diffsim.causes.holding import looks_held, moves_on
 from diffsim.causes.readings import PLAY_START, with_play_start
 from diffsim.causes.signals import Grid, delayed, held_delayed
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression
+from diffsim.data.steps import looks_held, moves_on
 from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
@@ -104,7 +104,8 @@ class Described:
             self._check_places()
             self._check_events()
         states = tuple(motion.states)
-        self.own = own_effects(keys.effects.formulas, study, self.known, states, reader)
+        own = keys.effects.formulas
+        self.own = own_effects(own, study, self.known, states, reader) if own else ()
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._parse_definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
@@ -340,10 +341,12 @@ class Described:
         return SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
 
     def _build_scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
+        if PLAY_START in self.quantities:
+            values = with_play_start(values, run)
         known = {
             **scalars(facts_of(run)),
             **scalars(data_values(self.study, run, self.keys.rest)),
-            **self.base.in_run(with_play_start(values, run), run),
+            **self.base.in_run(values, run),
         }
         step = math.inf  # what does not move is at its samples only
         if self.motion.states:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from diffsim.causes.catalogue import rows
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups
-from diffsim.causes.readings import Instrument, reading_cause, spell_plainly
+from diffsim.causes.readings import Instrument, reading_cause
+from diffsim.causes.row import spell_plainly
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.library import Library
 

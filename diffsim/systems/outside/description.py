@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
-from diffsim.causes.holding import looks_held
 from diffsim.causes.own import Ports
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
 from diffsim.core.units import in_si, in_unit
+from diffsim.data.steps import looks_held
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.setup import DiagnosisSetup

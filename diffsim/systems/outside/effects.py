@@ -9,7 +9,8 @@ import numpy as np
 from torch import Tensor
 
 from diffsim.causes.commands import command_causes
-from diffsim.causes.readings import reading_causes, spell_plainly
+from diffsim.causes.readings import reading_causes
+from diffsim.causes.row import spell_plainly
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from diffsim.causes.channel_groups import CLOCK, WHOLE, channel_groups
 from diffsim.causes.commands import CommandGroup
-from diffsim.causes.readings import Instrument, spell_plainly
+from diffsim.causes.readings import Instrument
+from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
 from diffsim.data.study import Study

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from diffsim.causes.catalogue import rows
 from diffsim.causes.ports import on_place
-from diffsim.causes.readings import spell_plainly
+from diffsim.causes.row import spell_plainly
 from diffsim.identify.effect import Effect
 from diffsim.systems.outside.hooks import Place
 

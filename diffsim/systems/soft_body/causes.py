@@ -20,9 +20,9 @@ from diffsim.causes.readings import (
     pace,
     reading_cause,
     reading_causes,
-    spell_plainly,
     usual_sample,
 )
+from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.identify.effect import Apply, Effect, needs_nothing
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance

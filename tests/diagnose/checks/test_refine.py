@@ -50,7 +50,7 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
 def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(
     budget, numerics, monkeypatch
 ):
-    """What is said of the settings is the same: that they fail, and whether finer are too dear."""
+    """What is said of the settings is the same: that they fail, and whether finer cost too much."""
     settings = replace(QUICK, refine_budget=budget)
     null = null_fit(case(settings, step=0.01 if numerics is None else 0.04))
     if numerics is not None:

@@ -52,8 +52,8 @@ def test_a_recording_cut_in_two_is_told():
     whole = recorded(1)
     early = part(whole, slice(0, 250), name="early")
     late = part(whole, slice(250, None), name="late", use="test")
-    told = gates(early, late)["separate_runs"]
-    assert not told.passed and "run late goes on where run early ends" in told.note
+    gate = gates(early, late)["separate_runs"]
+    assert not gate.passed and "run late goes on where run early ends" in gate.note
     assert cut_in_two(study(early, replace(late, time_s=late.time_s + 1.0))) == []
     other = part(recorded(2), slice(250, None), name="late", use="test")
     away = replace(other, measured=other.measured + 1.0)  # the same clock, another place
@@ -70,7 +70,7 @@ def test_equal_samples_by_chance_are_no_double():
 
 
 def test_what_does_not_apply_did_not_pass():
-    told = gates(recorded(1, "first"), recorded(2, "second"))
+    by_name = gates(recorded(1, "first"), recorded(2, "second"))
     for name in ("held_out", "separate_runs", "repeats"):
-        assert told[name].status == "does not apply"
-    assert told["commands"].status == "passed"
+        assert by_name[name].status == "does not apply"
+    assert by_name["commands"].status == "passed"

@@ -184,7 +184,7 @@ def test_groups_are_judged_by_one_thread(monkeypatch):
         seen.append(torch.get_num_threads())
         raise InterruptedError
 
-    monkeypatch.setattr(judging, "given_by", interrupted)
+    monkeypatch.setattr(judging, "take_apart", interrupted)
     study = days.study(teachers(np.random.default_rng(5)))
     before = torch.get_num_threads()
     torch.set_num_threads(2)

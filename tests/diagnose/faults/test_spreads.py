@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.diagnose.faults.evidence import positive_quadrant
-from diffsim.diagnose.faults.given import given_by
+from diffsim.diagnose.faults.given import take_apart
 from diffsim.diagnose.faults.learn import log_posterior
 from diffsim.diagnose.faults.local import local_at, problem_of
 from diffsim.diagnose.faults.marginal import Priors, without
@@ -23,7 +23,7 @@ def test_slopes_along_spreads_are_those_of_differences():
     runs += days.group("known", rng, {"first": 0.2}, "first")
     study = days.study(runs)
     setup = days.setup(study)
-    given = given_by(study, setup)
+    given = take_apart(study, setup)
     problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), setup.effects)
     effects = {e.name: e for e in problem.effects}
     point = np.zeros(len(problem.names))

@@ -47,10 +47,10 @@ def decision(verdict="named"):
 
 def test_a_weak_second_law_may_be_the_form_of_the_first():
     assert form_of(fit(180.0, 8.0), {}) == {1: "another form of first"}
-    told = without_forms(decision(), fit(180.0, 8.0))
-    assert told.verdict == "ambiguous"
-    assert told.forms == {7: "another form of first"}
-    assert told.rivals == (Hypothesis(frozenset({3})),)
+    decided = without_forms(decision(), fit(180.0, 8.0))
+    assert decided.verdict == "ambiguous"
+    assert decided.forms == {7: "another form of first"}
+    assert decided.rivals == (Hypothesis(frozenset({3})),)
 
 
 def test_a_second_law_that_stands_out_is_named():
@@ -102,7 +102,7 @@ def test_a_set_without_several_forms_is_fitted(monkeypatch):
         return replace(decision, verdict="ambiguous", rivals=(rest,), forms={0: "", 1: ""})
 
     def refitted(search, members):
-        seen.append(Hypothesis(members) in search.weighed)
+        seen.append(Hypothesis(members) in search.posteriors)
         return refit(search, members)
 
     monkeypatch.setattr(assemble, "without_forms", without_two)

@@ -10,10 +10,10 @@ from scipy.optimize import least_squares
 from diffsim.data.study import TIMELESS, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose import diagnosis as pipeline
-from diffsim.diagnose.judge.gain import LeftOut, gain_over, held_out_residual, referee_of
+from diffsim.diagnose.judge.gain import LeftOut, gain_over, held_out_residual, validation_of
 from diffsim.diagnose.judge.left_out import Repeats, blocks_of, folds_of, left_out_residual
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel, fit
-from diffsim.identify.sizes import coordinate_of
+from diffsim.identify.effect import coordinate_of
 from tests.diagnose import linear, toy
 
 QUICK = DiagnosisSettings(search=SearchSettings(num_refits=2))
@@ -148,10 +148,10 @@ def test_fit_runs_left_out_refute_what_one_run_alone_asks_for():
         fits = [
             fit(linear.model(), runs, linear.CHANNELS, effects=effects) for effects in ((), (PUSH,))
         ]
-        referee = referee_of(fits[0], ())
-        assert isinstance(referee, LeftOut)
-        assert referee.words == "leaving out one command after the other among the fit runs"
-        assert gain_over(referee, *fits, seed=0).status == status
+        validation = validation_of(fits[0], ())
+        assert isinstance(validation, LeftOut)
+        assert validation.words == "leaving out one command after the other among the fit runs"
+        assert gain_over(validation, *fits, seed=0).status == status
 
 
 def test_linear_refits_predict_as_full_ones_do_where_a_model_is_not_linear():

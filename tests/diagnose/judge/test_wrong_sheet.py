@@ -9,7 +9,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.data_sheet import base_rows
-from diffsim.diagnose.judge.stand_ins import off_sheet
+from diffsim.diagnose.judge.stand_ins import wrong_data_sheet
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.identify import Parameter, SimModel, fit
 from diffsim.identify.unknown import UnknownDrift
@@ -56,10 +56,10 @@ def test_a_cause_that_takes_up_a_wrong_data_sheet_gives_way_to_it():
     size = causes(report)["mass"].size["size"]
     assert size.low < 0.3 + 9.0 * 0.7 < size.high
     row = causes(report)["tug"]
-    assert row.status == "refuted" and row.rivals == (off_sheet("mass"),)
+    assert row.status == "refuted" and row.rivals == (wrong_data_sheet("mass"),)
     assert row.probability < 0.05
     first = report.hypotheses[0]
-    assert (first.effects, first.unknown) == ((), off_sheet("mass"))
+    assert (first.effects, first.unknown) == ((), wrong_data_sheet("mass"))
 
 
 def test_what_a_cause_alone_explains_stays_its_name():
@@ -72,7 +72,9 @@ def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it():
     report = diagnosed({}, (tug(0.0),), base=(9.0, 0.0))
     assert report.verdict == "ambiguous"
     row = causes(report)["tug"]
-    assert row.status in ("likely", "cannot be told from") and off_sheet("mass") in row.rivals
+    assert (
+        row.status in ("likely", "cannot be told from") and wrong_data_sheet("mass") in row.rivals
+    )
     assert "mass is off its data sheet" in report.headline
 
 
@@ -130,8 +132,8 @@ def test_nothing_is_certain_that_takes_a_data_sheet_far_off_while_something_unkn
     found = causes(report)
     assert found["push"].status == found["mass"].status == status
     assert ("probably" in report.headline) == (status == "likely")
-    told = [s for s in report.sentences if "standard deviations off its data sheet" in s]
-    assert len(told) == (status == "likely")
+    doubts = [s for s in report.sentences if "standard deviations off its data sheet" in s]
+    assert len(doubts) == (status == "likely")
 
 
 @pytest.mark.parametrize(("noise", "status"), [(1.0, "certain"), (0.1, "likely")])
@@ -150,5 +152,5 @@ def test_nothing_is_certain_that_leaves_much_while_something_unknown_acts(noise,
     report = diagnose(study, linear.model(), (push,), seed=0, unknowns=unknowns, settings=QUICK)
     assert (report.verdict, report.named) == ("named", ("push",))
     assert causes(report)["push"].status == status
-    told = [s for s in report.sentences if "times the noise, and something unknown" in s]
-    assert len(told) == (status == "likely")
+    doubts = [s for s in report.sentences if "times the noise, and something unknown" in s]
+    assert len(doubts) == (status == "likely")

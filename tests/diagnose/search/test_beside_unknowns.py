@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from diffsim.diagnose.search import weighed_sets as beside_unknowns
+from diffsim.diagnose.search import fitted_sets as beside_unknowns
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.identify.unknown import UnknownDrift
 from tests.diagnose import linear
@@ -45,8 +45,8 @@ def test_unknown_causes_share_the_simulations_of_a_set():
         search.plain, search.unknowns, search.num_families
     )
     keys = [Hypothesis(SET, u) for u in range(2)]
-    weighed = {key: evidence.weigh(key) for key in keys}
-    search = replace(search, weighed={**search.weighed, **weighed})
+    posteriors = {key: evidence.weigh(key) for key in keys}
+    search = replace(search, posteriors={**search.posteriors, **posteriors})
     nats, counts = relinearized(search, evidence, keys)
     assert counts[0] > 0
     assert counts[1] < counts[0]

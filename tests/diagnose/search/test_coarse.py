@@ -1,4 +1,4 @@
-"""Dear simulations: first answers by coarse ones, told once what finer ones would say."""
+"""Expensive simulations: first answers by coarse ones, corrected by what finer ones say."""
 
 from collections import Counter
 from dataclasses import replace
@@ -45,14 +45,14 @@ def counted(model):
     return SimModel(build, model.base, model.name, batched=model.batched), steps
 
 
-def told(once=1.0):
+def correct_toy(once=1.0):
     study = noisy()
     null = null_fit(Case(study, toy.model(study.runs, STEP), (toy.DELAY, toy.BIAS), (), DEAR))
     return null, *corrected(null, once)
 
 
 def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
-    coarse, null, found = told()
+    coarse, null, found = correct_toy()
     assert all(g.passed for g in found.gates if g.name != "time_step")
     fine = replace(coarse.fit.problem, numerics=found.correction.finest)
     assert found.correction.finest.time_step < 1.0
@@ -66,7 +66,7 @@ def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
 
 
 def test_slopes_and_many_points_of_a_corrected_problem_agree_with_its_records():
-    _, null, _ = told()
+    _, null, _ = correct_toy()
     problem, x = null.wide, np.append(null.fit.x, [0.2, 0.1])
     at = linearization_at(problem, x)
     record = record_at(problem, x)
@@ -123,7 +123,7 @@ def test_a_rival_that_promises_more_is_refitted_though_time_is_over():
     wrong, right = frozenset({0}), frozenset({1})
     center, search = _center(refit(search, wrong), wrong, search.plain)
     after = _refit_rivals(search, center, 0.0)
-    assert after.weighed[Hypothesis(right)].fit is not None
+    assert after.posteriors[Hypothesis(right)].fit is not None
     assert after.nats(Hypothesis(right)) > after.nats(Hypothesis(wrong))
     assert after.num_late >= 1
 
@@ -140,8 +140,8 @@ def test_refits_go_on_where_none_stayed_near_the_data_sheet(monkeypatch):
 
     def num_refitted(until):
         made = _refit_promising(search, search.plain, ranked, until)
-        return sum(Hypothesis(members) in made.weighed for members in ranked)
+        return sum(Hypothesis(members) in made.posteriors for members in ranked)
 
     assert num_refitted(0.0) == 1 and num_refitted(np.inf) == 2
-    monkeypatch.setattr(searching, "has_left_sheet", lambda fit: True)
+    monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
     assert num_refitted(0.0) == 4 and num_refitted(np.inf) == 2

@@ -105,11 +105,11 @@ def test_a_size_far_above_the_typical_one_costs_a_few_nats(times):
     effect, runs = linear.line("push"), pushed(0.4 * times)
     x = np.arcsinh(times) / 1.5
     lin = linearized(linear.problem((effect,), runs), np.array([0.0, 0.0, x]), (), 1)
-    weighed = lin.weigh(Hypothesis(frozenset({0})))
-    np.testing.assert_allclose(weighed.x[2], x, atol=0.35 / times)
+    posterior = lin.weigh(Hypothesis(frozenset({0})))
+    np.testing.assert_allclose(posterior.x[2], x, atol=0.35 / times)
     wide = linear.problem((replace(effect, typical=0.4 * times),), runs)
     known = linearized(wide, np.zeros(3), (), 1)
-    lost = known.weigh(Hypothesis(frozenset({0}))).nats - weighed.nats
+    lost = known.weigh(Hypothesis(frozenset({0}))).nats - posterior.nats
     # the narrower prior is the better one for small sizes: its height at the size decides
     assert lost < {1.0: 0.1, 3.0: 0.5, 10.0: 2.0, 100.0: 6.0}[times]
 
@@ -118,13 +118,13 @@ def test_a_size_far_above_the_typical_one_costs_a_few_nats(times):
 def test_the_linear_optimum_far_away_is_that_of_a_fit():
     """From a center where the size is zero, in two valleys."""
     effects, runs = (linear.line("push"), linear.line("pull", signed=False)), pushed(4.0)
-    weighed = linearized(linear.problem(effects, runs), np.zeros(4), (), 1).weigh(
+    posterior = linearized(linear.problem(effects, runs), np.zeros(4), (), 1).weigh(
         Hypothesis(frozenset({0, 1}))
     )
     best = fit(linear.model(), runs, linear.CHANNELS, effects=effects, start=np.full(4, 0.5))
-    np.testing.assert_allclose(weighed.x, best.x, atol=1e-3)
-    np.testing.assert_allclose(weighed.chi2, best.chi2, rtol=1e-6)
-    np.testing.assert_allclose(weighed.sd[0], np.sqrt(best.covariance[0, 0]), rtol=0.02)
+    np.testing.assert_allclose(posterior.x, best.x, atol=1e-3)
+    np.testing.assert_allclose(posterior.chi2, best.chi2, rtol=1e-6)
+    np.testing.assert_allclose(posterior.sd[0], np.sqrt(best.covariance[0, 0]), rtol=0.02)
     assert best.values["push"] == pytest.approx(4.0, abs=4.0 * best.sd["push"])
 
 
@@ -178,9 +178,9 @@ def test_a_bound_against_a_brute_force_integral(beyond, side):
     low, high = np.full(2, -np.inf), np.full(2, np.inf)
     (high if side > 0.0 else low)[0] = bound
     problem = bounded(linear.problem((), runs), low, high)
-    weighed = linearized(problem, np.array([0.3, -0.2]), (), 1).weigh(Hypothesis())
-    np.testing.assert_allclose(weighed.nats + constant(y), peak + np.log(area), rtol=1e-6)
-    assert low[0] - 1e-12 <= weighed.x[0] <= high[0] + 1e-12
+    posterior = linearized(problem, np.array([0.3, -0.2]), (), 1).weigh(Hypothesis())
+    np.testing.assert_allclose(posterior.nats + constant(y), peak + np.log(area), rtol=1e-6)
+    assert low[0] - 1e-12 <= posterior.x[0] <= high[0] + 1e-12
 
 
 @pytest.mark.reference
@@ -189,11 +189,11 @@ def test_the_optimum_within_several_bounds(limits):
     runs = moved(4.0, 4.0)
     y, a = linear.matrices((), runs)
     problem = bounded(linear.problem((), runs), np.full(2, -np.inf), limits)
-    weighed = linearized(problem, np.zeros(2), (), 1).weigh(Hypothesis())
+    posterior = linearized(problem, np.zeros(2), (), 1).weigh(Hypothesis())
     stacked, right = np.vstack([a, np.eye(2)]), np.concatenate([y, np.zeros(2)])
     truth = optimize.lsq_linear(stacked, right, (-np.inf, limits), method="bvls", tol=1e-12)
-    np.testing.assert_allclose(weighed.x, truth.x, atol=1e-9)
-    np.testing.assert_allclose(weighed.chi2, np.sum((y - a @ truth.x) ** 2), rtol=1e-9)
+    np.testing.assert_allclose(posterior.x, truth.x, atol=1e-9)
+    np.testing.assert_allclose(posterior.chi2, np.sum((y - a @ truth.x) ** 2), rtol=1e-9)
 
 
 @pytest.mark.reference
@@ -250,17 +250,19 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
 def test_every_effect_and_unknown_pays_for_being_chosen():
     effects = (linear.line("push"), linear.line("pull"))
     h = np.random.default_rng(0).normal(size=(60, 3))
-    cheap, dear = (linearized(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5))
+    cheap, unaffordable = (
+        linearized(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5)
+    )
     key = Hypothesis(frozenset({0, 1}), 0)
-    np.testing.assert_allclose(cheap.weigh(key).nats - dear.weigh(key).nats, 3 * np.log(5))
+    np.testing.assert_allclose(cheap.weigh(key).nats - unaffordable.weigh(key).nats, 3 * np.log(5))
 
 
 @pytest.mark.parametrize("members", [(), (0,), (0, 1)])
 def test_sets_without_an_unknown_pay_for_every_effect(members):
     effects = (linear.line("push"), linear.line("pull"))
-    cheap, dear = (linearized(linear.problem(effects), np.zeros(4), (), n) for n in (1, 5))
+    cheap, unaffordable = (linearized(linear.problem(effects), np.zeros(4), (), n) for n in (1, 5))
     key = Hypothesis(frozenset(members))
-    paid = cheap.weigh(key).nats - dear.weigh(key).nats
+    paid = cheap.weigh(key).nats - unaffordable.weigh(key).nats
     np.testing.assert_allclose(paid, len(members) * np.log(5), rtol=1e-9, atol=1e-9)
 
 
@@ -312,8 +314,8 @@ def test_a_fit_on_its_bound_is_credited_with_what_lies_within(at):
     assert best.at_bound == ("mass",)
     x = best.x.copy()
     x[0] = at
-    ended, weighed = stopped_at(best, x)
-    assert unrealized(ended, weighed) == pytest.approx(
+    ended, posterior = stopped_at(best, x)
+    assert unrealized(ended, posterior) == pytest.approx(
         0.5 * (ended.chi2 + ended.prior - best.chi2 - best.prior), rel=1e-6, abs=1e-6
     )
 
@@ -333,10 +335,10 @@ def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_reached():
     moved = found.x + np.array([0.4, -0.3])
     nats = []
     for x in (found.x, moved):
-        stopped, weighed = stopped_at(found, x)
+        stopped, posterior = stopped_at(found, x)
         null = null_at(stopped, linearization_at(found.problem, x))
         nats.append(begin(null, Simulations(null.wide)).nats(Hypothesis()))
-    assert nats[0] - nats[1] == pytest.approx(unrealized(stopped, weighed), rel=1e-6)
+    assert nats[0] - nats[1] == pytest.approx(unrealized(stopped, posterior), rel=1e-6)
 
 
 def test_twins_of_base_parameters_and_of_each_other_are_weighed():
@@ -361,11 +363,11 @@ def test_linear_evidence_reaches_to_thirty_typical_sizes(beside):
         Hypothesis(frozenset({0}), 0 if beside else None),
     )
     unknown = (UnknownDrift(0, "drift"),) if beside else ()
-    weighed = linearized(problem, np.zeros(3), unknown, 1).weigh(key)
-    size = 0.6 * problem.scaled(weighed.x)[2]
+    posterior = linearized(problem, np.zeros(3), unknown, 1).weigh(key)
+    size = 0.6 * problem.scaled(posterior.x)[2]
     assert size == pytest.approx(30.0 * effect.typical)
     if not beside:
-        assert weighed.chi2 == pytest.approx(np.sum(problem.residual(weighed.x) ** 2), rel=1e-9)
-        assert weighed.nats < -0.5 * weighed.chi2
-    further = linearized(problem, weighed.x, unknown, 1).weigh(key)
+        assert posterior.chi2 == pytest.approx(np.sum(problem.residual(posterior.x) ** 2), rel=1e-9)
+        assert posterior.nats < -0.5 * posterior.chi2
+    further = linearized(problem, posterior.x, unknown, 1).weigh(key)
     assert 0.6 * problem.scaled(further.x)[2] == pytest.approx(120.0 * effect.typical)

@@ -9,7 +9,7 @@ import torch
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.noise import noise_floor
-from diffsim.diagnose.search import weighed_sets as beside_unknowns
+from diffsim.diagnose.search import fitted_sets as beside_unknowns
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.fit import Case, Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -102,7 +102,7 @@ def searched(effects, truth, settings=None, unknowns=()):
 
 
 def best_of(search):
-    return max(search.weighed, key=search.nats).effects
+    return max(search.posteriors, key=search.nats).effects
 
 
 @pytest.mark.parametrize(("signed", "size"), [(False, 4.0), (False, 0.6), (True, -3.0)])
@@ -151,7 +151,7 @@ def test_causes_that_mask_each_other_enter_as_a_pair():
     assert best_of(search) == {1, 2}
     for alone in ({1}, {2}):
         key = Hypothesis(frozenset(alone))
-        entries = {**search.linear, **search.weighed}
+        entries = {**search.linear, **search.posteriors}
         assert entries[key].nats < search.nats(Hypothesis()) + 1.0
     alone = tuple(replace(e, masks=()) for e in effects)
     assert best_of(searched(alone, {pair.slack: 6.0, pair.rate_limit: 2.0})) != {1, 2}
@@ -257,7 +257,7 @@ def test_a_set_beside_an_unknown_cause_is_worth_what_a_simulation_says(monkeypat
         evidence, _ = search.simulations.with_unknowns(
             search.plain, search.unknowns, search.num_families
         )
-        start = replace(search, weighed={**search.weighed, key: evidence.weigh(key)})
+        start = replace(search, posteriors={**search.posteriors, key: evidence.weigh(key)})
         nats.append(beside_unknowns.relinearized(start, key, evidence).nats(key))
     assert nats[1] < nats[0] - 1.0
 

@@ -19,7 +19,7 @@ from scipy import sparse
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo
 from diffsim.data.study import Run
-from diffsim.diagnose.search.evidence import Weighed
+from diffsim.diagnose.search.evidence import SetPosterior
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
@@ -41,7 +41,7 @@ WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
 PAIRED = 12  # causes that are best alone, each paired with every other
 
 
-def center_at_sheet(
+def center_at_prior(
     simulations: Simulations, settings: SearchSettings, num_families: int
 ) -> tuple[Center | None, Simulations]:
     """The plain model at its prior as a center, with the scans of effects with kinks.
@@ -58,17 +58,17 @@ def center_at_sheet(
     budget = SHARE * (settings.scan_seconds - spent)
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
     # kept apart: scans are known by the set that they start from, here as at the plain model's fit
-    apart = replace(simulations, scans=simulations.sheet_scans, place=" at the data sheet")
+    apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")
     settings = replace(settings, scan_seconds=spent + budget)
     try:
-        if simulations.sheet is None and not _is_affordable(wide, x, LINEARIZED * budget):
+        if simulations.at_prior is None and not _is_affordable(wide, x, LINEARIZED * budget):
             return None, simulations
-        at = simulations.sheet or apart.remembered("slopes", lambda: _slopes(wide, x))
+        at = simulations.at_prior or apart.remembered("slopes", lambda: _slopes(wide, x))
         center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
     except DiffsimError:
         return None, simulations
     spent = made.scan_seconds
-    return center, replace(simulations, scan_seconds=spent, sheet=at, sheet_scans=made.scans)
+    return center, replace(simulations, scan_seconds=spent, at_prior=at, prior_scans=made.scans)
 
 
 def _slopes(wide: Problem, x: Array) -> Linearization:
@@ -120,17 +120,17 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
     return at
 
 
-def promising_sets(center: Center, max_effects: int) -> list[tuple[Members, Weighed]]:
+def promising_sets(center: Center, max_effects: int) -> list[tuple[Members, SetPosterior]]:
     """Single causes and pairs by their linear evidence at a center, best first."""
     count = len(center.evidence.problem.effects)
-    alone = _ranked(center, (frozenset({i}) for i in range(count)))
+    alone = _rank_sets(center, (frozenset({i}) for i in range(count)))
     if max_effects < 2:
         return alone
     best = [next(iter(members)) for members, _ in alone[:PAIRED]]
     pairs = {frozenset({i, j}) for i in best for j in range(count) if i != j}
-    return sorted([*alone, *_ranked(center, pairs)], key=lambda entry: -entry[1].nats)
+    return sorted([*alone, *_rank_sets(center, pairs)], key=lambda entry: -entry[1].nats)
 
 
-def _ranked(center: Center, sets: Iterable[Members]) -> list[tuple[Members, Weighed]]:
-    weighed = [(members, center.weigh(members)) for members in sets]
-    return sorted(weighed, key=lambda entry: (-entry[1].nats, sorted(entry[0])))
+def _rank_sets(center: Center, sets: Iterable[Members]) -> list[tuple[Members, SetPosterior]]:
+    ranked = [(members, center.weigh(members)) for members in sets]
+    return sorted(ranked, key=lambda entry: (-entry[1].nats, sorted(entry[0])))

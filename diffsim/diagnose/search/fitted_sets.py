@@ -15,7 +15,7 @@ from diffsim.diagnose.search.evidence import (
     KEEP_NATS,
     Hypothesis,
     LaplaceEvidence,
-    Weighed,
+    SetPosterior,
     families,
     unrealized,
 )
@@ -42,7 +42,7 @@ class Search:
         null: The plain model under its noise floor.
         simulations: Fits and slopes behind the evidence.
         plain: The plain model as a center.
-        weighed: Refitted sets, and sets with an unknown cause, at their own linearization where
+        posteriors: Refitted sets, and sets with an unknown cause, at their own linearization where
             the verdict hangs on it.
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
@@ -54,8 +54,8 @@ class Search:
     null: Null
     simulations: Simulations
     plain: Center
-    weighed: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
-    linear: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
+    posteriors: Mapping[Hypothesis, SetPosterior] = field(default_factory=dict)
+    linear: Mapping[Hypothesis, SetPosterior] = field(default_factory=dict)
     failed: Mapping[Hypothesis, str] = field(default_factory=dict)
     borrowed: Mapping[Members, str] = field(default_factory=dict)
     num_late: int = 0
@@ -83,18 +83,18 @@ class Search:
 
     def nats(self, key: Hypothesis) -> float:
         """Evidence of a set that was weighed."""
-        return self.weighed[key].nats
+        return self.posteriors[key].nats
 
     def fit_of(self, members: Members) -> Fit:
         """Fit of a set that was refitted."""
-        fit = self.weighed[Hypothesis(members)].fit
+        fit = self.posteriors[Hypothesis(members)].fit
         assert fit is not None  # sets without an unknown cause are fitted
         return fit
 
     @property
     def fits(self) -> dict[Members, Fit]:
         """Fits of all sets that were refitted, without an unknown cause."""
-        return {h.effects: w.fit for h, w in self.weighed.items() if w.fit is not None}
+        return {h.effects: w.fit for h, w in self.posteriors.items() if w.fit is not None}
 
     def neighbors(self, members: Members) -> list[Members]:
         """Sets with one effect more, one less, or one swapped, or a masking pair more."""
@@ -124,11 +124,11 @@ class Search:
     def with_fit(self, members: Members, fit: Fit) -> Search:
         """The search with the evidence of a fit, which needs the set's own columns only."""
         own = LaplaceEvidence(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
-        weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
-        nats, key = weighed.nats - unrealized(fit, weighed), Hypothesis(members)
-        entry = replace(weighed, nats=nats, chi2=fit.chi2, fit=fit)
+        posterior = own.weigh(Hypothesis(frozenset(range(len(members)))))
+        nats, key = posterior.nats - unrealized(fit, posterior), Hypothesis(members)
+        entry = replace(posterior, nats=nats, chi2=fit.chi2, fit=fit)
         linear = {h: w for h, w in self.linear.items() if h != key}
-        return replace(self, weighed={**self.weighed, key: entry}, linear=linear)
+        return replace(self, posteriors={**self.posteriors, key: entry}, linear=linear)
 
 
 Array = NDArray[np.float64]
@@ -148,8 +148,8 @@ def weigh_unknowns(search: Search, center: Center) -> Search:
         keys = [Hypothesis(s, u) for s in sets for u in range(len(search.unknowns))]
         new = {key: evidence for key in keys if key not in lies}  # the plain model comes first
         lies |= new
-        weighed = {key: evidence.weigh(key) for key in new}
-        search = replace(search, simulations=made, weighed={**search.weighed, **weighed})
+        posteriors = {key: evidence.weigh(key) for key in new}
+        search = replace(search, simulations=made, posteriors={**search.posteriors, **posteriors})
     for key in sorted(lies, key=lambda h: -search.nats(h)):
         if _could_decide(search, key, center.members):
             search = relinearized(search, key, lies[key])
@@ -172,25 +172,25 @@ def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> 
     assert key.unknown is not None
     problem, cause = search.simulations.narrow(key.effects), search.unknowns[key.unknown]
     own = search.simulations.coordinates(key.effects)
-    weighed, x0, last = search.weighed[key], evidence.x0[own], None
+    posterior, x0, last = search.posteriors[key], evidence.x0[own], None
     try:
         for _ in range(search.settings.unknown_steps - 1):
-            if np.abs(weighed.x[own] - x0).max(initial=0.0) < STEP_ATOL:
+            if np.abs(posterior.x[own] - x0).max(initial=0.0) < STEP_ATOL:
                 break
-            at, search = _linearized(search, key.effects, weighed.x[own])
+            at, search = _linearize_set(search, key.effects, posterior.x[own])
             last = at, cause.responses(problem, at.x)
-            x0, weighed = at.x, _weighed_beside(search, problem, *last, own)
-        if last is not None and np.abs(weighed.x[own] - x0).max(initial=0.0) > LONG_STEP:
-            at, search = _recorded(search, key.effects, weighed.x[own])
+            x0, posterior = at.x, _weigh_beside(search, problem, *last, own)
+        if last is not None and np.abs(posterior.x[own] - x0).max(initial=0.0) > LONG_STEP:
+            at, search = _record_set(search, key.effects, posterior.x[own])
             there = replace(last[0], x=at.x, record=at.record)
-            simulated = _weighed_beside(search, problem, there, last[1], own)
-            weighed = min(weighed, simulated, key=lambda w: w.nats)
+            simulated = _weigh_beside(search, problem, there, last[1], own)
+            posterior = min(posterior, simulated, key=lambda w: w.nats)
     except DiffsimError as error:  # the step left what can be simulated: keep the last
         search = replace(search, failed={**search.failed, key: str(error)})
-    return replace(search, weighed={**search.weighed, key: weighed})
+    return replace(search, posteriors={**search.posteriors, key: posterior})
 
 
-def _linearized(search: Search, members: Members, x: Array) -> tuple[Linearization, Search]:
+def _linearize_set(search: Search, members: Members, x: Array) -> tuple[Linearization, Search]:
     """A set at a point, or as near as makes no difference where another cause has led."""
     made = search.simulations
     at = made.near(members, x, STEP_ATOL)
@@ -200,7 +200,7 @@ def _linearized(search: Search, members: Members, x: Array) -> tuple[Linearizati
     return at, search
 
 
-def _recorded(search: Search, members: Members, x: Array) -> tuple[Linearization, Search]:
+def _record_set(search: Search, members: Members, x: Array) -> tuple[Linearization, Search]:
     """The same without slopes."""
     made = search.simulations
     at = made.near(members, x, STEP_ATOL)
@@ -211,9 +211,9 @@ def _recorded(search: Search, members: Members, x: Array) -> tuple[Linearization
     return at, search
 
 
-def _weighed_beside(
+def _weigh_beside(
     search: Search, problem: Problem, at: Linearization, response: Array, own: list[int]
-) -> Weighed:
+) -> SetPosterior:
     """Evidence of all effects of a problem with an unknown cause, in wide coordinates."""
     residual = whitened(problem, measured_of(problem) - at.record)
     jacobian = whitened(problem, at.columns) * problem.stretch(at.x)

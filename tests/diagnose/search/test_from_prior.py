@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.search import from_sheet
+from diffsim.diagnose.search import from_prior
 from diffsim.systems.registry import setup_of
 from tests.diagnose import linear
 
@@ -94,7 +94,7 @@ def test_two_large_causes_are_named_although_neither_helps_alone():
 def test_what_is_too_dear_is_known_from_one_run():
     problem = linear.problem((linear.line("push"),))
     count = problem.model.simulations
-    assert not from_sheet._is_affordable(problem, np.zeros(3), 0.0)
+    assert not from_prior._is_affordable(problem, np.zeros(3), 0.0)
     assert count.count == 1
-    assert from_sheet._is_affordable(problem, np.zeros(3), 1e6)
+    assert from_prior._is_affordable(problem, np.zeros(3), 1e6)
     assert count.count == 1 + len(problem.runs)
