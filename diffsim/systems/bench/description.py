@@ -16,7 +16,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.bench.run_zeros import run_zeros
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import Described, DescribedMotion
+from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
 from diffsim.systems.ode.law_effects import (
     check_laws,
@@ -46,10 +46,10 @@ class BenchDescription(FormulaKeys):
         self._read_model(study, reader)
         return list(reader.problems)
 
-    def _read_model(self, study: Study, reader: Reader) -> Described:
+    def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
         inputs = self.inputs or tuple(Input(name=c) for c in commands if c.isidentifier())
-        read = Described(self, inputs, DescribedMotion(), study, reader)
+        read = FormulaSystem(self, inputs, DescribedMotion(), study, reader)
         check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
         return read
 

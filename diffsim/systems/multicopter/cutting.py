@@ -61,7 +61,7 @@ def idle_thrusts(vehicle: Fleet) -> Tensor | None:
     return torch.eye(vehicle.num_rotors, dtype=torch.float64) - seen.mT @ seen
 
 
-class Recorded(NamedTuple):
+class RecordedFlights(NamedTuple):
     """States of 12 at every sample, (num_samples, 12), and accelerations, (num_samples, 3), NED."""
 
     states: Tensor
@@ -149,12 +149,12 @@ class Cutter:
             idle=idle,
         )
 
-    def record(self, run: Run) -> Recorded:
+    def record(self, run: Run) -> RecordedFlights:
         """The motion that a run's record shows by itself."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
         dt, groups = spacing(run), self._group_readings(filled(measured))
         states = states_of(groups, self.frames, dt)
-        return Recorded(states, acceleration_of(groups, self.frames, states, dt))
+        return RecordedFlights(states, acceleration_of(groups, self.frames, states, dt))
 
     def _group_readings(self, whole: Tensor) -> dict[str, Tensor]:
         """Readings by group; NaN in columns that were not recorded."""

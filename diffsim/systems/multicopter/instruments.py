@@ -30,7 +30,7 @@ USUAL = {"m": 0.05, "m/s": 0.05, "rad/s": 0.02, "m/s^2": 0.1}  # a zero that is 
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _JudgedChannel:
     """A channel, its place among the channels, and the group of readings that it is of."""
 
     channel: Channel
@@ -87,16 +87,16 @@ def instrument_causes(
     return list(pace(out, usual_sample(study.runs)))
 
 
-def _list_judged(study: Study, cutter: Cutter) -> list[_Judged]:
+def _list_judged(study: Study, cutter: Cutter) -> list[_JudgedChannel]:
     groups = [group for group in cutter.sensors for _ in SENSORS[group]]
     columns = range(len(groups)) if cutter.columns is None else cutter.columns
     return [
-        _Judged(channel, place, groups[column])
+        _JudgedChannel(channel, place, groups[column])
         for place, (channel, column) in enumerate(zip(study.channels, columns, strict=True))
     ]
 
 
-def _is_there(cause: str, own: Sequence[_Judged], every: Iterable[_Judged]) -> bool:
+def _is_there(cause: str, own: Sequence[_JudgedChannel], every: Iterable[_JudgedChannel]) -> bool:
     """Whether a vehicle has the cause anyway, of the whole group that these channels are."""
     groups = {j.group for j in own}
     if len(groups) != 1 or not groups <= set(ALREADY.get(cause, ())):

@@ -84,7 +84,7 @@ def _look_back(values: Tensor, delay: Tensor, dt: float) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
+class _ShownStates:
     """What sensors see at the end of every step, (points, num_windows, length, ...).
 
     Attributes:
@@ -104,7 +104,7 @@ class _Shown:
     turn: Tensor | None = None
 
     @classmethod
-    def of(cls, scene: CopterFlight, record: SensedRecord) -> _Shown:
+    def of(cls, scene: CopterFlight, record: SensedRecord) -> _ShownStates:
         states = record.position, record.velocity, record.rotation, record.quaternion
         shown = cls(scene, record, *(state[:, :, 1:] for state in states))
         if scene.estimator is not None:
@@ -134,7 +134,7 @@ class _Shown:
             return self.halfway
         return matrix_from_quaternion(self.turn[:, :, :-1]) @ self.halfway
 
-    def _estimate(self, estimator: BlindEstimator) -> _Shown:
+    def _estimate(self, estimator: BlindEstimator) -> _ShownStates:
         """As an estimator shows it."""
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         axis = self.halfway[..., 2]
@@ -147,7 +147,7 @@ class _Shown:
         velocity = self.velocity + error[:, :, 1:]
         return replace(self, velocity=velocity, rotation=rotation, quaternion=quaternion, turn=turn)
 
-    def _delay(self, delay: Tensor) -> _Shown:
+    def _delay(self, delay: Tensor) -> _ShownStates:
         """As it was a time ago, (points, 1, 1) [s]."""
         late = delay[..., None]
         position = self.position - late * (self.velocity - 0.5 * late * self.acceleration)
@@ -236,15 +236,15 @@ class _Shown:
         return out
 
 
-_GROUPS: dict[str, Callable[[_Shown], Tensor]] = {
-    "position": _Shown.shown_position,
-    "velocity": _Shown.shown_velocity,
-    "attitude": _Shown.shown_attitude,
-    "quaternion": _Shown.shown_quaternion,
-    "body_rates": _Shown.shown_body_rates,
-    "accelerometer": _Shown.shown_specific_force,
-    "specific_force_in_world": _Shown.shown_specific_force_in_world,
-    "acceleration": _Shown.shown_acceleration,
+_GROUPS: dict[str, Callable[[_ShownStates], Tensor]] = {
+    "position": _ShownStates.shown_position,
+    "velocity": _ShownStates.shown_velocity,
+    "attitude": _ShownStates.shown_attitude,
+    "quaternion": _ShownStates.shown_quaternion,
+    "body_rates": _ShownStates.shown_body_rates,
+    "accelerometer": _ShownStates.shown_specific_force,
+    "specific_force_in_world": _ShownStates.shown_specific_force_in_world,
+    "acceleration": _ShownStates.shown_acceleration,
 }
 
 
@@ -289,7 +289,7 @@ def read(scene: CopterFlight, record: SensedRecord) -> Tensor:
 
 def _show_at_once(scene: CopterFlight, record: SensedRecord, channels: Sequence[int]) -> Tensor:
     """What some channels would show at once, (points, num_windows, length, len(channels))."""
-    shown = _Shown.of(scene, record)
+    shown = _ShownStates.of(scene, record)
     columns = channels if scene.columns is None else [scene.columns[k] for k in channels]
     parts, start = [], 0
     place: dict[int, int] = {}

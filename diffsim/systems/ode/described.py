@@ -59,7 +59,7 @@ class DescribedMotion:
     clocks: Mapping[str, Quantity] = field(default_factory=dict)
 
 
-class Described:
+class FormulaSystem:
     """A description with its formulas parsed against a study.
 
     Args:

@@ -16,7 +16,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import HELD, LONGEST, PARTS, Described, DescribedMotion
+from diffsim.systems.ode.described import HELD, LONGEST, PARTS, DescribedMotion, FormulaSystem
 from diffsim.systems.ode.effects import ode_effects, ports_of
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
@@ -101,7 +101,7 @@ class OdeDescription(FormulaKeys):
         file = str(self.function).partition(":")[0]
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
-    def _read_model(self, study: Study, reader: Reader) -> Described:
+    def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
         motion = DescribedMotion(
             states=self.states,
             rates=self.rates,
@@ -113,7 +113,7 @@ class OdeDescription(FormulaKeys):
             slow_time=self.slow_time,
             clocks=self.clocks,
         )
-        read = Described(self, self.inputs, motion, study, reader)
+        read = FormulaSystem(self, self.inputs, motion, study, reader)
         check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
         return read
 

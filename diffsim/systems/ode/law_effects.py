@@ -110,7 +110,7 @@ class _Bender:
         change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
         groups = RunGroups.of(law.per, self.study)
         swept = self.network.with_readings({"x": parts["x"]})
-        apply = _Bent(by_formulas_in(change, symbol(name), groups), tuple(further), swept)
+        apply = _BentLaw(by_formulas_in(change, symbol(name), groups), tuple(further), swept)
         return row.effect(
             apply,
             self._list_magnitudes(law, other),
@@ -150,7 +150,7 @@ def _compute_unit(pattern: str, law: Law, other: Law | None) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class _Bent:
+class _BentLaw:
     """Applies a change of a law, with the signals that it needs beside the formulas.
 
     Attributes:

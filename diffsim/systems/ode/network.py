@@ -115,7 +115,7 @@ class Network:
             for name, formula in change.names.items():
                 before = bodies.get(name, Name(_RAW.format(name)))
                 # what is made of the name means in its new formula what it was before
-                old = _Resolved(bodies)
+                old = _ResolvedFormulas(bodies)
                 parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
                 circular = {n: e for n, e in parts.items() if name in _list_needed_by(n, bodies)}
                 bodies[name] = _substitute_names(formula.root, {**circular, name: before}, {})
@@ -124,7 +124,7 @@ class Network:
                     formula.root, {READING: readings[channel]}, {}
                 )
         raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
-        resolved = _Resolved(bodies)
+        resolved = _ResolvedFormulas(bodies)
         own_rates = {s: _make_expression(resolved(n)) for s, n in rates.items()}
         own_readings = {c: _make_expression(resolved(n)) for c, n in readings.items()}
         needed = dict.fromkeys(
@@ -156,7 +156,7 @@ def _list_needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
     return found
 
 
-class _Resolved:
+class _ResolvedFormulas:
     """Formulas with every definition written out; equal parts stay one object."""
 
     def __init__(self, bodies: Mapping[str, Node]):

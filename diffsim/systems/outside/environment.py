@@ -18,7 +18,7 @@ _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 
 @dataclass(frozen=True)
 class Environment:
-    """How a simulator with ``reset`` and ``step`` is read; see ``Stepped``.
+    """How a simulator with ``reset`` and ``step`` is read; see ``SteppedSimulator``.
 
     Attributes:
         time_step: Time between two steps [s]; None: the environment's own ``dt``.
@@ -31,7 +31,7 @@ class Environment:
     action: tuple[str, ...] = ()
 
 
-class Stepped:
+class SteppedSimulator:
     """An environment that is stepped through a run under the run's commands.
 
     Parameters are attributes of the environment by their path, "mass" or "model.damping"; with an

@@ -14,7 +14,7 @@ from typing import Any
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import inside
-from diffsim.systems.outside.environment import Environment, Stepped
+from diffsim.systems.outside.environment import Environment, SteppedSimulator
 
 OFFERS = ("force", "time_step")
 
@@ -84,7 +84,7 @@ class Source:
         if predict := getattr(made, "predict", None):
             return self._check_predict(predict)
         if hasattr(made, "reset") and hasattr(made, "step"):
-            return Stepped(made, self.environment).predict
+            return SteppedSimulator(made, self.environment).predict
         if callable(made):
             return self._check_predict(made)
         raise ValueError(

@@ -36,7 +36,7 @@ from diffsim.systems.rigid_body.parts import (
     Starts,
     Window,
 )
-from diffsim.systems.rigid_body.tossing import Tossed
+from diffsim.systems.rigid_body.tossing import TossedBody
 
 #: Flight, impact and cameras each have causes of their own.
 _TOSS = SearchSettings(
@@ -195,10 +195,10 @@ class RigidBodyDescription(Description):
             study=study,
         )
 
-    def _build_tossed(self) -> Tossed:
+    def _build_tossed(self) -> TossedBody:
         body = self.bodies[0]
         ground = [c for c in self.contacts if GROUND in c.between]
-        return Tossed(
+        return TossedBody(
             body=body,
             ground=ground[0] if ground else None,
             height=0.0 if self.ground is None else self.ground.height,

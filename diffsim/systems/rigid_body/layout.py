@@ -20,7 +20,7 @@ REST = "rest_height_m"
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class TossMotion:
     """Motion of a body in the frame whose z points up.
 
     Attributes:
@@ -49,7 +49,7 @@ class PoseLayout:
     rows: Sequence[tuple[str, int]]
     up: Tensor
 
-    def channels(self, flown: Flown, measured: Tensor) -> Tensor:
+    def channels(self, flown: TossMotion, measured: Tensor) -> Tensor:
         """(..., num_channels); angles within half a turn of what was measured (same shape)."""
         back = quaternion_conjugate(self.up)
         kinds = {kind for kind, _ in self.rows}

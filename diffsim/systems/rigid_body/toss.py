@@ -22,7 +22,7 @@ from diffsim.core.rotation import (
 )
 from diffsim.data.study import Run
 from diffsim.systems.rigid_body.impact import impulse
-from diffsim.systems.rigid_body.layout import Flown, PoseLayout
+from diffsim.systems.rigid_body.layout import PoseLayout, TossMotion
 from diffsim.systems.rigid_body.turning import turned
 from diffsim.systems.rigid_body.windows import CORNERS, TURN, TWIST
 
@@ -218,7 +218,7 @@ class Tosses:
         rest_height = upright * bigger + ground
         x = x + rotate_by_quaternion(q, center[..., None, :])
         scale = 1.0 + get["length_scale"][..., None]
-        flown = Flown(
+        flown = TossMotion(
             scale * x,
             q,
             scale * v,

@@ -47,7 +47,7 @@ UP = {
 
 
 @dataclass(frozen=True, eq=False)
-class Tossed:
+class TossedBody:
     """A tossed body as a description states it.
 
     Attributes:

@@ -16,7 +16,7 @@ from diffsim.identify import Parameter
 from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside import Environment, Place, SimulatorError, outside_setup
 from diffsim.systems.outside.description import AnyQuantity
-from diffsim.systems.outside.environment import Stepped
+from diffsim.systems.outside.environment import SteppedSimulator
 from diffsim.systems.outside.forces import (
     ForceKnots,
     PlaceForces,
@@ -348,7 +348,7 @@ class Heard:
 def test_each_step_of_an_environment_hears_the_command_of_its_beginning():
     time, heard = 0.1 * np.arange(5), Heard()
     run = Run("a", time, np.zeros((5, 1)), {"u": np.arange(5.0)}, "a", 0)
-    Stepped(heard, Environment()).predict({}, run)
+    SteppedSimulator(heard, Environment()).predict({}, run)
     assert heard.actions == [0.0, 1.0, 2.0, 3.0]
 
 
