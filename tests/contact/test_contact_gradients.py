@@ -19,7 +19,16 @@ from diffsim.soft._arrays import ContactArrays, StepArrays
 from tests.covering import covering
 from tests.gradients import check_directions
 from tests.helpers import check_layer
-from tests.soft.cases import SHARP, irregular_mesh, leaf, noise, soft_body, two_muscles
+from tests.soft.cases import (
+    SHARP,
+    irregular_mesh,
+    leaf,
+    noise,
+    record_calls,
+    recorded_ops,
+    soft_body,
+    two_muscles,
+)
 
 pytestmark = pytest.mark.grad
 REVERSE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
@@ -90,22 +99,6 @@ def layer_of(body, names, num_steps=1, forces=True):
     return layer
 
 
-def statuses(function, monkeypatch) -> list[torch.Tensor]:
-    """Statuses of every contact step that ``function`` takes."""
-    seen = []
-    op = _ops_contact.contact_step_layer
-
-    def spy(*args, **options):
-        out = op(*args, **options)
-        seen.append(out[2])
-        return out
-
-    monkeypatch.setattr(_ops_contact, "contact_step_layer", spy)
-    function()
-    monkeypatch.undo()
-    return seen
-
-
 def irregular(kind: str):
     return irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0), 0.04)
 
@@ -115,12 +108,12 @@ def irregular(kind: str):
     kind=["hex", "tet"],
     integrator=["implicit_euler", "bdf2"],
 )
-def test_every_input_through_a_rollout(mode, kind, integrator, monkeypatch):
+def test_every_input_through_a_rollout(mode, kind, integrator):
     m = irregular(kind)
     body = soft_body(m, dt=0.05, integrator=integrator)
     inputs = {k: leaf(v) for k, v in inputs_of(m, mode).items()}
     layer, args = layer_of(body, inputs, 3), tuple(inputs.values())
-    met = [s.flatten() for s in statuses(lambda: layer(*args), monkeypatch)]
+    met = [out[2].flatten() for *_, out in record_calls("contact_step", lambda: layer(*args))[1]]
     found = torch.cat(met) if met else torch.zeros(0)  # in free flight BDF2 solves without contact
     counts = {name: int((found == value).sum()) for name, value in STATUS.items()}
     if mode == "stick":
@@ -150,15 +143,6 @@ def test_every_entry_of_one_step():
     inputs = {k: leaf(v) for k, v in inputs_of(m, "mixed").items()}
     layer, args = layer_of(body, inputs), tuple(inputs.values())
     assert torch.autograd.gradcheck(layer, args, check_undefined_grad=False, **REVERSE)
-
-
-@pytest.mark.parametrize("mode", ["stick", "slip", "mixed"])
-def test_one_step_along_many_directions(mode):
-    m = irregular("tet")
-    body = soft_body(m, dt=0.05)
-    inputs = {k: leaf(v) for k, v in inputs_of(m, mode).items()}
-    layer, args = layer_of(body, inputs), tuple(inputs.values())
-    check_directions(layer, args, seeds=range(3), **TOLERANCE)
 
 
 METHODS = ["auto", "newton_pcg", "newton_cholesky", "newton_jacobi"]
@@ -234,39 +218,16 @@ def test_batch_of_two_and_strided_inputs():
         assert torch.equal(single, whole.reshape(3, 2, -1)[:, k].reshape(-1))
 
 
-def recorded(monkeypatch, function):
-    """[(op, args, kwargs)] of the first contact step and its adjoint that ``function`` takes."""
-    calls = {}
-    for name in ("contact_step", "contact_step_vjp"):
-        op, layer = getattr(_ops_contact, name), getattr(_ops_contact, f"{name}_layer")
-
-        def record(*args, _op=op, _layer=layer, _name=name, **options):
-            calls.setdefault(_name, (_op, tuple(_detached(a, _name) for a in args), options))
-            return _layer(*args, **options)
-
-        monkeypatch.setattr(_ops_contact, f"{name}_layer", record)
-    function()
-    monkeypatch.undo()
-    return list(calls.values())
-
-
-def _detached(value, name):
-    if isinstance(value, list):
-        return [_detached(v, name) for v in value]
-    if not torch.is_tensor(value):
-        return value
-    keep = value.requires_grad and not name.endswith("_vjp")  # a _vjp has no gradient of its own
-    return value.detach().requires_grad_(keep)
-
-
 def test_contract_of_the_op(monkeypatch):
     """opcheck, differences and torch.compile of the layer under the step."""
     m = irregular("tet")
     body = soft_body(m, dt=0.05)
     inputs = {k: leaf(v) for k, v in inputs_of(m, "mixed").items()}
     step = layer_of(body, inputs)
-    ops = recorded(monkeypatch, lambda: step(*inputs.values()).sum().backward())
-    assert len(ops) == 2
+    ops = recorded_ops(
+        monkeypatch, lambda: step(*inputs.values()).sum().backward(),
+        "contact_step", "contact_step_vjp",
+    )  # fmt: skip
     _, (tensors, contacts, nodes), options = ops[0]
     step_arrays, planes = StepArrays.of(tensors), ContactArrays.of(contacts)
 
@@ -301,24 +262,19 @@ def test_checkpointed_rollout_has_the_same_gradient():
         assert torch.equal(plain, again)
 
 
-def test_steps_on_half_spaces_are_one_graph():
-    """One that moves and one that rests, friction and restitution, with fullgraph=True."""
+def assert_one_graph(obstacles, friction, speed: float, backend: str) -> None:
+    """A step of a landing body with fullgraph=True: the bits of the step, and its gradients."""
+    torch.compiler.reset()  # or too many graphs of one function
     m = irregular_mesh("tet", (1, 1, 1))
     body = soft_body(m)
-    x = m.x_rest.clone()
-    x[:, 2] += 0.02 - x[:, 2].min()
-    motion = {"velocity": (0.1, 0.0, 0.2), "angular_velocity": (0.0, 0.1, 0.0)}
-
-    friction = leaf(0.2)
-    floor = contact.floor(friction=friction, restitution=0.3, **motion)
-    ramp = contact.plane((1.0, 0.2, 0.3), -0.1, friction=0.4)
+    x = m.x_rest - torch.tensor([0.0, 0.0, 1.0]) * (m.x_rest[:, 2].min() - 0.02)
+    v = leaf(torch.tensor([-0.8, 0.3, -speed]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
 
     def layer(v):
-        end = soft.step(body, soft.State(x, v), obstacles=[floor, ramp])
+        end = soft.step(body, soft.State(x, v), obstacles=obstacles)
         return torch.cat([end.x, end.v, end.contact_force])
 
-    v = leaf(torch.tensor([-0.8, 0.3, -2.0]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
-    whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
+    whole = torch.compile(layer, fullgraph=True, backend=backend)
     results = []
     for function in (layer, whole):
         out = function(v)
@@ -327,6 +283,15 @@ def test_steps_on_half_spaces_are_one_graph():
     assert torch.equal(results[0][0], results[1][0])
     for one, other in zip(*results, strict=True):  # sums of gradients run in another order
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+
+
+def test_steps_on_half_spaces_are_one_graph():
+    """One that moves and one that rests, friction and restitution."""
+    motion = {"velocity": (0.1, 0.0, 0.2), "angular_velocity": (0.0, 0.1, 0.0)}
+    friction = leaf(0.2)
+    floor = contact.floor(friction=friction, restitution=0.3, **motion)
+    ramp = contact.plane((1.0, 0.2, 0.3), -0.1, friction=0.4)
+    assert_one_graph([floor, ramp], friction, 2.0, "aot_eager")
 
 
 def terrain() -> contact.HeightField:
@@ -349,32 +314,12 @@ SHAPES = {  # each with its place below a body whose lower face is at z = 0
 }
 
 
-def assert_one_graph(name: str, beside_a_floor: bool, backend: str) -> None:
-    """A step on this obstacle with fullgraph=True: the bits of the step, and its gradients."""
-    torch.compiler.reset()  # or too many graphs of one function
-    m = irregular_mesh("tet", (1, 1, 1))
-    body = soft_body(m)
-    x = m.x_rest - torch.tensor([0.0, 0.0, 1.0]) * (m.x_rest[:, 2].min() - 0.02)
-    v = leaf(torch.tensor([-0.8, 0.3, -8.0]).double() + 0.02 * noise(m.num_nodes, 3, seed=2))
+def assert_one_graph_on(name: str, beside_a_floor: bool, backend: str) -> None:
     made, place = SHAPES[name]
     friction = leaf(0.2)
     obstacles = [contact.Obstacle(made(), position=place, friction=friction)]
-    if beside_a_floor:
-        obstacles = [contact.floor(-4.0), *obstacles]
-
-    def layer(v):
-        end = soft.step(body, soft.State(x, v), obstacles=obstacles)
-        return torch.cat([end.x, end.v, end.contact_force])
-
-    whole = torch.compile(layer, fullgraph=True, backend=backend)
-    results = []
-    for function in (layer, whole):
-        out = function(v)
-        results.append((out, *torch.autograd.grad(out, (v, friction), noise(*out.shape))))
-    assert int((results[0][0][-m.num_nodes :] != 0.0).any(1).sum()) > 1
-    assert torch.equal(results[0][0], results[1][0])
-    for one, other in zip(*results, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+    floor = [contact.floor(-4.0)] if beside_a_floor else []
+    assert_one_graph([*floor, *obstacles], friction, 8.0, backend)
 
 
 @pytest.mark.parametrize(
@@ -382,14 +327,14 @@ def assert_one_graph(name: str, beside_a_floor: bool, backend: str) -> None:
 )
 def test_steps_on_shapes_are_one_graph(name, beside_a_floor):
     """Compiled in a quarter of the time that "aot_eager" takes, which traces the adjoint too."""
-    assert_one_graph(name, beside_a_floor, "eager")
+    assert_one_graph_on(name, beside_a_floor, "eager")
 
 
 @pytest.mark.story
 @pytest.mark.parametrize("beside_a_floor", [False, True])
 @pytest.mark.parametrize("name", SHAPES)
 def test_steps_on_every_shape_are_one_graph(name, beside_a_floor):
-    assert_one_graph(name, beside_a_floor, "aot_eager")
+    assert_one_graph_on(name, beside_a_floor, "aot_eager")
 
 
 def landing_velocity():

@@ -10,6 +10,7 @@ from diffsim.core.errors import ConvergenceError
 from diffsim.soft import _ops_contact
 from diffsim.soft._arrays import ContactArrays
 from tests.contact.scenes import moving, slab
+from tests.soft.cases import record_calls
 
 FLOOR = contact.floor()
 
@@ -123,23 +124,12 @@ def test_what_did_not_converge_says_so():
 def call(**changes):
     """The op with correct arguments but for ``changes`` (by name)."""
     body = slab("hex", (1, 1, 1), (1.0, 1.0, 1.0))
-    captured = {}
-    op = _ops_contact.contact_step_layer
-
-    def spy(*args, **options):
-        captured.setdefault("call", (args, options))
-        return op(*args, **options)
-
-    _ops_contact.contact_step_layer = spy
-    try:
-        body(body.rest_state(), obstacles=FLOOR)
-    finally:
-        _ops_contact.contact_step_layer = op
-    (inputs, planes, nodes), options = captured["call"]
+    step = record_calls("contact_step", lambda: body(body.rest_state(), obstacles=FLOOR))
+    (inputs, planes, nodes), options, _ = step[1][0]
     named = ContactArrays.of(planes).named()
     named |= {k: change(named[k]) for k, change in changes.items() if k in named}
     nodes = changes.get("nodes", lambda n: n)(nodes)
-    return op(inputs, list(named.values()), nodes, **options)
+    return _ops_contact.contact_step_layer(inputs, list(named.values()), nodes, **options)
 
 
 @pytest.mark.parametrize(

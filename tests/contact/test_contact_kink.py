@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from diffsim import contact, soft
-from diffsim.soft import _ops_contact
-from tests.soft.cases import irregular_mesh, leaf, noise, soft_body
+from tests.soft.cases import irregular_mesh, leaf, noise, record_calls, soft_body
 
 EPS = 1e-5
 
@@ -32,20 +31,12 @@ def start(body, contact_force=None):
     return soft.State(x, v, contact_force=contact_force)
 
 
-def loss_of(body, state, height, friction, monkeypatch):
+def loss_of(body, state, height, friction):
     """A generic loss of a step on a floor, and the node's status: 0 separate, 1 stick, 2 slip."""
-    seen, op = [], _ops_contact.contact_step_layer
-
-    def spy(*args, **options):
-        out = op(*args, **options)
-        seen.append(int(out[2]))
-        return out
-
-    monkeypatch.setattr(_ops_contact, "contact_step_layer", spy)
-    end = body(state, obstacles=contact.floor(height, friction=friction))
-    monkeypatch.undo()
+    floor = contact.floor(height, friction=friction)
+    end, calls = record_calls("contact_step", lambda: body(state, obstacles=floor))
     weights = noise(2, *end.x.shape, seed=6)
-    return (end.x * weights[0] + 0.1 * end.v * weights[1]).sum(), seen[0]
+    return (end.x * weights[0] + 0.1 * end.v * weights[1]).sum(), int(calls[0][2][2])
 
 
 def one_sided(loss, at, value) -> list[float]:
@@ -61,7 +52,7 @@ def guess(body, force):
 
 @pytest.mark.grad
 @pytest.mark.parametrize("known", [False, True])
-def test_a_node_that_just_touches(body, known, monkeypatch):
+def test_a_node_that_just_touches(body, known):
     """Both sides hold within the tolerance: the gradient is that of the side the solver ends on.
 
     In contact before, it still is; else that depends on rounding.
@@ -70,21 +61,19 @@ def test_a_node_that_just_touches(body, known, monkeypatch):
     node = body.contact_nodes[0]
     height = leaf(free.x[node, 2])
     state = start(body, guess(body, (0.0, 0.0, 1.0)) if known else None)
-    value, status = loss_of(body, state, height, 0.0, monkeypatch)
+    value, status = loss_of(body, state, height, 0.0)
     assert status in ((2,) if known else (0, 2))
     (grad,) = torch.autograd.grad(value, height)
-    sides = one_sided(
-        lambda h: loss_of(body, state, h, 0.0, monkeypatch)[0], height.detach(), value
-    )
+    sides = one_sided(lambda h: loss_of(body, state, h, 0.0)[0], height.detach(), value)
     assert sides[0] == pytest.approx(0.0, abs=1e-6) and abs(sides[1]) > 1e-2
     assert float(grad) == pytest.approx(sides[1 if status else 0], rel=1e-3, abs=1e-6)
-    again, _ = loss_of(body, state, height, 0.0, monkeypatch)
+    again, _ = loss_of(body, state, height, 0.0)
     assert again == value
 
 
 @pytest.mark.grad
 @pytest.mark.parametrize("known", ["nothing", "stick", "slip"])
-def test_a_node_at_the_edge_of_the_friction_cone(body, known, monkeypatch):
+def test_a_node_at_the_edge_of_the_friction_cone(body, known):
     """It sticks, or slips by rounding: the answer is the same, the gradient that side's."""
     node = body.contact_nodes[0]
     height = body.x_rest[node, 2] + 0.01
@@ -95,17 +84,15 @@ def test_a_node_at_the_edge_of_the_friction_cone(body, known, monkeypatch):
     before = {"nothing": None, "stick": (0.0, 0.0, 1.0), "slip": tuple((2.0 * force).tolist())}
     known_force = None if before[known] is None else guess(body, before[known])
     state = start(body, known_force)
-    value, status = loss_of(body, state, height, mu, monkeypatch)
-    torch.testing.assert_close(
-        value, loss_of(body, state, height, math.inf, monkeypatch)[0], rtol=0, atol=1e-9
-    )
+    value, status = loss_of(body, state, height, mu)
+    torch.testing.assert_close(value, loss_of(body, state, height, math.inf)[0], rtol=0, atol=1e-9)
     (grad,) = torch.autograd.grad(value, mu)
-    sides = one_sided(lambda m: loss_of(body, state, height, m, monkeypatch)[0], mu.detach(), value)
+    sides = one_sided(lambda m: loss_of(body, state, height, m)[0], mu.detach(), value)
     assert sides[1] == pytest.approx(0.0, abs=1e-6) and abs(sides[0]) > 1e-2
     # Rounding decides which; the direction of a slip of 1e-14 m is good to a percent.
     side = {1: sides[1], 2: sides[0]}[status]
     assert float(grad) == pytest.approx(side, rel=3e-2, abs=1e-6)
-    again, _ = loss_of(body, state, height, mu, monkeypatch)
+    again, _ = loss_of(body, state, height, mu)
     assert again == value
 
 
@@ -122,7 +109,7 @@ def test_a_node_at_rest_on_a_floor_without_load():
         assert grad is None or bool(grad.isfinite().all())
 
 
-def test_a_slip_of_a_few_roundings(monkeypatch):
+def test_a_slip_of_a_few_roundings():
     """A belt that has just brought the body to its own speed: |r_T| = mu r_N, slip of 1e-10 m.
 
     Such a slip has no direction within rounding; steps stopped at max_iters = 500 before friction

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from dataclasses import fields
 
+import pytest
 import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.soft import _ops_contact, _ops_elastic, _ops_step
 
 SHARP = {"rtol": 1e-12, "adjoint_rtol": 1e-12}  # solver noise below what finite differences see
 
@@ -102,3 +104,50 @@ def forward_and_reverse(body, name, values, seed=1) -> tuple[float, float]:
 def leaf(value) -> Tensor:
     """A float64 tensor that asks for its gradient."""
     return torch.as_tensor(value, dtype=torch.float64).clone().requires_grad_()
+
+
+def module_of(op: str):
+    """The module of a soft body's op by its name."""
+    modules = {"elastic": _ops_elastic, "contact": _ops_contact, "soft": _ops_step}
+    return modules[op.partition("_")[0]]
+
+
+def record_calls(op: str, function):
+    """What ``function`` returns, and (args, options, result) of each call of the op's layer."""
+    calls, module = [], module_of(op)
+    layer = getattr(module, f"{op}_layer")
+
+    def record(*args, **options):
+        out = layer(*args, **options)
+        calls.append((args, options, out))
+        return out
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, f"{op}_layer", record)
+        return function(), calls
+
+
+def recorded_ops(monkeypatch, function, *names):
+    """Runs ``function`` and returns [(op, args, kwargs)] of its first call of each named op."""
+    calls = {}
+    for name in names:
+        module = module_of(name)
+        op, layer = getattr(module, name), getattr(module, f"{name}_layer")
+
+        def record(*args, _op=op, _layer=layer, _name=name, **options):
+            keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
+            calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args), options))
+            return _layer(*args, **options)
+
+        monkeypatch.setattr(module, f"{name}_layer", record)
+    function()
+    monkeypatch.undo()
+    return [calls[name] for name in names]
+
+
+def _detached(value, keep_grad):
+    if isinstance(value, list):
+        return [_detached(v, keep_grad) for v in value]
+    if not torch.is_tensor(value):
+        return value
+    return value.detach().requires_grad_(keep_grad and value.requires_grad)

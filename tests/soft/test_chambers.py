@@ -13,8 +13,7 @@ from diffsim import mesh, soft
 from diffsim.core.errors import ConvergenceError
 from tests.gradients import check_directions
 from tests.helpers import check_layer
-from tests.soft.cases import deformed, leaf, noise, rail_mask, soft_body
-from tests.soft.test_step_gradients import recorded_ops
+from tests.soft.cases import deformed, leaf, noise, rail_mask, recorded_ops, soft_body
 
 METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
 # The differences of gradcheck are over 2e-6; the solver stops at 1e-12 of the force scale.

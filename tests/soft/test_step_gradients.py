@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from diffsim.soft import _ops_elastic, _ops_step
 from tests.covering import covering
 from tests.gradients import check_directions
 from tests.helpers import check_layer
@@ -19,6 +18,7 @@ from tests.soft.cases import (
     leaf,
     noise,
     rail_mask,
+    recorded_ops,
     soft_body,
     two_muscles,
 )
@@ -69,32 +69,6 @@ def layer_of(body, names, num_steps=2):
         return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
 
     return layer
-
-
-def recorded_ops(monkeypatch, function, *names):
-    """Runs ``function`` and returns [(op, args, kwargs)] of its first call of each named op."""
-    calls = {}
-    for name in names:
-        module = _ops_elastic if name.startswith("elastic") else _ops_step
-        op, layer = getattr(module, name), getattr(module, f"{name}_layer")
-
-        def record(*args, _op=op, _layer=layer, _name=name, **options):
-            keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
-            calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args), options))
-            return _layer(*args, **options)
-
-        monkeypatch.setattr(module, f"{name}_layer", record)
-    function()
-    monkeypatch.undo()
-    return [calls[name] for name in names]
-
-
-def _detached(value, keep_grad):
-    if isinstance(value, list):
-        return [_detached(v, keep_grad) for v in value]
-    if not torch.is_tensor(value):
-        return value
-    return value.detach().requires_grad_(keep_grad and value.requires_grad)
 
 
 @covering(integrator=INTEGRATORS, kind=["hex", "tet"], per_element=[False, True])
