@@ -201,6 +201,13 @@ def frequency_and_damping(signal, dt):
     return math.hypot(angle, decay), decay / math.hypot(angle, decay)
 
 
+def ringing(num_steps, dt, integrator, n=1, nu=0.3, rtol=1e-9, **damping):
+    """Frequency [rad/s] and damping ratio of a beam let go from its first bending mode."""
+    solver = soft.SolverOptions(rtol=rtol)
+    still = {"gravity": (0.0, 0.0, 0.0), "dt": dt, "integrator": integrator, "solver": solver}
+    return frequency_and_damping(ring(cantilever("hex", n, nu, **still, **damping), num_steps), dt)
+
+
 BEAM_FREQUENCY = 1.8751**2 * math.sqrt(YOUNG * INERTIA / (DENSITY * AREA * LENGTH**4))
 
 
@@ -208,16 +215,7 @@ def test_first_bending_frequency_converges():
     """Euler-Bernoulli lowered by shear and rotary inertia (1 % here); elements are too stiff."""
     error = []
     for n in (1, 2):
-        body = cantilever(
-            "hex",
-            n,
-            0.0,
-            gravity=(0.0, 0.0, 0.0),
-            dt=4e-3,
-            integrator="implicit_midpoint",
-            solver=soft.SolverOptions(rtol=1e-7),
-        )
-        w, _ = frequency_and_damping(ring(body, 120), 4e-3)
+        w, _ = ringing(120, 4e-3, "implicit_midpoint", n, 0.0, 1e-7)
         # Static stiffness and mass: the sag's locking factor carries over as its square root.
         softening = math.sqrt(timoshenko_sag(0.0) / sag("hex", n, 0.0))
         error.append(w / BEAM_FREQUENCY / softening - 1.0)
@@ -227,33 +225,12 @@ def test_first_bending_frequency_converges():
 
 
 @pytest.mark.parametrize("damping", ["rayleigh_alpha", "rayleigh_beta"])
-@pytest.mark.parametrize("integrator", ["implicit_midpoint"])
-def test_rayleigh_damping_ratio(integrator, damping):
+def test_rayleigh_damping_ratio(damping):
     """zeta = alpha / (2 w) and beta w / 2, on the first bending mode."""
-    dt = 2e-3
-    body = cantilever(
-        "hex",
-        1,
-        0.3,
-        gravity=(0.0, 0.0, 0.0),
-        dt=dt,
-        integrator=integrator,
-        solver=soft.SolverOptions(rtol=1e-9),
-    )
-    w, none = frequency_and_damping(ring(body, 200), dt)
+    w, none = ringing(200, 2e-3, "implicit_midpoint")
     assert abs(none) < 1e-3  # the fit's own error
     value = {"rayleigh_alpha": 0.1 * w, "rayleigh_beta": 0.1 / w}[damping]  # zeta = 0.05
-    damped = cantilever(
-        "hex",
-        1,
-        0.3,
-        gravity=(0.0, 0.0, 0.0),
-        dt=dt,
-        integrator=integrator,
-        solver=soft.SolverOptions(rtol=1e-9),
-        **{damping: value},
-    )
-    same, zeta = frequency_and_damping(ring(damped, 200), dt)
+    same, zeta = ringing(200, 2e-3, "implicit_midpoint", **{damping: value})
     assert zeta == pytest.approx(0.05, rel=0.03)
     assert same == pytest.approx(w, rel=5e-3)
 
@@ -265,14 +242,5 @@ def test_rayleigh_damping_ratio(integrator, damping):
 def test_numerical_damping(integrator, low, high):
     """Implicit Euler damps a mode of angular frequency w by about w h / 2; the others hardly."""
     dt = 4e-3
-    body = cantilever(
-        "hex",
-        1,
-        0.3,
-        gravity=(0.0, 0.0, 0.0),
-        dt=dt,
-        integrator=integrator,
-        solver=soft.SolverOptions(rtol=1e-9),
-    )
-    w, zeta = frequency_and_damping(ring(body, 120), dt)
+    w, zeta = ringing(120, dt, integrator)
     assert low <= zeta / (w * dt / 2.0) <= high
