@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
 import warnings
 
 import pytest
 import torch
 from torch import Tensor
 
-from diffsim.stokes.shapes import BezierCurve2d, bernstein, grid_nodes
+from diffsim.stokes.shapes import BezierCurve2d, bernstein
 from tests.gradients import check_directions
 
 F64 = torch.float64
@@ -237,18 +236,6 @@ def test_errors_say_what_to_do():
     eight = tensor([[0, 0], [1, 1], [1, 0], [0, 1.5]])
     with pytest.warns(UserWarning, match="crosses itself near"):
         BezierCurve2d(eight, degree=1, closed=True)
-
-
-def test_time_on_the_amplifier_grid():
-    wall = tensor([[0, 0.1], [0.3, 0.1], [0.6, 0.5], [1, 0.3]]).requires_grad_()
-    nodes = grid_nodes((64, 48), 1 / 64)
-    start = time.process_time()
-    phi = BezierCurve2d(wall)(nodes)
-    middle = time.process_time()
-    phi.sum().backward()
-    end = time.process_time()
-    print(f"65 x 49 nodes: forward {middle - start:.3f}, backward {end - middle:.3f} CPU s")
-    assert phi.shape == (65, 49)
 
 
 def test_roots_are_found_in_a_few_newton_steps(monkeypatch):

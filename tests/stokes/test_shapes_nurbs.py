@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -273,14 +272,3 @@ def test_errors_say_what_to_do():
         BSplineSurface(points * math.nan)
     with pytest.raises(ValueError, match="encloses nothing"):
         NurbsSurface(points * tensor([0.0, 1.0, 1.0]))
-
-
-def test_time_on_the_twister_grid():
-    points, nodes = tunnel_points(2).requires_grad_(), grid_nodes((64, 64, 32), 1 / 64)
-    start = time.process_time()
-    phi = BSplineSurface(points, band=3 / 64)(nodes)
-    middle = time.process_time()
-    phi.sum().backward()
-    end = time.process_time()
-    print(f"65 x 65 x 33 nodes: forward {middle - start:.3f}, backward {end - middle:.3f} CPU s")
-    assert phi.shape == (65, 65, 33)
