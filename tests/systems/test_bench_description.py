@@ -124,17 +124,6 @@ def test_a_table_is_a_curve_of_straight_lines():
     np.testing.assert_allclose(predicted, 2.0 * np.interp(SPEED / 100, [1, 3, 9], [0, 4, 1]))
 
 
-def test_every_cause_is_nothing_at_zero():
-    study = bench()
-    s, run = setup_of(study), study.runs[1]
-    q = s.model.at_prior()
-    before = s.model.predict(run, q)
-    for e in s.effects:
-        zero = torch.zeros(len(e.components), dtype=torch.float64)
-        torch.testing.assert_close(s.model.predict(run, q, {e: zero}), before)
-        assert (s.model.predict(run, q, {e: zero + e.typical}) - before).abs().max() > 1e-4
-
-
 MISTAKES = {
     "laws[0].name: no definition 'push'": {"laws": [{"name": "push", "of": "speed"}]},
     "laws[0].of: formula 'sped'": {"laws": [{"name": "thrust", "of": "sped"}]},

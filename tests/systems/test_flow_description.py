@@ -209,32 +209,6 @@ def test_the_joint_that_leaks_is_named():
     assert size.low < 1e-12 < size.high
 
 
-def test_gradients_are_those_of_differences():
-    s = described(3, "thinning")
-    setup = setup_of(s)
-    run = s.runs[2]
-    x = torch.full((len(setup.model.base),), 0.3, dtype=torch.float64)
-    names = ("slip", "compliance", "thinning", "entrance_loss", "leak", "blocked_branch_2")
-    effects = [e for e in setup.effects if e.name in names]
-    sizes = [0.3 * torch.full((1,), e.typical, dtype=torch.float64) for e in effects]
-    weight = 1.0 / torch.tensor([c.sd for c in s.channels], dtype=torch.float64)
-
-    def total(x, *sizes):
-        at = dict(zip(effects, sizes, strict=True))
-        return (setup.model.predict(run, x, at) * weight).sum(1)[::10]
-
-    inputs = [x, *sizes]
-    steps = [1e-3, *(1e-3 * e.typical for e in effects)]
-    for i, (value, step) in enumerate(zip(inputs, steps, strict=True)):
-        way = torch.ones_like(value) * step
-        moved = [[v + s * way if k == i else v for k, v in enumerate(inputs)] for s in (1.0, -1.0)]
-        want = 0.5 * (total(*moved[0]) - total(*moved[1]))
-        _, found = torch.autograd.functional.jvp(
-            lambda v, i=i: total(*(v if k == i else u for k, u in enumerate(inputs))), value, way
-        )
-        torch.testing.assert_close(found, want, rtol=1e-4, atol=1e-7 * float(want.abs().max()))
-
-
 def described(seed: int, cause: str | None = None) -> Study:
     """The laboratory's study, its network described by what its facts say."""
     given = NetworkLab()(seed) if cause is None else NetworkLab()(seed, cause)

@@ -17,7 +17,7 @@ from diffsim.data.steps import looks_held
 from diffsim.data.study import Command, Run
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.search.fit import Case, _with_own_step
-from diffsim.identify import Numerics, Problem, WhiteNoise
+from diffsim.identify import Numerics
 from diffsim.identify.stability import runs_away
 from diffsim.systems.ode import described as described_file
 from diffsim.systems.ode import stepping
@@ -91,19 +91,6 @@ def test_plain_model_is_the_equation(plain):
         assert whole / half == pytest.approx(2.0**4, rel=0.02)
 
 
-def test_every_cause_is_nothing_at_zero_and_something_at_its_usual_size(plain):
-    run, q = plain_study().fit_runs[2], plain.model.at_prior()
-    before = plain.model.predict(run, q)
-    assert len(plain.effects) > 25
-    for e in plain.effects:
-        zero = torch.zeros(len(e.components), dtype=torch.float64)
-        torch.testing.assert_close(
-            plain.model.predict(run, q, {e: zero}), before, rtol=0, atol=1e-12
-        )
-        moved = plain.model.predict(run, q, {e: zero + e.typical}) - before
-        assert 1e-7 < moved.abs().max() < 1.0, e.name
-
-
 def test_many_points_at_once_are_the_points_one_by_one(plain):
     run = plain_study().fit_runs[0]
     torch.manual_seed(0)
@@ -115,19 +102,6 @@ def test_many_points_at_once_are_the_points_one_by_one(plain):
     for k in range(3):
         one = plain.model.predict(run, q[k], {e: s[k] for e, s in sizes.items()})
         torch.testing.assert_close(many[k], one, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.grad
-def test_gradient_of_every_smooth_cause(plain):
-    smooth = tuple(e for e in plain.effects if e.smooth)
-    study = cart_study(force=lambda x, v: -0.4 * np.tanh(v / 0.01))
-    problem = Problem(plain.model, study.fit_runs[1:2], WhiteNoise(study.channels), smooth)
-    x = np.zeros(len(problem.names))
-    x[: problem.num_base] = 0.1
-    residual, jacobian = problem.linearize(x)
-    _, gradient = problem.gradient(x)
-    scale = np.linalg.norm(residual) * np.linalg.norm(jacobian, axis=0) + 1e-9
-    assert np.abs((gradient + jacobian.T @ residual) / scale).max() < 1e-3
 
 
 def test_finer_steps_change_little(plain):

@@ -82,19 +82,6 @@ def test_laws_hold_back_both_ways(law, force):
     assert at_hinge(0.0, [-2.0], [-3.0])[0] == pytest.approx(-force, rel=1e-12)
 
 
-def test_every_effect_is_nothing_at_size_zero_and_something_beyond():
-    study = scenes.recorded()
-    setup = setup_of(study)
-    run = study.runs[4]  # the largest command
-    plain = setup.model.predict(run, setup.model.at_prior()).numpy()
-    for effect in setup.effects:
-        zero = [0.0] * len(effect.components)
-        np.testing.assert_array_equal(predicted(setup, run, effect.name, *zero), plain)
-        some = [effect.typical] * len(effect.components)
-        moved = predicted(setup, run, effect.name, *some) - plain
-        assert np.abs(moved).max() > 1e-4, effect.name
-
-
 def test_names_that_the_hooks_ask_for():
     names = {e.name for e in setup_of(scenes.recorded()).effects}
     assert {"lag", "delay", "dead_band", "backlash", "saturation", "rate_limit"} <= names

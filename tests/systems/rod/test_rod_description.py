@@ -115,29 +115,6 @@ def test_a_session_that_no_run_states_is_said():
     assert "moved_tip" not in [e.name for e in setup_of(made).effects]
 
 
-@pytest.mark.grad
-def test_gradients_of_all_causes_agree_with_differences():
-    made = plain_study()
-    setup = setup_of(made)
-    run, q = made.runs[5], setup.model.at_prior()  # of the second session
-    for effect in setup.effects:
-        size = torch.full((len(effect.components),), 0.5 * effect.typical, dtype=torch.float64)
-        weights = torch.linspace(1.0, 2.0, 6, dtype=torch.float64)
-
-        def shown(s, effect=effect, weights=weights):
-            return (setup.model.predict(run, q, {effect: s}) * weights).sum()
-
-        size.requires_grad_(True)
-        (slope,) = torch.autograd.grad(shown(size), size)
-        step = 1e-4 * effect.typical
-        for k in range(len(size)):
-            move = torch.zeros_like(size)
-            move[k] = step
-            with torch.no_grad():
-                difference = (shown(size + move) - shown(size - move)) / (2.0 * step)
-            assert slope[k] == pytest.approx(float(difference), rel=1e-4, abs=1e-9), effect.name
-
-
 def test_many_points_at_once_are_as_one_by_one():
     setup = setup_of(plain_study())
     cause = {e.name: e for e in setup.effects}

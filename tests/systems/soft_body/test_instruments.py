@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.data.study import Channel
 from diffsim.diagnose import diagnose
-from diffsim.identify import Problem, WhiteNoise
 from diffsim.systems.registry import setup_of
 from diffsim.systems.soft_body.sensor import tilt_camera
 from tests.systems.soft_body.described import BAR, TENDON, described, predicted, run_of, study_of
@@ -114,20 +113,6 @@ def test_a_clock_of_what_there_is_not_is_told():
     (problem,) = described(study).problems(study)
     assert str(problem).startswith("error: model.clocks.camra: no sensor, kind or channel 'camra';")
     assert "did you mean 'camera'" in str(problem)
-
-
-@pytest.mark.grad
-def test_slopes_of_what_a_sensor_does_are_exact():
-    study = bar()
-    own = [e for e in setup_of(study).effects if e.name.endswith(("_of_camera", "_of_laser"))]
-    setup = setup_of(study)
-    problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), tuple(own))
-    x = np.full(len(problem.names), 0.2)
-    columns = problem.linearize(x)[1]
-    for i in range(problem.num_base, len(x)):
-        step = np.eye(len(x))[i] * 1e-4
-        slope = -(problem.residual(x + step) - problem.residual(x - step)) / 2e-4
-        assert np.abs(columns[:, i] - slope).max() < 1e-3 * np.abs(slope).max(), problem.names[i]
 
 
 @pytest.mark.slow
