@@ -294,7 +294,7 @@ def test_every_integrator(material, integrator):
 
 @pytest.mark.grad
 @pytest.mark.parametrize("name", [*STRETCHES, "three_equal", "nearly_equal"])
-@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("material", ["pd", *MATERIALS])
 def test_elastic_force_of_hard_elements(material, name):
     """Equal, nearly equal, tiny and negative stretches: closed forms have no 0/0."""
     extra = {"three_equal": (1.2, 1.2, 1.2), "nearly_equal": (1.1, 1.1 - 1e-9, 1.1 - 2e-9)}
@@ -313,10 +313,13 @@ def test_elastic_force_of_hard_elements(material, name):
 
     # Third derivatives: of ln J 1e5 at a stretch of 0.02, of the nearest rotation 1e6 at the
     # needle, times eps^2 = 1e-14.
-    options = {"eps": 1e-7, "atol": 2e-4, "rtol": 1e-5}
+    options = {"eps": 1e-7, "atol": 1e-4 if material == "pd" else 2e-4, "rtol": 1e-5}
     args = (leaf(x), leaf(30.0), leaf(0.3))
     assert torch.autograd.gradcheck(layer, args, **options)
     assert torch.autograd.gradcheck(body.elastic_energy, (args[0],), **options)
+    # The force is the negative gradient of the energy, to the last bit.
+    (slope,) = torch.autograd.grad(body.elastic_energy(args[0]), args[0])
+    torch.testing.assert_close(slope, -layer(*args).detach(), rtol=0, atol=0)
 
 
 @pytest.mark.grad
