@@ -89,18 +89,6 @@ def test_gradients_flow_past_randomized_parameters() -> None:
     assert bool((action.grad.abs() > 0.0).all())
 
 
-def test_packed_once_per_episode(monkeypatch) -> None:
-    from diffsim.copter.dynamics import flight
-
-    count, pack = [], flight.parameter_rows
-    monkeypatch.setattr(flight, "parameter_rows", lambda *a: count.append(1) or pack(*a))
-    task = make_task("CopterHover", randomization=Randomization({"mass": (0.8, 1.2)}))
-    state = task.start(2, np.random.default_rng(0))
-    for _ in range(5):
-        state, _ = task.step(state, torch.zeros(2, 4, dtype=torch.float64))
-    assert len(count) == 1
-
-
 def test_refusals() -> None:
     with pytest.raises(ValueError, match="battery"):
         make_task("CopterHover", randomization=Randomization({"battery": (0.5, 1.0)}))

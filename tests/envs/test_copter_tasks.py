@@ -10,7 +10,7 @@ pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
 
 from diffsim.copter import load_design
 from diffsim.copter.dynamics import flight
-from diffsim.envs import make_task
+from diffsim.envs import Randomization, make_task
 from tests import warm
 
 
@@ -19,10 +19,11 @@ def started(task, batch=2):
     return task.start(batch, np.random.default_rng(0)), action
 
 
-def test_parameters_are_packed_once(monkeypatch):
+@pytest.mark.parametrize("drawn", [None, Randomization({"mass": (0.8, 1.2)})])
+def test_parameters_are_packed_once(drawn, monkeypatch):
     count, pack = [], flight.parameter_rows
     monkeypatch.setattr(flight, "parameter_rows", lambda *a: count.append(1) or pack(*a))
-    task = make_task("CopterHover")
+    task = make_task("CopterHover", randomization=drawn)
     state, action = started(task)
     for _ in range(5):
         state, _ = task.step(state, action)
