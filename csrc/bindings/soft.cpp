@@ -4,6 +4,7 @@
 #include "bindings/bindings.h"
 #include "bindings/soft_arrays.h"
 #include "kernels/soft/elastic_force.h"
+#include "kernels/soft/material.h"
 
 namespace diffsim {
 namespace {
@@ -12,8 +13,7 @@ void bind_arrays(nb::module_& m) {
   nb::class_<SoftArrays>(m, "SoftArrays")
       .def(nb::init<>())
       .def_rw("per_member", &SoftArrays::per_member)
-      .def_rw("w_mu", &SoftArrays::w_mu)
-      .def_rw("w_vol", &SoftArrays::w_vol)
+      .def_rw("weights", &SoftArrays::weights)
       .def_rw("fiber_stiffness", &SoftArrays::fiber_stiffness)
       .def_rw("activation", &SoftArrays::activation)
       .def_rw("damp_mu", &SoftArrays::damp_mu)
@@ -42,14 +42,9 @@ void bind_arrays(nb::module_& m) {
 }
 
 void bind_prepared(nb::module_& m) {
-  nb::enum_<Material>(m, "Material")
-      .value("pd", Material::kPd)
-      .value("corotated", Material::kCorotated)
-      .value("stable_neo_hookean", Material::kStableNeoHookean)
-      .value("neo_hookean", Material::kNeoHookean)
-      .value("stvk", Material::kStvk);
   nb::class_<SoftPattern>(m, "SoftPattern")
       .def_prop_ro("num_nodes", [](const SoftPattern& p) { return p.model().num_nodes; })
+      .def_prop_ro("num_weights", [](const SoftPattern& p) { return p.model().num_weights; })
       .def_prop_ro("num_blocks", [](const SoftPattern& p) { return p.model().num_blocks(); });
   nb::class_<ConstantSystem>(m, "ConstantSystem")
       .def_prop_ro("plan",
@@ -67,7 +62,7 @@ void bind_prepared(nb::module_& m) {
 
   m.def(
       "make_soft_pattern",
-      [](bool is_hex, Material material, std::int64_t num_nodes, std::int64_t num_elements,
+      [](bool is_hex, const char* material, std::int64_t num_nodes, std::int64_t num_elements,
          std::int64_t num_classes, std::int64_t num_fibers, std::int64_t num_chambers,
          std::int64_t num_lids, Address elements, Address grad, Address weight, Address class_idx,
          Address coords, Address fiber_elements, Address fiber_directions, Address fiber_pull_only,
@@ -76,7 +71,7 @@ void bind_prepared(nb::module_& m) {
         nb::gil_scoped_release release;
         MeshTables t;
         t.is_hex = is_hex;
-        t.material = material;
+        t.material = find_material(material);
         t.num_nodes = num_nodes;
         t.num_elements = num_elements;
         t.num_classes = num_classes;

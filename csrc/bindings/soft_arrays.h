@@ -9,7 +9,7 @@ namespace diffsim {
 /// Addresses that Python fills by name; zero means absent. The names and sizes are those of
 /// diffsim/soft/_arrays.py; here and there every array is passed on by its name.
 struct SoftArrays {
-  Address w_mu = 0, w_vol = 0, fiber_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
+  Address weights = 0, fiber_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
   Address pressure = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
@@ -18,8 +18,7 @@ struct SoftArrays {
   StepInputs inputs() const {
     StepInputs step;
     step.per_member = per_member;
-    step.parameters.w_mu = in(w_mu);
-    step.parameters.w_vol = in(w_vol);
+    step.parameters.weights = in(weights);
     step.parameters.fiber_stiffness = in(fiber_stiffness);
     step.parameters.activation = in(activation);
     step.parameters.damp_mu = in(damp_mu);
@@ -42,8 +41,7 @@ struct SoftArrays {
     grads.target = out(target);
     grads.guess = out(guess);
     grads.inertia = out(inertia);
-    grads.parameters.w_mu = out(w_mu);
-    grads.parameters.w_vol = out(w_vol);
+    grads.parameters.weights = out(weights);
     grads.parameters.fiber_stiffness = out(fiber_stiffness);
     grads.parameters.activation = out(activation);
     grads.parameters.damp_mu = out(damp_mu);
@@ -62,8 +60,7 @@ struct SoftArrays {
     rates.target = in(target);
     rates.inertia = in(inertia);
     rates.guess = in(guess);
-    rates.parameters.w_mu = in(w_mu);
-    rates.parameters.w_vol = in(w_vol);
+    rates.parameters.weights = in(weights);
     rates.parameters.fiber_stiffness = in(fiber_stiffness);
     rates.parameters.activation = in(activation);
     rates.parameters.damp_mu = in(damp_mu);

@@ -1,6 +1,5 @@
 """Soft bodies, projective-dynamics and hyperelastic, forward and backward (thesis 4.1)."""
 
-from diffsim.soft._context import MATERIALS
 from diffsim.soft._solves import SolveStats
 from diffsim.soft.actuators import (
     ActuatorDynamics,
@@ -13,7 +12,7 @@ from diffsim.soft.chambers import PressureChamber, sealed_pressure
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
 from diffsim.soft.immersion import added_mass, buoyancy
-from diffsim.soft.materials import Material, lame_parameters, pd_weights
+from diffsim.soft.materials import MATERIALS, Material, lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.physics import Physics

@@ -7,7 +7,7 @@ and back. The names are those of csrc/bindings/soft_arrays.h.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field
 from typing import ClassVar, NamedTuple, TypeVar
 
@@ -163,8 +163,9 @@ class EnergyArrays(Arrays):
     """Parameters of the elastic, damping and pressure energies.
 
     Attributes:
-        w_mu, w_vol: Of the solid, (num_elements,) [Pa], see :mod:`diffsim.soft.materials`. These,
-            ``fiber_stiffness``, ``damp_mu`` and ``damp_lambda`` may all lead with a batch axis.
+        weights: Of the solid, (num_weights, num_elements) [Pa], see
+            :mod:`diffsim.soft.materials`. These, ``fiber_stiffness``, ``damp_mu`` and
+            ``damp_lambda`` may all lead with a batch axis.
         fiber_stiffness: (num_fibers,) [Pa].
         activation: Target stretch of each fiber, (batch, num_fibers) [-].
         damp_mu, damp_lambda: Weights of damping, (num_elements,) [Pa].
@@ -173,8 +174,7 @@ class EnergyArrays(Arrays):
         pressure: Gauge pressures, (batch, num_chambers) [Pa].
     """
 
-    w_mu: Tensor = field(metadata=_spec("num_elements", batched=False))
-    w_vol: Tensor = field(metadata=_spec("num_elements", batched=False))
+    weights: Tensor = field(metadata=_spec("num_weights", "num_elements", batched=False))
     fiber_stiffness: Tensor = field(metadata=_spec("num_fibers", batched=False))
     activation: Tensor = field(metadata=_spec("num_fibers"))
     damp_mu: Tensor = field(metadata=_spec("num_elements", batched=False, damping=True))
@@ -186,7 +186,7 @@ class EnergyArrays(Arrays):
     @property
     def per_member(self) -> bool:
         """Whether parameters (and inertia) have a batch axis."""
-        return self.w_mu.ndim == 2
+        return self.weights.ndim == 3
 
     @property
     def damped(self) -> bool:
@@ -242,8 +242,18 @@ def require_array(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
 
 
 def _mean(tensor: Tensor) -> Tensor:
-    return tensor.mean(0) if tensor.numel() else tensor.new_empty(tensor.shape[-1:])
+    if not tensor.numel():
+        return tensor.new_empty(tensor.shape[-1:])
+    return _reduce_rows(tensor, lambda row: row.mean(0))
 
 
 def _sum(buffer: Tensor) -> Tensor:
-    return buffer[0].clone() if buffer.shape[0] == 1 else buffer.sum(0)
+    return buffer[0].clone() if len(buffer) == 1 else _reduce_rows(buffer, lambda row: row.sum(0))
+
+
+def _reduce_rows(tensor: Tensor, reduce: Callable[[Tensor], Tensor]) -> Tensor:
+    """(batch, size) reduced to (size,), and (batch, rows, size) row by row: the order in which
+    torch adds depends on the size, so rows of one tensor are summed as tensors of their own."""
+    if tensor.ndim == 2:
+        return reduce(tensor)
+    return torch.stack([reduce(row) for row in tensor.unbind(1)])

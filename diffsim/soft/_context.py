@@ -19,11 +19,11 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
 from diffsim.soft._arrays import StepArrays
+from diffsim.soft.materials import small_strain_moduli
 
 _CACHED_SYSTEMS = 4
 PRECONDITIONERS = ("auto", "constant", "multigrid")
 MULTIGRID_METHODS = ("auto", "newton_pcg", "linearly_implicit")
-MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 # Forces are squared and summed: beyond these powers of ten float64 has no room for that.
 LENGTHS, STIFFNESSES = (1e-60, 1e60), (1e-75, 1e75)
 _handles = itertools.count(1)
@@ -76,7 +76,7 @@ class SoftContext:
         self.fixed = fixed.to(torch.uint8).contiguous()
         self.pattern = core.make_soft_pattern(
             is_hex=is_hex,
-            material=getattr(core.Material, material),
+            material=material,
             num_nodes=self.num_nodes,
             num_elements=self.num_elements,
             num_classes=grad.shape[0],
@@ -107,6 +107,7 @@ class SoftContext:
         return {
             "num_nodes": self.num_nodes,
             "num_elements": self.num_elements,
+            "num_weights": self.pattern.num_weights,
             "num_fibers": self.num_fibers,
             "num_chambers": self.num_chambers,
         }
@@ -176,8 +177,7 @@ FIBER_SHARE = 0.5
 
 def preconditioner_stiffness(
     material: str,
-    w_mu: Tensor,
-    w_vol: Tensor,
+    weights: Tensor,
     fiber_stiffness: Tensor,
     damp_mu: Tensor,
     damp_lambda: Tensor,
@@ -185,18 +185,14 @@ def preconditioner_stiffness(
     """Stiffness kappa of A = diag(inertia) + sum kappa G^T G, of elements and of fibers [Pa].
 
     The volume term acts on one of nine directions of F; with its full weight (eq. 4.15) A is far
-    too stiff in the other eight. All materials are alike at small strain, where PD's w_vol stands
-    for 3 lambda.
+    too stiff in the other eight. All materials are alike at small strain, so that its moduli are
+    all that A depends on.
     """
-    kappa = w_mu + VOLUME_SHARE * 3.0 * small_strain_lambda(material, w_vol)
+    moduli = small_strain_moduli(material, weights)
+    kappa = moduli.two_mu + VOLUME_SHARE * 3.0 * moduli.lame_lambda
     if damp_mu.numel():
         kappa = kappa + 0.75 * damp_mu + 0.3 * damp_lambda
     return kappa, FIBER_SHARE * fiber_stiffness
-
-
-def small_strain_lambda(material: str, w_vol: Tensor) -> Tensor:
-    """First Lame parameter that a solid of volume parameter ``w_vol`` has at small strain [Pa]."""
-    return w_vol / 3.0 if material == "pd" else w_vol
 
 
 def require_magnitude(name: str, values: Tensor, bounds: tuple[float, float]) -> None:
@@ -228,7 +224,7 @@ def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
 def soft_addresses(tensors: Mapping[str, Tensor]) -> object:
     """Addresses of a soft body's arrays by name; what is empty or missing stays absent."""
     arrays = core.SoftArrays()
-    arrays.per_member = "w_mu" in tensors and tensors["w_mu"].ndim == 2
+    arrays.per_member = "weights" in tensors and tensors["weights"].ndim == 3
     return _fill(arrays, tensors)
 
 

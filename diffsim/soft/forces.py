@@ -115,8 +115,7 @@ def elastic_energy(
     x, loads = _check_state(body, x, activation=activation, pressure=pressure, physics=physics)
     constants = replace(
         loads.physics,
-        w_mu=loads.physics.w_mu.detach(),
-        w_vol=loads.physics.w_vol.detach(),
+        weights=loads.physics.weights.detach(),
         fiber_stiffness=loads.physics.fiber_stiffness.detach(),
     )
     loads = replace(

@@ -188,8 +188,7 @@ def energy_terms(loads: Loads, frame: DampingFrame | None = None) -> dict[str, T
     else:
         stretch = muscles.stretch_of_fibers(loads.activation)
     return {
-        "w_mu": prepared.w_mu,
-        "w_vol": prepared.w_vol,
+        "weights": prepared.weights,
         "fiber_stiffness": stiffness,
         "activation": flat(stretch, 1),
         "pressure": flat(loads.pressure, 1),

@@ -16,8 +16,9 @@ E = (F'F - 1)/2, mu = lame_mu, lambda = lame_lambda, the energy densities psi(F)
   compression (a stretch below 0.58 softens) and does not resist inversion.
 
 All follow linear elasticity at small strain with the constants given (E, nu in = E, nu out), vanish
-at rest, and are linear in the element parameters that the kernels read: w_mu = 2 mu and
-w_vol = lambda (pd: 3 lambda, see :func:`pd_weights`).
+at rest, and are linear in the element parameters that the kernels read, the *weights*: w_mu = 2 mu
+and w_vol = lambda (pd: 3 lambda, see :func:`pd_weights`). How many a law has its kernel states
+(``kWeights`` in csrc/kernels/soft); their order here is theirs there.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_range
-from diffsim.soft._context import MATERIALS
 
+MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 VOLUME_WEIGHTS = ("small_strain", "thesis")
 
 
@@ -46,6 +47,13 @@ class SolidWeights(NamedTuple):
 
     w_mu: Tensor
     w_vol: Tensor
+
+
+class SmallStrain(NamedTuple):
+    """Moduli of an element at small strain, (..., num_elements) [Pa]."""
+
+    two_mu: Tensor
+    lame_lambda: Tensor
 
 
 @dataclass(frozen=True)
@@ -71,8 +79,16 @@ class Material:
                 f"{weight!r}, a convention of material='pd'"
             )
 
-    def weights(self, youngs_modulus: Tensor, poissons_ratio: Tensor) -> SolidWeights:
-        """Element parameters; arguments and gradients as in :func:`material_weights`."""
+    def weights(self, youngs_modulus: Tensor, poissons_ratio: Tensor) -> tuple[Tensor, ...]:
+        """Element parameters as the kernels read them, see this module's docstring.
+
+        Args:
+            youngs_modulus: E, (num_elements,) or scalar [Pa], > 0.
+            poissons_ratio: nu, (num_elements,) or scalar [-], in (-1, 0.5); pd: [0, 0.5).
+
+        Returns:
+            The weights of the law in their order [Pa]. Gradients: both constants.
+        """
         if self.law == "pd":
             return pd_weights(youngs_modulus, poissons_ratio, self.volume_weight)
         lame = lame_parameters(youngs_modulus, poissons_ratio)
@@ -102,24 +118,18 @@ def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> LameParam
     return LameParameters(mu=mu, lame_lambda=lame_lambda)
 
 
-def material_weights(
-    material: str,
-    youngs_modulus: Tensor,
-    poissons_ratio: Tensor,
-    volume_weight: str = "small_strain",
-) -> SolidWeights:
-    """Element parameters of a material, as the kernels read them (see this module's docstring).
+def small_strain_moduli(law: str, weights: Tensor) -> SmallStrain:
+    """What the weights of a law stand for at small strain, where all laws are alike.
 
     Args:
-        material: One of ``MATERIALS``.
-        youngs_modulus: E, (num_elements,) or scalar [Pa], > 0.
-        poissons_ratio: nu, (num_elements,) or scalar [-], in (-1, 0.5); pd: [0, 0.5).
-        volume_weight: Convention of pd, see :func:`pd_weights`; other materials have only one.
+        law: One of ``MATERIALS``.
+        weights: (..., num_weights, num_elements) [Pa].
 
     Returns:
-        (w_mu, w_vol) [Pa]. Gradients: both constants.
+        2 mu and lambda, (..., num_elements) [Pa]; linear in the weights.
     """
-    return Material(material, volume_weight).weights(youngs_modulus, poissons_ratio)
+    w_mu, w_vol = weights.unbind(-2)
+    return SmallStrain(two_mu=w_mu, lame_lambda=w_vol / 3.0 if law == "pd" else w_vol)
 
 
 def pd_weights(

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_range
-from diffsim.soft._context import small_strain_lambda
-from diffsim.soft.materials import Material
+from diffsim.soft.materials import Material, small_strain_moduli
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +21,8 @@ class Physics:
 
     Attributes:
         material: Energy of the solid, see :mod:`diffsim.soft.materials`.
-        w_mu, w_vol: The material's parameters 2 mu and lambda (pd: volume weight),
-            (num_elements,) [Pa].
+        weights: The material's element parameters, (num_weights, num_elements) [Pa]: 2 mu and
+            lambda (pd: volume weight).
         mass: Nodal inertia, attached and added masses included, (num_nodes,) [kg].
         weighing_mass: What gravity acts on: ``mass`` without added mass, (num_nodes,) [kg].
         gravity: Acceleration of free fall, (3,) [m/s^2].
@@ -33,8 +32,7 @@ class Physics:
     """
 
     material: str
-    w_mu: Tensor
-    w_vol: Tensor
+    weights: Tensor
     mass: Tensor
     weighing_mass: Tensor
     gravity: Tensor
@@ -59,8 +57,8 @@ class Physics:
         if self.rayleigh_beta is None:
             return None
         rate = self.rayleigh_beta * kappa
-        small_strain = small_strain_lambda(self.material, self.w_vol)
-        return DampingWeights(mu=rate * self.w_mu, lame_lambda=rate * small_strain)
+        moduli = small_strain_moduli(self.material, self.weights)
+        return DampingWeights(mu=rate * moduli.two_mu, lame_lambda=rate * moduli.lame_lambda)
 
 
 class DampingWeights(NamedTuple):
@@ -206,8 +204,7 @@ def make_physics(
     _range("fiber_stiffness", fiber_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
         material=material.law,
-        w_mu=_expand_to_batch(weights.w_mu, batch),
-        w_vol=_expand_to_batch(weights.w_vol, batch),
+        weights=torch.stack([_expand_to_batch(w, batch) for w in weights], dim=-2),
         mass=_expand_to_batch(mass, batch),
         weighing_mass=_expand_to_batch(weighing_mass, batch),
         gravity=gravity,
@@ -244,7 +241,7 @@ def require_physics(physics: Physics, num_nodes: int, num_elements: int, materia
     """Refuse what is no :class:`Physics`, or one of another body."""
     if not isinstance(physics, Physics):
         raise TypeError(f"physics must come from body.physics(...), got {type(physics).__name__}")
-    size = (physics.mass.shape[-1], physics.w_mu.shape[-1])
+    size = (physics.mass.shape[-1], physics.weights.shape[-1])
     if size != (num_nodes, num_elements):
         raise ValueError(
             f"physics must be made by this body's physics(...): it is for {size[0]} vertices and "

@@ -82,7 +82,7 @@ def as_damped_as(changing: Physics, physics: Physics) -> Physics:
     """Undamped bodies whose damping moves need its terms, with zeros."""
     if changing.rayleigh_beta is None or physics.rayleigh_beta is not None:
         return physics
-    return replace(physics, rayleigh_beta=torch.zeros_like(physics.w_mu))
+    return replace(physics, rayleigh_beta=torch.zeros_like(physics.weights[..., 0, :]))
 
 
 def _tensors(physics: Physics) -> dict[str, Tensor]:

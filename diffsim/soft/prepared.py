@@ -60,7 +60,7 @@ class PreparedBody:
     Attributes:
         body, physics: As given.
         weight: Force of gravity, (num_nodes, 3) [N].
-        w_mu, w_vol: Parameters of the solid as kernels read them.
+        weights: Parameters of the solid as kernels read them, (num_weights, num_elements) [Pa].
         fiber_stiffness: Of each fiber, (num_fibers,) [Pa]; None: it depends on the activation.
         no_pressure: (num_chambers,) [Pa].
     """
@@ -71,7 +71,7 @@ class PreparedBody:
         require_physics(physics, mesh.num_nodes, mesh.num_elements, body.material.law)
         self.body, self.physics = body, physics
         self.weight = physics.weighing_mass[..., None] * physics.gravity.unsqueeze(-2)
-        self.w_mu, self.w_vol = physics.w_mu.contiguous(), physics.w_vol.contiguous()
+        self.weights = physics.weights.contiguous()
         self.fiber_stiffness = None
         if not muscles.has_contraction:
             stiffness = muscles.of_fibers(physics.fiber_stiffness)

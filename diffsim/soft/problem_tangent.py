@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from diffsim.soft._arrays import StepArrays
-from diffsim.soft._context import small_strain_lambda
 from diffsim.soft.integrators import ImplicitStage, Rates, rates_of
+from diffsim.soft.materials import small_strain_moduli
 from diffsim.soft.physics import Physics
 from diffsim.soft.prepared import PreparedBody
 from diffsim.soft.problem import StepProblem
@@ -37,16 +37,10 @@ class ChangingTerms:
         rates = {"inertia": d_total[:, None] * physics.mass + total * changing.mass}
         if physics.rayleigh_beta is not None:
             beta, d_beta = physics.rayleigh_beta, changing.rayleigh_beta
-            d_beta = torch.zeros_like(changing.w_mu) if d_beta is None else d_beta
-            law = physics.material
-            weights = {
-                "damp_mu": (physics.w_mu, changing.w_mu),
-                "damp_lambda": (
-                    small_strain_lambda(law, physics.w_vol),
-                    small_strain_lambda(law, changing.w_vol),
-                ),
-            }
-            for name, (w, d_w) in weights.items():
+            moduli = small_strain_moduli(physics.material, physics.weights)
+            d_moduli = small_strain_moduli(physics.material, changing.weights)
+            d_beta = torch.zeros_like(d_moduli.two_mu) if d_beta is None else d_beta
+            for name, w, d_w in zip(("damp_mu", "damp_lambda"), moduli, d_moduli, strict=True):
                 rates[name] = stage.kappa * (d_beta * w + beta * d_w)
         return cls(total=d_total[:, None, None], rates=_contiguous(rates))
 
@@ -72,7 +66,7 @@ class Changing:
             physics.weighing_mass[:, :, None] * own.gravity
             + own.weighing_mass[:, None] * physics.gravity[:, None, :]
         ).contiguous()
-        rates = {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
+        rates = {"weights": physics.weights}
         muscles = prepared.body.muscles
         if muscles.num_muscles and not muscles.has_contraction:
             rates["fiber_stiffness"] = muscles.of_fibers(physics.fiber_stiffness)

@@ -430,7 +430,7 @@ def test_mutating_the_inputs_of_a_mesh_changes_nothing():
 def test_any_poissons_ratio_is_used_or_refused(value):
     """No number, NaN and infinity included, gets through to a silently wrong result."""
     if 0.0 <= value < 0.5 - 1e-12:
-        assert MUSCULAR.physics(poissons_ratio=value).w_vol.isfinite().all()
+        assert MUSCULAR.physics(poissons_ratio=value).weights.isfinite().all()
     elif not 0.0 <= value < 0.5:
         with pytest.raises(ValueError, match="poissons_ratio must"):
             MUSCULAR.physics(poissons_ratio=value)
@@ -497,8 +497,7 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
     x, none = X[None].contiguous(), zeros(1, 0)
     good = {
         **dict.fromkeys(EnergyArrays.specs, empty),
-        "w_mu": physics.w_mu,
-        "w_vol": physics.w_vol,
+        "weights": physics.weights,
         "activation": none,
         "pressure": none,
     }
@@ -511,8 +510,8 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
     with pytest.raises(ValueError, match="must have shape"):
         call(x[:, 1:].contiguous())
     for name, bad in [
-        ("w_mu", physics.w_mu[1:]),
-        ("w_vol", zeros(ELEMENTS + 1)),
+        ("weights", physics.weights[1:]),
+        ("weights", zeros(2, ELEMENTS + 1)),
         ("fiber_stiffness", zeros(1)),
         ("activation", zeros(1, 3)),
         ("damp_mu", zeros(1)),
@@ -530,5 +529,5 @@ def test_arrays_of_kernels_are_named():
     one = zeros(ELEMENTS)
     with pytest.raises(TypeError, match="positional"):
         EnergyArrays(one, one)
-    with pytest.raises(TypeError, match="missing 8 required keyword-only"):
-        EnergyArrays(w_mu=one)
+    with pytest.raises(TypeError, match="missing 7 required keyword-only"):
+        EnergyArrays(fiber_stiffness=one)

@@ -9,7 +9,6 @@ import torch
 from diffsim import mesh, soft
 from diffsim.core.errors import ConvergenceError, DiffsimError, InvertedElementError
 from diffsim.soft._context import preconditioner_stiffness
-from diffsim.soft.materials import material_weights
 from tests.gradients import check_directions
 from tests.soft.cases import (
     SHARP,
@@ -470,7 +469,7 @@ def test_damping_is_beta_times_the_small_strain_stiffness(material):
 def test_the_constant_matrix_depends_on_the_small_strain_moduli_alone(material):
     body = soft_body(irregular_mesh("hex"), material=material)
     physics, none = body.physics(), torch.zeros(0).double()
-    kappa, _ = preconditioner_stiffness(material, physics.w_mu, physics.w_vol, none, none, none)
+    kappa, _ = preconditioner_stiffness(material, physics.weights, none, none, none)
     close(kappa, torch.full_like(kappa, 2.0 * MU + 0.3 * LAMBDA), 1e-12)
 
 
@@ -523,9 +522,10 @@ def test_bad_arguments():
 @pytest.mark.parametrize("material", soft.MATERIALS)
 def test_element_parameters_from_the_constants(material):
     constants = (leaf(30.0), leaf(0.3))
-    w_mu, w_vol = material_weights(material, *constants)
+    weights_of = soft.Material(material).weights
+    w_mu, w_vol = weights_of(*constants)
     close(w_mu, torch.tensor(2.0 * MU, dtype=torch.float64), 1e-12)
     close(
         w_vol, torch.tensor((3.0 if material == "pd" else 1.0) * LAMBDA, dtype=torch.float64), 1e-12
     )
-    assert torch.autograd.gradcheck(lambda *c: material_weights(material, *c), constants)
+    assert torch.autograd.gradcheck(weights_of, constants)

@@ -289,7 +289,7 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     empty = torch.zeros(0, dtype=torch.float64)
     zeros = torch.zeros_like(b)
     inputs = {"y": zeros, "force": zeros, "target": zeros, "guess": zeros, "inertia": inertia}
-    inputs |= {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
+    inputs["weights"] = physics.weights
     inputs["activation"] = inputs["pressure"] = torch.zeros(1, 0, dtype=torch.float64)
     arrays = StepArrays(**{**dict.fromkeys(StepArrays.specs, empty), **inputs})
     grads = _ops_step.soft_step_vjp(

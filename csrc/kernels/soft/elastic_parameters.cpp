@@ -65,21 +65,19 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
                           ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
-  const Native zero{}, one = broadcast<Native>(1.0);
+  const auto unit = unit_weights<M>();
   const KeptFrames kept = kept_frames(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
     const Stage<Group> stage(solid, first, count, x, kept, false);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
-      Native Z[kParts][9], by_mu[kParts], by_vol[kParts];
+      Native Z[kParts][9], by_weight[M::kWeights][kParts];
       deformation_gradient<Group>(solid, g, z, Z);
       for (int part = 0; part < kParts; ++part) {
         const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
         const typename M::template Sample<Native> sample(frame);
         const Native weight = split(Group::shape(solid, g).weight, part);
-        // P : Z = sum of d_i u_i . Z v_i, and the stress is linear in the weights: its derivative
-        // is that of unit weights.
-        Native along[3], d[3];
+        Native along[3], d[3];  // P : Z = sum of d_i u_i . Z v_i
         for (int i = 0; i < 3; ++i) {
           Native Zv[3];
           for (int a = 0; a < 3; ++a)
@@ -88,13 +86,12 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
           along[i] =
               weight * (frame.U[i] * Zv[0] + frame.U[3 + i] * Zv[1] + frame.U[6 + i] * Zv[2]);
         }
-        M::stress(sample, one, zero, d);
-        by_mu[part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
-        M::stress(sample, zero, one, d);
-        by_vol[part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
+        for (int k = 0; k < M::kWeights; ++k) {
+          M::stress(sample, unit[k].data(), d);
+          by_weight[k][part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
+        }
       }
-      Group::add_element_value(solid, g, by_mu, out.w_mu);
-      Group::add_element_value(solid, g, by_vol, out.w_vol);
+      add_weights<Group, M>(solid, g, by_weight, out.weights);
     }
   });
   for_groups(fiber, pool, [&](Index g) {
@@ -161,18 +158,18 @@ void add_damping_tangent(const SoftModel& model, const SoftParameters& p, const 
 }
 
 /// Stresses of unit weights, at every part of a stage.
-struct UnitStresses {
-  Native mu[kStageParts][9], vol[kStageParts][9];
-};
 template <typename M>
-void unit_stresses(const PrincipalFrame<Native>* frame, int parts, UnitStresses& out) {
-  const Native zero{}, one = broadcast<Native>(1.0);
-  for (int r = 0; r < parts; ++r) {
-    const typename M::template Sample<Native> sample(frame[r]);
-    stress<M>(sample, one, zero, out.mu[r]);
-    stress<M>(sample, zero, one, out.vol[r]);
+struct UnitStresses {
+  Native P[kStageParts][M::kWeights][9];
+
+  UnitStresses(const PrincipalFrame<Native>* frame, int parts) {
+    const auto unit = unit_weights<M>();
+    for (int r = 0; r < parts; ++r) {
+      const typename M::template Sample<Native> sample(frame[r]);
+      for (int k = 0; k < M::kWeights; ++k) stress<M>(sample, unit[k].data(), P[r][k]);
+    }
   }
-}
+};
 
 /// Directions [first, last) into their vectors buffers, one behind the other.
 template <typename Group, typename M>
@@ -184,17 +181,18 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
   const ElementBlock& fiber = model.fiber;
   for_stages(solid, pool, [&](Index begin, int count) {
     const Stage<Group> stage(solid, begin, count, x);
-    UnitStresses unit;
-    unit_stresses<M>(stage.frames(), count * kParts, unit);
+    const UnitStresses<M> unit(stage.frames(), count * kParts);
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       for (Index k = first; k < last; ++k) {
         Native P[kParts][9];
         for (int part = 0; part < kParts; ++part) {
-          const Native mu = direction_value<Group>(solid, g, part, d.w_mu, k);
-          const Native vol = direction_value<Group>(solid, g, part, d.w_vol, k);
-          for (int i = 0; i < 9; ++i)
-            P[part][i] = mu * unit.mu[n * kParts + part][i] + vol * unit.vol[n * kParts + part][i];
+          const Weights<M> w = weights_along<Group, M>(solid, g, part, d.weights, k);
+          const Native(*own)[9] = unit.P[n * kParts + part];
+          for (int i = 0; i < 9; ++i) {
+            P[part][i] = w[0] * own[0][i];
+            for (int m = 1; m < M::kWeights; ++m) P[part][i] += w[m] * own[m][i];
+          }
         }
         if (p.damp_mu)
           add_damping_tangent<Group>(model, p, frames[at(g)], stage.F + n * kParts, g, k, d, P);
@@ -231,8 +229,7 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
                        const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
   const auto clear = [](double* values, Index size) { std::fill(values, values + size, 0.0); };
-  clear(out.w_mu, model.solid.num_elements);
-  clear(out.w_vol, model.solid.num_elements);
+  clear(out.weights, model.weights_size());
   clear(out.fiber_stiffness, model.fiber.num_elements);
   clear(out.activation, model.fiber.num_elements);
   if (p.damp_mu) {

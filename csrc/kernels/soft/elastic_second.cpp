@@ -2,7 +2,6 @@
 
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_stage.h"
-#include "kernels/soft/stress_jets.h"
 
 namespace diffsim {
 namespace {
@@ -17,11 +16,12 @@ void into_frame(const PrincipalFrame<T>& frame, const T A[9], T out[9]) {
   transpose_times(frame.U, AV, out);
 }
 
-/// What one part of a group of the solid gives: its laws along two directions, in the principal
+/// What one part of a group of the solid gives: its law along two directions, in the principal
 /// frame of F.
+template <typename M>
 struct SolidJets {
-  Native first[9];            // the first direction
-  Jet<Native> mu[9], vol[9];  // stresses of the laws that w_mu and w_vol weigh
+  Native first[9];                // the first direction
+  Jet<Native> P[M::kWeights][9];  // the stress that each weight multiplies
 };
 
 /// Calls use(group, jets of its parts, their stresses to fill), stresses in principal frames, and
@@ -38,18 +38,18 @@ void for_solid_jets(const SoftModel& model, const double* x, const double* first
       Native A[kParts][9], B[kParts][9], stress[kParts][9], P[kParts][9];
       deformation_gradient<Group>(solid, g, first, A);
       deformation_gradient<Group>(solid, g, second, B);
-      SolidJets jets[kParts];
+      SolidJets<M> jets[kParts];
       for (int part = 0; part < kParts; ++part) {
         const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
         const typename M::template Sample<Native> sample(frame);
-        SolidJets& own = jets[part];
+        SolidJets<M>& own = jets[part];
         Native Bp[9];
         into_frame(frame, A[part], own.first);
         into_frame(frame, B[part], Bp);
         Jet<Native> F[9];
         for (int i = 0; i < 9; ++i)
           F[i] = {i % 4 == 0 ? frame.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
-        stress_jets(M{}, sample, F, own.mu, own.vol);
+        M::jets(sample, F, own.P);
       }
       use(g, jets, stress);
       for (int part = 0; part < kParts; ++part) {
@@ -84,19 +84,17 @@ void solid_adjoint(const SoftModel& model, const SoftParameters& p, const double
   const ElementBlock& solid = model.solid;
   for_solid_jets<Group, M>(
       model, x, z, d, scratch, pool,
-      [&](Index g, const SolidJets(&jets)[kParts], Native(&stress)[kParts][9]) {
-        Native by_mu[kParts], by_vol[kParts];
+      [&](Index g, const SolidJets<M>(&jets)[kParts], Native(&stress)[kParts][9]) {
+        Native by_weight[M::kWeights][kParts];
         for (int part = 0; part < kParts; ++part) {
-          const SolidJets& own = jets[part];
+          const SolidJets<M>& own = jets[part];
+          const Weights<M> w = weights_at<Group, M>(solid, g, part, p.weights);
           const Native weight = split(Group::shape(solid, g).weight, part);
           std::fill(stress[part], stress[part] + 9, Native{});
-          by_mu[part] = weight * take(own.mu, own.first, Group::part_value(solid, g, part, p.w_mu),
-                                      stress[part]);
-          by_vol[part] = weight * take(own.vol, own.first,
-                                       Group::part_value(solid, g, part, p.w_vol), stress[part]);
+          for (int k = 0; k < M::kWeights; ++k)
+            by_weight[k][part] = weight * take(own.P[k], own.first, w[k], stress[part]);
         }
-        Group::add_element_value(solid, g, by_mu, out.w_mu);
-        Group::add_element_value(solid, g, by_vol, out.w_vol);
+        add_weights<Group, M>(solid, g, by_weight, out.weights);
       });
 }
 
@@ -107,16 +105,16 @@ void solid_tangent(const SoftModel& model, const SoftParameters& p, const double
   const ElementBlock& solid = model.solid;
   for_solid_jets<Group, M>(
       model, x, dx, d, scratch, pool,
-      [&](Index g, const SolidJets(&jets)[kParts], Native(&stress)[kParts][9]) {
+      [&](Index g, const SolidJets<M>(&jets)[kParts], Native(&stress)[kParts][9]) {
         for (int part = 0; part < kParts; ++part) {
-          const Native mu = Group::part_value(solid, g, part, p.w_mu);
-          const Native vol = Group::part_value(solid, g, part, p.w_vol);
-          const Native d_mu = direction_value<Group>(solid, g, part, along.w_mu, k);
-          const Native d_vol = direction_value<Group>(solid, g, part, along.w_vol, k);
+          const auto& P = jets[part].P;
+          const Weights<M> w = weights_at<Group, M>(solid, g, part, p.weights);
+          const Weights<M> dw = weights_along<Group, M>(solid, g, part, along.weights, k);
           for (int i = 0; i < 9; ++i) {
-            const Jet<Native>&by_mu = jets[part].mu[i], &by_vol = jets[part].vol[i];
-            stress[part][i] = mu * by_mu.ab + vol * by_vol.ab + d_mu * (by_mu.v + by_mu.b) +
-                              d_vol * (by_vol.v + by_vol.b);
+            Native total = w[0] * P[0][i].ab;
+            for (int m = 1; m < M::kWeights; ++m) total += w[m] * P[m][i].ab;
+            for (int m = 0; m < M::kWeights; ++m) total += dw[m] * (P[m][i].v + P[m][i].b);
+            stress[part][i] = total;
           }
         }
       });
@@ -230,8 +228,7 @@ void linearized_adjoint(const SoftModel& model, const SoftParameters& p, const d
                         const double* d, const double* z, double* force,
                         const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
   const auto clear = [](double* values, Index size) { std::fill(values, values + size, 0.0); };
-  clear(out.w_mu, model.solid.num_elements);
-  clear(out.w_vol, model.solid.num_elements);
+  clear(out.weights, model.weights_size());
   clear(out.fiber_stiffness, model.fiber.num_elements);
   clear(out.activation, model.fiber.num_elements);
   scratch.vectors.resize(at(model.vectors_size));

@@ -10,7 +10,7 @@ namespace diffsim {
 /// @param[in]  d, z   (num_nodes, 3)
 /// @param[out] force  (num_nodes, 3) d/dx with x + d held fixed: the third derivative of E along z
 ///                    and d
-/// @param[out] out    w_mu, w_vol, fiber_stiffness, activation
+/// @param[out] out    weights, fiber_stiffness, activation
 void linearized_adjoint(const SoftModel& model, const SoftParameters& parameters, const double* x,
                         const double* d, const double* z, double* force,
                         const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);

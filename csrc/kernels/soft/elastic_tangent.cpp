@@ -124,8 +124,8 @@ struct TangentFill {
       const int part = r % kParts;
       Native* H = tangents[r / kParts].H[part];
       const typename M::template Sample<Native> sample(stage.frame(r));
-      PrincipalTangent<Native> core = M::tangent(sample, Group::part_value(block, g, part, p.w_mu),
-                                                 Group::part_value(block, g, part, p.w_vol));
+      const auto w = weights_at<Group, M>(block, g, part, p.weights);
+      PrincipalTangent<Native> core = M::tangent(sample, w.data());
       if (clamp) clamp_tangent(core);
       expand_tangent(stage.frame(r), core, H);
       if (!p.damp_mu) continue;

@@ -26,8 +26,8 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
       for (int part = 0; part < kParts; ++part) {
         const int r = n * kParts + part;
         const typename M::template Sample<Native> sample(stage.frame(r));
-        Native psi = stress<M>(sample, Group::part_value(solid, g, part, p.w_mu),
-                               Group::part_value(solid, g, part, p.w_vol), P[part]);
+        const auto w = weights_at<Group, M>(solid, g, part, p.weights);
+        Native psi = stress<M>(sample, w.data(), P[part]);
         if (p.damp_mu) {
           Native Fn[9], delta[9];
           split_matrix(frames[at(g)].Fn, part, Fn);

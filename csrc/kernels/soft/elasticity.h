@@ -12,8 +12,7 @@ namespace diffsim {
 
 /// Parameters of the energy; all arrays belong to the caller.
 struct SoftParameters {
-  const double* w_mu = nullptr;             // (num_elements,) 2 mu [Pa]
-  const double* w_vol = nullptr;            // (num_elements,) PD: volume weight; else lambda [Pa]
+  const double* weights = nullptr;          // (num_weights, num_elements) [Pa], see material.h
   const double* fiber_stiffness = nullptr;  // (num_fibers,) [Pa]
   const double* activation = nullptr;       // (num_fibers,) target stretch [-]
   const double* damp_mu = nullptr;          // (num_elements,) beta kappa 2 mu [Pa]; null: undamped
@@ -56,8 +55,7 @@ void tangent(const SoftModel& model, const SoftParameters& parameters,
 /// z . d(gradient)/dp for every parameter p of the energy, overwritten; the last four with damping
 /// only.
 struct ParameterAdjoint {
-  double* w_mu = nullptr;
-  double* w_vol = nullptr;
+  double* weights = nullptr;
   double* fiber_stiffness = nullptr;
   double* activation = nullptr;
   double* damp_mu = nullptr;
@@ -73,8 +71,7 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
 /// Directions in the parameters of the energy, (count, ...) each; null where none moves. Those of
 /// damping need a damped body.
 struct ParameterDirections {
-  const double* w_mu = nullptr;             // (count, num_elements)
-  const double* w_vol = nullptr;            // (count, num_elements)
+  const double* weights = nullptr;          // (count, num_weights, num_elements)
   const double* fiber_stiffness = nullptr;  // (count, num_fibers)
   const double* activation = nullptr;       // (count, num_fibers)
   const double* damp_mu = nullptr;          // (count, num_elements)

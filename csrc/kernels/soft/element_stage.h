@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 
 #include "kernels/parallel.h"
@@ -107,6 +108,44 @@ template <typename Group>
 Native direction_value(const ElementBlock& block, Index g, int part, const double* values,
                        Index k) {
   return values ? Group::part_value(block, g, part, values + k * block.num_elements) : Native{};
+}
+
+/// A value of each weight of a material.
+template <typename M>
+using Weights = std::array<Native, M::kWeights>;
+
+/// The weights of a (num_weights, num_elements) array at a part of a group.
+template <typename Group, typename M>
+Weights<M> weights_at(const ElementBlock& solid, Index g, int part, const double* values) {
+  Weights<M> w;
+  for (int k = 0; k < M::kWeights; ++k)
+    w[k] = Group::part_value(solid, g, part, values + k * solid.num_elements);
+  return w;
+}
+
+/// Item k of a (count, num_weights, num_elements) array at a part of a group; zero for null.
+template <typename Group, typename M>
+Weights<M> weights_along(const ElementBlock& solid, Index g, int part, const double* values,
+                         Index k) {
+  if (!values) return {};
+  return weights_at<Group, M>(solid, g, part, values + k * M::kWeights * solid.num_elements);
+}
+
+/// Entry k is one for weight k and zero for the others: as an energy is linear in its weights, what
+/// it then gives is its derivative with respect to that one.
+template <typename M>
+std::array<Weights<M>, M::kWeights> unit_weights() {
+  std::array<Weights<M>, M::kWeights> unit{};
+  for (int k = 0; k < M::kWeights; ++k) unit[k][k] = broadcast<Native>(1.0);
+  return unit;
+}
+
+/// Adds v[weight][part] to a (num_weights, num_elements) array.
+template <typename Group, typename M>
+void add_weights(const ElementBlock& solid, Index g, const Native (&v)[M::kWeights][kParts],
+                 double* out) {
+  for (int k = 0; k < M::kWeights; ++k)
+    Group::add_element_value(solid, g, v[k], out + k * solid.num_elements);
 }
 
 /// State and pull of the fibers in one part of a group, at their deformation gradients.

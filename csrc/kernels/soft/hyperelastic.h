@@ -1,8 +1,9 @@
 // Isotropic hyperelastic solids, one sample per lane of T: energy density psi(s) [J/m^3] of the
 // principal stretches, principal stresses psi_i and the principal tangent, all in closed form.
 //
-// w_mu = 2 mu and w_vol = lambda are the small-strain Lame parameters of linear elasticity: E, nu
-// in = E, nu out. Every energy is linear in both. With e = s - 1, a = tr e and J = s0 s1 s2:
+// The weights w[0] = 2 mu and w[1] = lambda are the small-strain Lame parameters of linear
+// elasticity: E, nu in = E, nu out. Every energy is linear in its weights. With e = s - 1, a = tr e
+// and J = s0 s1 s2:
 //
 //   corotated            mu |e|^2 + lambda/2 a^2, that is mu |S - I|^2 + lambda/2 tr(S - I)^2
 //   stable neo-Hookean   m/2 (I - 3) - m/2 ln((I + 1)/4) - mu (J - 1) + l/2 (J - 1)^2,  I = |F|^2
@@ -16,7 +17,7 @@
 #pragma once
 
 #include "kernels/linalg/lane_log.h"
-#include "kernels/soft/principal.h"
+#include "kernels/soft/jets.h"
 
 namespace diffsim {
 
@@ -38,30 +39,45 @@ struct StretchSample : PrincipalFrame<T> {
 inline constexpr int third(int i, int j) { return 3 - i - j; }
 
 struct CorotatedMaterial {
+  static constexpr const char* kName = "corotated";
+  static constexpr int kWeights = 2;
+
   template <class T>
   using Sample = StretchSample<T>;
 
   template <class T>
-  static T stress(const Sample<T>& p, const T& w_mu, const T& w_vol, T d[3]) {
-    for (int i = 0; i < 3; ++i) d[i] = w_mu * p.e[i] + w_vol * p.trace;
-    return 0.5 * (w_mu * p.square + w_vol * p.trace * p.trace);
+  static T stress(const Sample<T>& p, const T w[kWeights], T d[3]) {
+    for (int i = 0; i < 3; ++i) d[i] = w[0] * p.e[i] + w[1] * p.trace;
+    return 0.5 * (w[0] * p.square + w[1] * p.trace * p.trace);
   }
 
   template <class T>
-  static PrincipalTangent<T> tangent(const Sample<T>& p, const T& w_mu, const T& w_vol) {
+  static PrincipalTangent<T> tangent(const Sample<T>& p, const T w[kWeights]) {
     PrincipalTangent<T> c;
-    for (int i = 0; i < 9; ++i) c.diagonal[i] = i % 4 == 0 ? w_mu + w_vol : w_vol;
+    for (int i = 0; i < 9; ++i) c.diagonal[i] = i % 4 == 0 ? w[0] + w[1] : w[1];
     for (int k = 0; k < 3; ++k) {
       // s_i + s_j = 0 is where the nearest rotation is not unique: the derivative is unbounded.
       const T s = max(p.s[kPair[k][0]] + p.s[kPair[k][1]], broadcast<T>(1e-12));
-      c.symmetric[k] = w_mu;
-      c.skew[k] = w_mu + 2.0 * (w_vol * p.trace - w_mu) / s;
+      c.symmetric[k] = w[0];
+      c.skew[k] = w[0] + 2.0 * (w[1] * p.trace - w[0]) / s;
     }
     return c;
+  }
+
+  template <class T>
+  static void jets(const Sample<T>& p, const Jet<T> F[9], Jet<T> P[kWeights][9]) {
+    Jet<T> R[9];
+    rotation_jets(p.s, F, R);
+    Jet<T> trace = R[0] * F[0];
+    for (int i = 1; i < 9; ++i) trace = trace + R[i] * F[i];
+    for (int i = 0; i < 9; ++i) P[0][i] = F[i] - R[i], P[1][i] = (trace + -3.0) * R[i];
   }
 };
 
 struct StableNeoHookeanMaterial {
+  static constexpr const char* kName = "stable_neo_hookean";
+  static constexpr int kWeights = 2;
+
   template <class T>
   struct Sample : StretchSample<T> {
     using StretchSample<T>::s, StretchSample<T>::e, StretchSample<T>::trace;
@@ -78,8 +94,8 @@ struct StableNeoHookeanMaterial {
   };
 
   template <class T>
-  static T stress(const Sample<T>& p, const T& w_mu, const T& w_vol, T d[3]) {
-    const T mu = 0.5 * w_mu, l = w_vol + (5.0 / 6.0) * mu;
+  static T stress(const Sample<T>& p, const T w[kWeights], T d[3]) {
+    const T mu = 0.5 * w[0], l = w[1] + (5.0 / 6.0) * mu;
     const T growth = p.trace + p.pairs, third_mu = mu * (1.0 / 3.0);
     const T barrier = third_mu * p.u / (1.0 + p.u);
     for (int i = 0; i < 3; ++i) {
@@ -92,9 +108,9 @@ struct StableNeoHookeanMaterial {
   }
 
   template <class T>
-  static PrincipalTangent<T> tangent(const Sample<T>& p, const T& w_mu, const T& w_vol) {
+  static PrincipalTangent<T> tangent(const Sample<T>& p, const T w[kWeights]) {
     PrincipalTangent<T> c;
-    const T mu = 0.5 * w_mu, l = w_vol + (5.0 / 6.0) * mu;
+    const T mu = 0.5 * w[0], l = w[1] + (5.0 / 6.0) * mu;
     const T inverse = 1.0 / (4.0 + 4.0 * p.u);               // 1/(I + 1)
     const T stiffness = (4.0 / 3.0) * mu * (1.0 - inverse);  // m (1 - 1/(I + 1))
     const T bend = (8.0 / 3.0) * mu * inverse * inverse;
@@ -111,9 +127,25 @@ struct StableNeoHookeanMaterial {
     }
     return c;
   }
+
+  template <class T>
+  static void jets(const Sample<T>&, const Jet<T> F[9], Jet<T> P[kWeights][9]) {
+    Jet<T> C[9];
+    const Jet<T> growth = cofactors(F, C) + -1.0;
+    // m = 2/3 w[0], mu = w[0] / 2, l = w[1] + 5/12 w[0]
+    const Jet<T> stiffness = (-2.0 / 3.0) * inverse(squared_norm(F) + 1.0) + 2.0 / 3.0;
+    const Jet<T> pressure = (5.0 / 12.0) * growth + -0.5;
+    for (int i = 0; i < 9; ++i) {
+      P[0][i] = stiffness * F[i] + pressure * C[i];
+      P[1][i] = growth * C[i];
+    }
+  }
 };
 
 struct NeoHookeanMaterial {
+  static constexpr const char* kName = "neo_hookean";
+  static constexpr int kWeights = 2;
+
   template <class T>
   struct Sample : StretchSample<T> {
     using StretchSample<T>::s, StretchSample<T>::e, StretchSample<T>::trace;
@@ -130,23 +162,23 @@ struct NeoHookeanMaterial {
   };
 
   template <class T>
-  static T stress(const Sample<T>& p, const T& w_mu, const T& w_vol, T d[3]) {
-    const T mu = 0.5 * w_mu;
+  static T stress(const Sample<T>& p, const T w[kWeights], T d[3]) {
+    const T mu = 0.5 * w[0];
     for (int i = 0; i < 3; ++i)
-      d[i] = (mu * p.e[i] * (p.s[i] + 1.0) + w_vol * p.log_J) * p.inverse[i];
-    const T psi = mu * (0.5 * p.square + p.gap) + 0.5 * w_vol * p.log_J * p.log_J;
+      d[i] = (mu * p.e[i] * (p.s[i] + 1.0) + w[1] * p.log_J) * p.inverse[i];
+    const T psi = mu * (0.5 * p.square + p.gap) + 0.5 * w[1] * p.log_J * p.log_J;
     return select(less(broadcast<T>(0.0), p.s[2]), psi,
                   broadcast<T>(std::numeric_limits<double>::infinity()));
   }
 
   template <class T>
-  static PrincipalTangent<T> tangent(const Sample<T>& p, const T& w_mu, const T& w_vol) {
+  static PrincipalTangent<T> tangent(const Sample<T>& p, const T w[kWeights]) {
     PrincipalTangent<T> c;
-    const T mu = 0.5 * w_mu, pressure = w_vol * p.log_J - mu;  // s_i times the ln J terms
+    const T mu = 0.5 * w[0], pressure = w[1] * p.log_J - mu;  // s_i times the ln J terms
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j)
-        c.diagonal[3 * i + j] = i == j ? mu + (w_vol - pressure) * p.inverse[i] * p.inverse[i]
-                                       : w_vol * p.inverse[i] * p.inverse[j];
+        c.diagonal[3 * i + j] = i == j ? mu + (w[1] - pressure) * p.inverse[i] * p.inverse[i]
+                                       : w[1] * p.inverse[i] * p.inverse[j];
     for (int k = 0; k < 3; ++k) {
       const T twist = pressure * p.inverse[kPair[k][0]] * p.inverse[kPair[k][1]];
       c.symmetric[k] = mu - twist;
@@ -154,9 +186,23 @@ struct NeoHookeanMaterial {
     }
     return c;
   }
+
+  template <class T>
+  static void jets(const Sample<T>& p, const Jet<T> F[9], Jet<T> P[kWeights][9]) {
+    Jet<T> C[9];
+    const Jet<T> J = cofactors(F, C);
+    const Jet<T> over = inverse(J), log_over = logarithm(J, p.log_J) * over;
+    for (int i = 0; i < 9; ++i) {
+      P[0][i] = 0.5 * (F[i] - over * C[i]);
+      P[1][i] = log_over * C[i];
+    }
+  }
 };
 
 struct StvkMaterial {
+  static constexpr const char* kName = "stvk";
+  static constexpr int kWeights = 2;
+
   template <class T>
   struct Sample : StretchSample<T> {
     using StretchSample<T>::s, StretchSample<T>::e, StretchSample<T>::trace;
@@ -171,34 +217,51 @@ struct StvkMaterial {
   };
 
   template <class T>
-  static T stress(const Sample<T>& p, const T& w_mu, const T& w_vol, T d[3]) {
-    const T pressure = w_vol * p.green_trace;
+  static T stress(const Sample<T>& p, const T w[kWeights], T d[3]) {
+    const T pressure = w[1] * p.green_trace;
     T square = broadcast<T>(0.0);
     for (int i = 0; i < 3; ++i) {
-      d[i] = p.s[i] * (w_mu * p.green[i] + pressure);
+      d[i] = p.s[i] * (w[0] * p.green[i] + pressure);
       square += p.green[i] * p.green[i];
     }
-    return 0.5 * (w_mu * square + pressure * p.green_trace);
+    return 0.5 * (w[0] * square + pressure * p.green_trace);
   }
 
   template <class T>
-  static PrincipalTangent<T> tangent(const Sample<T>& p, const T& w_mu, const T& w_vol) {
+  static PrincipalTangent<T> tangent(const Sample<T>& p, const T w[kWeights]) {
     PrincipalTangent<T> c;
-    const T pressure = w_vol * p.green_trace;
+    const T pressure = w[1] * p.green_trace;
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j) {
         const T product = p.s[i] * p.s[j];
-        c.diagonal[3 * i + j] = w_vol * product + (i == j ? w_mu * (p.green[i] + product) + pressure
-                                                          : broadcast<T>(0.0));
+        c.diagonal[3 * i + j] = w[1] * product + (i == j ? w[0] * (p.green[i] + product) + pressure
+                                                         : broadcast<T>(0.0));
       }
     for (int k = 0; k < 3; ++k) {
       const int i = kPair[k][0], j = kPair[k][1];
       // (s_i^2 + s_j^2 - 1)/2, apart from the mixed term
       const T squares = p.green[i] + p.green[j] + 0.5, mixed = 0.5 * p.s[i] * p.s[j];
-      c.symmetric[k] = w_mu * (squares + mixed) + pressure;
-      c.skew[k] = w_mu * (squares - mixed) + pressure;
+      c.symmetric[k] = w[0] * (squares + mixed) + pressure;
+      c.skew[k] = w[0] * (squares - mixed) + pressure;
     }
     return c;
+  }
+
+  template <class T>
+  static void jets(const Sample<T>&, const Jet<T> F[9], Jet<T> P[kWeights][9]) {
+    const Jet<T> trace = 0.5 * squared_norm(F) + -1.5;
+    Jet<T> E[9];
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        const Jet<T> C = F[i] * F[j] + F[3 + i] * F[3 + j] + F[6 + i] * F[6 + j];
+        E[3 * i + j] = 0.5 * (C + (i == j ? -1.0 : 0.0));
+      }
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        const int ij = 3 * i + j;
+        P[0][ij] = F[3 * i] * E[j] + F[3 * i + 1] * E[3 + j] + F[3 * i + 2] * E[6 + j];
+        P[1][ij] = trace * F[ij];
+      }
   }
 };
 

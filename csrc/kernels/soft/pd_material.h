@@ -1,7 +1,7 @@
 // Projective-dynamics solid and muscle fiber: energy density, first Piola stress and its tangent,
 // one sample per lane of T. Thesis eqs. 4.12-4.17 with closed-form derivatives of the projections.
 //
-// Solid:  psi(F) = w_mu/2 |F - R(F)|^2 + w_vol/2 |F - B(F)|^2                               [J/m^3]
+// Solid:  psi(F) = w[0]/2 |F - R(F)|^2 + w[1]/2 |F - B(F)|^2 [J/m^3]
 //   R: nearest rotation; B = U diag(t) V^T: nearest matrix of determinant one.
 //   With F = U diag(s) V^T, minimizing |t - s|^2 subject to t0 t1 t2 = 1 gives
 //   t_i (t_i - s_i) = -l with one multiplier l for all i, so t_i = (s_i + q_i)/2 and
@@ -10,7 +10,7 @@
 // Fiber:  psi(F) = w/2 (|F m| - a)^2, unit direction m, activation a = target stretch.
 #pragma once
 
-#include "kernels/soft/principal.h"
+#include "kernels/soft/jets.h"
 
 namespace diffsim {
 
@@ -57,60 +57,108 @@ struct PdSample : PrincipalFrame<T> {
   }
 };
 
-/// Principal stresses w_mu (s - 1) + w_vol (s - t) [Pa]; returns psi [J/m^3].
+/// X and m with X + l cross(diag(t), X) + m cof = r, cof : X = c, cof being that of diag(t).
+/// @return m + l c
 template <class T>
-inline T pd_stress(const PdSample<T>& p, const T& w_mu, const T& w_vol, T d[3]) {
-  T corotated = broadcast<T>(0.0), volume = broadcast<T>(0.0);
-  for (int i = 0; i < 3; ++i) {
-    const T a = p.s[i] - 1.0, b = p.s[i] - p.t[i];
-    d[i] = w_mu * a + w_vol * b;
-    corotated += a * a;
-    volume += b * b;
-  }
-  return 0.5 * (w_mu * corotated + w_vol * volume);
-}
-
-template <class T>
-inline PrincipalTangent<T> pd_tangent_principal(const PdSample<T>& p, const T& w_mu,
-                                                const T& w_vol) {
-  PrincipalTangent<T> c;
-  const T one = broadcast<T>(1.0), tiny = broadcast<T>(1e-12);
-  const T r0 = one / (p.t[0] * p.q[0]), r1 = one / (p.t[1] * p.q[1]);
-  const T inverse_q[2] = {p.t[0] * r0, p.t[1] * r1}, inverse_t[2] = {p.q[0] * r0, p.q[1] * r1};
-  const T q2t2 = p.q[2] * p.t[2];
-  const T inverse = one / (one + q2t2 * (r0 + r1));
-  // dl = g . ds, dt_i = (t_i ds_i - dl) / q_i for i < 2, and dt_2 from t0 t1 t2 = 1.
-  const T g[3] = {q2t2 * inverse_q[0] * inverse, q2t2 * inverse_q[1] * inverse, p.t[2] * inverse};
-  T dt[9];
-  for (int j = 0; j < 3; ++j) {
-    for (int i = 0; i < 2; ++i)
-      dt[3 * i + j] = ((i == j ? p.t[i] : broadcast<T>(0.0)) - g[j]) * inverse_q[i];
-    dt[6 + j] = -p.t[2] * (dt[j] * inverse_t[0] + dt[3 + j] * inverse_t[1]);
-  }
-  for (int i = 0; i < 9; ++i)
-    c.diagonal[i] = (i % 4 == 0 ? w_mu + w_vol : broadcast<T>(0.0)) - w_vol * dt[i];
+T solve_projection(const PdSample<T>& p, const T r[9], const T& c, T X[9]) {
+  const T tiny = broadcast<T>(1e-12);
   for (int k = 0; k < 3; ++k) {
     const int i = kPair[k][0], j = kPair[k][1];
-    const T t = p.t[i] + p.t[j];
-    // s_i + s_j = 0 is where the nearest rotation is not unique: the derivative is unbounded there.
-    const T over = one / max(p.s[i] + p.s[j], tiny), q = p.q[i] + p.q[j];
-    c.symmetric[k] = w_mu + w_vol * (one - t / select(less(abs(q), tiny), tiny, q));
-    c.skew[k] = w_mu * (one - 2.0 * over) + w_vol * (one - t * over);
+    const T t = p.t[i] + p.t[j], q = p.q[i] + p.q[j];
+    const T symmetric =
+        0.5 * (r[3 * i + j] + r[3 * j + i]) * t / select(less(abs(q), tiny), tiny, q);
+    const T skew = 0.5 * (r[3 * i + j] - r[3 * j + i]) * t / max(p.s[i] + p.s[j], tiny);
+    X[3 * i + j] = symmetric + skew;
+    X[3 * j + i] = symmetric - skew;
   }
-  return c;
+  // t_i X_i' = t_i r_i - m' over q_i; q_2 may vanish and is not divided by
+  const T r0 = 1.0 / (p.t[0] * p.q[0]), r1 = 1.0 / (p.t[1] * p.q[1]), q2t2 = p.q[2] * p.t[2];
+  const T m = (q2t2 * (r[0] * p.t[0] * r0 + r[4] * p.t[1] * r1 - c) + p.t[2] * r[8]) /
+              (1.0 + q2t2 * (r0 + r1));
+  X[0] = (p.t[0] * r[0] - m) * p.t[0] * r0;
+  X[4] = (p.t[1] * r[4] - m) * p.t[1] * r1;
+  X[8] = p.t[2] * (c - X[0] / p.t[0] - X[4] / p.t[1]);
+  return m;
 }
 
-/// The solid as a material policy, see material.h.
+/// The nearest matrix of determinant one of F = diag(s) + a Z + b D.
+template <class T>
+void volume_jets(const PdSample<T>& p, const Jet<T> F[9], Jet<T> B[9]) {
+  const T zero = broadcast<T>(0.0);
+  T Z[9], D[9], B1[9], B2[9], B12[9], t[9] = {}, cross1[9], cross2[9], cross12[9], r[9];
+  for (int i = 0; i < 9; ++i) Z[i] = F[i].a, D[i] = F[i].b;
+  for (int i = 0; i < 3; ++i) t[4 * i] = p.t[i];
+  const T l = p.t[0] * (p.s[0] - p.t[0]);
+  const T l1 = solve_projection(p, Z, zero, B1), l2 = solve_projection(p, D, zero, B2);
+  cross(t, B1, cross1);
+  cross(t, B2, cross2);
+  cross(B1, B2, cross12);
+  T c = zero;
+  for (int i = 0; i < 9; ++i) {
+    r[i] = -(l1 * cross2[i] + l2 * cross1[i] + l * cross12[i]);
+    c -= B1[i] * cross2[i];
+  }
+  solve_projection(p, r, c, B12);
+  for (int i = 0; i < 9; ++i) B[i] = {t[i], B1[i], B2[i], B12[i]};
+}
+
+/// The solid as a material, see material.h.
 struct PdMaterial {
+  static constexpr const char* kName = "pd";
+  static constexpr int kWeights = 2;
+
   template <class T>
   using Sample = PdSample<T>;
+
+  /// Principal stresses w[0] (s - 1) + w[1] (s - t) [Pa].
   template <class T>
-  static T stress(const Sample<T>& p, const T& w_mu, const T& w_vol, T d[3]) {
-    return pd_stress(p, w_mu, w_vol, d);
+  static T stress(const Sample<T>& p, const T w[kWeights], T d[3]) {
+    T corotated = broadcast<T>(0.0), volume = broadcast<T>(0.0);
+    for (int i = 0; i < 3; ++i) {
+      const T a = p.s[i] - 1.0, b = p.s[i] - p.t[i];
+      d[i] = w[0] * a + w[1] * b;
+      corotated += a * a;
+      volume += b * b;
+    }
+    return 0.5 * (w[0] * corotated + w[1] * volume);
   }
+
   template <class T>
-  static PrincipalTangent<T> tangent(const Sample<T>& p, const T& w_mu, const T& w_vol) {
-    return pd_tangent_principal(p, w_mu, w_vol);
+  static PrincipalTangent<T> tangent(const Sample<T>& p, const T w[kWeights]) {
+    PrincipalTangent<T> c;
+    const T one = broadcast<T>(1.0), tiny = broadcast<T>(1e-12);
+    const T r0 = one / (p.t[0] * p.q[0]), r1 = one / (p.t[1] * p.q[1]);
+    const T inverse_q[2] = {p.t[0] * r0, p.t[1] * r1}, inverse_t[2] = {p.q[0] * r0, p.q[1] * r1};
+    const T q2t2 = p.q[2] * p.t[2];
+    const T inverse = one / (one + q2t2 * (r0 + r1));
+    // dl = g . ds, dt_i = (t_i ds_i - dl) / q_i for i < 2, and dt_2 from t0 t1 t2 = 1.
+    const T g[3] = {q2t2 * inverse_q[0] * inverse, q2t2 * inverse_q[1] * inverse, p.t[2] * inverse};
+    T dt[9];
+    for (int j = 0; j < 3; ++j) {
+      for (int i = 0; i < 2; ++i)
+        dt[3 * i + j] = ((i == j ? p.t[i] : broadcast<T>(0.0)) - g[j]) * inverse_q[i];
+      dt[6 + j] = -p.t[2] * (dt[j] * inverse_t[0] + dt[3 + j] * inverse_t[1]);
+    }
+    for (int i = 0; i < 9; ++i)
+      c.diagonal[i] = (i % 4 == 0 ? w[0] + w[1] : broadcast<T>(0.0)) - w[1] * dt[i];
+    for (int k = 0; k < 3; ++k) {
+      const int i = kPair[k][0], j = kPair[k][1];
+      const T t = p.t[i] + p.t[j];
+      // s_i + s_j = 0 is where the nearest rotation is not unique: the derivative is unbounded
+      // there.
+      const T over = one / max(p.s[i] + p.s[j], tiny), q = p.q[i] + p.q[j];
+      c.symmetric[k] = w[0] + w[1] * (one - t / select(less(abs(q), tiny), tiny, q));
+      c.skew[k] = w[0] * (one - 2.0 * over) + w[1] * (one - t * over);
+    }
+    return c;
+  }
+
+  template <class T>
+  static void jets(const Sample<T>& p, const Jet<T> F[9], Jet<T> P[kWeights][9]) {
+    Jet<T>*mu = P[0], *vol = P[1];
+    rotation_jets(p.s, F, mu);
+    volume_jets(p, F, vol);
+    for (int i = 0; i < 9; ++i) mu[i] = F[i] - mu[i], vol[i] = F[i] - vol[i];
   }
 };
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "kernels/soft/material.h"
 #include "kernels/subscript.h"
 
 namespace diffsim {
@@ -153,6 +154,7 @@ SoftModel make_soft_model(const MeshTables& t) {
   SoftModel model;
   model.num_nodes = t.num_nodes;
   model.material = t.material;
+  model.num_weights = with_material(t.material, [](auto law) { return decltype(law)::kWeights; });
   model.solid = make_block(t, nullptr, t.num_elements);
   model.fiber = make_block(t, t.fiber_elements, t.num_fibers);
   model.fiber_directions.assign(t.fiber_directions, t.fiber_directions + 3 * t.num_fibers);

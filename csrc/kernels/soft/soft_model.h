@@ -10,13 +10,13 @@
 
 namespace diffsim {
 
-/// Energy density of the solid; see pd_material.h and hyperelastic.h.
-enum class Material { kPd, kCorotated, kStableNeoHookean, kNeoHookean, kStvk };
+/// Energy density of the solid: its place among the Materials of material.h.
+enum class Material : int {};
 
 /// Shape-function tables as Python computes them (diffsim/mesh/shape.py).
 struct MeshTables {
   bool is_hex = true;
-  Material material = Material::kPd;
+  Material material{};
   std::int64_t num_nodes = 0, num_elements = 0, num_classes = 0;
   const std::int64_t* elements = nullptr;   // (num_elements, N)
   const double* grad = nullptr;             // (num_classes, Q, N, 3) [1/m]
@@ -35,7 +35,8 @@ struct MeshTables {
 /// being 3 * row length padded with zeros to whole lanes, so that products stream aligned vectors.
 struct SoftModel {
   std::int64_t num_nodes = 0;
-  Material material = Material::kPd;
+  Material material{};
+  std::int64_t num_weights = 0;  // of the material, per element
   ElementBlock solid, fiber;
   std::vector<double> fiber_directions;  // (num_fibers, 3)
   std::vector<double> fiber_pull_only;   // (num_fibers,) 1 or 0
@@ -54,6 +55,7 @@ struct SoftModel {
   std::vector<std::int64_t> strip_start;  // (num_nodes + 1) offsets of the strips
   std::int64_t max_strip_width = 0;
 
+  std::int64_t weights_size() const { return num_weights * solid.num_elements; }
   std::int64_t num_blocks() const { return static_cast<std::int64_t>(column.size()); }
   std::int64_t values_size() const { return strip_start.back(); }
   std::int64_t strip_width(std::int64_t row) const {

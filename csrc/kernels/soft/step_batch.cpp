@@ -25,8 +25,7 @@ StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t
   item.parameters.pressure = offset(in.parameters.pressure, k, model.chambers.num_chambers);
   if (in.per_member) {
     const std::int64_t elements = model.solid.num_elements;
-    item.parameters.w_mu = offset(in.parameters.w_mu, k, elements);
-    item.parameters.w_vol = offset(in.parameters.w_vol, k, elements);
+    item.parameters.weights = offset(in.parameters.weights, k, model.weights_size());
     item.parameters.fiber_stiffness =
         offset(in.parameters.fiber_stiffness, k, model.fiber.num_elements);
     item.parameters.damp_mu = offset(in.parameters.damp_mu, k, elements);
@@ -51,8 +50,7 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
   item.target = offset(out.target, k, size);
   item.guess = offset(out.guess, k, size);
   item.inertia = offset(out.inertia, k, model.num_nodes);
-  item.parameters.w_mu = offset(out.parameters.w_mu, k, elements);
-  item.parameters.w_vol = offset(out.parameters.w_vol, k, elements);
+  item.parameters.weights = offset(out.parameters.weights, k, model.weights_size());
   item.parameters.fiber_stiffness = offset(out.parameters.fiber_stiffness, k, fibers);
   item.parameters.activation = offset(out.parameters.activation, k, fibers);
   item.parameters.damp_mu = offset(out.parameters.damp_mu, k, elements);

@@ -164,7 +164,7 @@ void StepProblem::linear_load_tangents(const Vector& x, const StepDirections& di
   // Inertia, loads and damping are linear in x already: theirs are those of a step that ends in x.
   StepDirections linear = directions;
   ParameterDirections& rest = linear.parameters;
-  rest.w_mu = rest.w_vol = rest.fiber_stiffness = rest.activation = rest.pressure = nullptr;
+  rest.weights = rest.fiber_stiffness = rest.activation = rest.pressure = nullptr;
   load_tangents(x, linear, out);
   const SoftModel& model = system_.model();
   const Vector q(in_.guess, in_.guess + size_), still(size_, 0.0);
