@@ -19,7 +19,7 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
 from diffsim.soft._arrays import StepArrays
-from diffsim.soft.materials import small_strain_moduli
+from diffsim.soft.materials import UPRIGHT, small_strain_moduli
 
 _CACHED_SYSTEMS = 4
 PRECONDITIONERS = ("auto", "constant", "multigrid")
@@ -207,16 +207,16 @@ def require_magnitude(name: str, values: Tensor, bounds: tuple[float, float]) ->
 
 
 def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
-    """Refuse positions (batch, V, 3) [m] at which the textbook neo-Hookean energy is infinite."""
-    if ctx.material != "neo_hookean" or bool(torch.isfinite(energy).all()):
+    """Refuse positions (batch, V, 3) [m] at which the energy of an upright material is infinite."""
+    if ctx.material not in UPRIGHT or bool(torch.isfinite(energy).all()):
         return
     item = int(torch.nonzero(~torch.isfinite(energy))[0, 0])
     count = core.count_inverted(ctx.pattern, x[item].contiguous().data_ptr())
     if count:
         raise InvertedElementError(
-            f"{count} of {ctx.num_elements} elements are inverted, where the neo_hookean energy is "
-            "infinite; start from a state without inverted elements, move Dirichlet nodes and step "
-            "in time by less, or use material='stable_neo_hookean'",
+            f"{count} of {ctx.num_elements} elements are inverted, where the energy of "
+            f"{ctx.material} is infinite; start from a state without inverted elements, move "
+            "Dirichlet nodes and step in time by less, or use material='stable_neo_hookean'",
             num_inverted=count,
         )
 

@@ -19,7 +19,7 @@ from diffsim.soft.step import step
 class SoftBody(Solid):
     """Elastic solid on a hexahedral or tetrahedral mesh; calling it takes one time step.
 
-    One of five materials (:mod:`diffsim.soft.materials`) with muscle fibers, tendons, pneumatic
+    One of the materials of :mod:`diffsim.soft.materials` with muscle fibers, tendons, pneumatic
     chambers, gravity, Rayleigh damping, attached and added masses and Dirichlet conditions per node
     and axis. Obstacles are given step by step; water acts through ``external_force``
     (:class:`~diffsim.soft.Hydrodynamics`). Not modeled here: plasticity, anisotropic solids; rest
@@ -36,8 +36,7 @@ class SoftBody(Solid):
             [0, 0.5).
         density: Mass per rest volume, scalar, (num_elements,) or (num_nodes,) [kg/m^3], > 0.
         material: Energy of the solid: ``pd`` (projective dynamics, corotated and volume energies,
-            thesis eq. 4.12), ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``;
-            or a :class:`~diffsim.soft.Material`.
+            thesis eq. 4.12), another of ``MATERIALS``, or a :class:`~diffsim.soft.Material`.
         gravity: Acceleration of free fall, (3,) [m/s^2].
         fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_nodes,) or one per
             axis (num_nodes, 3) bool; None: free.

@@ -21,8 +21,7 @@ class Physics:
 
     Attributes:
         material: Energy of the solid, see :mod:`diffsim.soft.materials`.
-        weights: The material's element parameters, (num_weights, num_elements) [Pa]: 2 mu and
-            lambda (pd: volume weight).
+        weights: The material's element parameters, (num_weights, num_elements) [Pa].
         mass: Nodal inertia, attached and added masses included, (num_nodes,) [kg].
         weighing_mass: What gravity acts on: ``mass`` without added mass, (num_nodes,) [kg].
         gravity: Acceleration of free fall, (3,) [m/s^2].
@@ -73,7 +72,8 @@ class PhysicalValues:
     """Physical parameters of a body as they are given: numbers as tensors, not yet expanded.
 
     ``body.physics`` takes the same names; meaning, shape and unit as in
-    :class:`~diffsim.soft.SoftBody` and its options.
+    :class:`~diffsim.soft.SoftBody` and its options; ``constants`` are those of its material besides
+    E and nu.
     """
 
     youngs_modulus: Tensor
@@ -86,10 +86,11 @@ class PhysicalValues:
     added_mass: Tensor | None
     node_mass: Tensor | None
     fiber_stiffness: Tensor
+    constants: Mapping[str, Tensor]
 
 
 PER_ELEMENT = ("youngs_modulus", "poissons_ratio", "density", "rayleigh_beta")
-PARAMETERS = tuple(f.name for f in fields(PhysicalValues))
+PARAMETERS = tuple(f.name for f in fields(PhysicalValues) if f.name != "constants")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,10 +181,14 @@ def make_physics(
     """
     num_elements, num_nodes = len(volume.elements), len(volume.nodal)
 
-    def per_element(name: str) -> Tensor:
-        return _repeat_for_batch(name, getattr(values, name), num_elements, "num_elements", batch)
+    def per_element(name: str, value: Tensor) -> Tensor:
+        return _repeat_for_batch(name, value, num_elements, "num_elements", batch)
 
-    weights = material.weights(per_element("youngs_modulus"), per_element("poissons_ratio"))
+    weights = material.weights(
+        per_element("youngs_modulus", values.youngs_modulus),
+        per_element("poissons_ratio", values.poissons_ratio),
+        **{name: per_element(name, value) for name, value in values.constants.items()},
+    )
     if values.node_mass is None:
         mass = volume.mass(values.density, batch)
     else:
@@ -198,7 +203,7 @@ def make_physics(
     _range("rayleigh_alpha", rayleigh_alpha, at_least=0.0, hint="unit is 1/s")
     rayleigh_beta = values.rayleigh_beta
     if rayleigh_beta is not None:
-        rayleigh_beta = per_element("rayleigh_beta")
+        rayleigh_beta = per_element("rayleigh_beta", rayleigh_beta)
         _range("rayleigh_beta", rayleigh_beta, at_least=0.0, hint="unit is s")
     fiber_stiffness = _of_members("fiber_stiffness", values.fiber_stiffness, (num_muscles,), batch)
     _range("fiber_stiffness", fiber_stiffness, above=0.0, hint="unit is Pa")

@@ -113,8 +113,9 @@ class Solid(nn.Module):
             "node_mass": masses.node_mass,
             "fiber_stiffness": self.muscles.stiffness,
         }
-        for name in PARAMETERS:
-            hold(self, name, given[name])
+        given |= {name: getattr(self.material, name) for name in self.material.constants}
+        for name, value in given.items():
+            hold(self, name, value)
         self.physics()  # refuse bad parameters now, not at the first step
         modulus = as_tensor("youngs_modulus", youngs_modulus)
         warn_of_units(self.x_rest, modulus, as_tensor("density", density))
@@ -158,17 +159,19 @@ class Solid(nn.Module):
                 element (batch, num_elements). None: one set for all.
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
                 rayleigh_beta, attached_mass, added_mass, node_mass, fiber_stiffness, as in the
-                constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
+                constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`), and of the
+                material's own constants.
 
         Returns:
             :class:`~diffsim.soft.Physics`. Gradients: all overrides.
         """
         members = None if batch is None else require_count("batch", batch, at_least=1)
-        values = {name: getattr(self, name) for name in PARAMETERS}
+        own = self.material.constants
+        values = {name: getattr(self, name) for name in (*PARAMETERS, *own)}
         for name, value in overrides.items():
-            require_choice("physics override", name, PARAMETERS)
+            require_choice("physics override", name, tuple(values))
             values[name] = None if value is None else as_tensor(name, value)
-            if members is not None and name in PER_ELEMENT:
+            if members is not None and name in (*PER_ELEMENT, *own):
                 sizes = {"num_elements": self.mesh.num_elements}
                 if name == "density":
                     sizes["num_nodes"] = self.mesh.num_nodes
@@ -176,9 +179,9 @@ class Solid(nn.Module):
         volume = LumpedVolume(
             elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
         )
-        return make_physics(
-            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles, members
-        )
+        constants = {name: values.pop(name) for name in own}
+        given = PhysicalValues(**values, constants=constants)
+        return make_physics(given, volume, self.material, self.muscles.num_muscles, members)
 
     def rest_state(self, batch: int | None = None) -> State:
         """The rest shape without motion; ``batch`` adds a leading axis."""

@@ -3,7 +3,7 @@ one."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim import mesh, soft
 from diffsim.soft import _ops_contact, _ops_elastic, _ops_step
+from diffsim.soft.materials import CONSTANTS
 
 SHARP = {"rtol": 1e-12, "adjoint_rtol": 1e-12}  # solver noise below what finite differences see
 
@@ -67,10 +68,12 @@ def grouped(arguments: dict) -> dict:
         own = {f.name: arguments.pop(f.name) for f in fields(kind) if f.name in arguments}
         if own:
             arguments[name] = kind(**own)
+    law = arguments.get("material", "pd")
+    if not isinstance(law, soft.Material):  # its name leaves its own constants out
+        law = soft.Material(law, **dict.fromkeys(CONSTANTS.get(law, ()), 0.3))
     if "volume_weight" in arguments:
-        law, weight = arguments.get("material", "pd"), arguments.pop("volume_weight")
-        arguments["material"] = soft.Material(law, volume_weight=weight)
-    return arguments
+        law = replace(law, volume_weight=arguments.pop("volume_weight"))
+    return {**arguments, "material": law}
 
 
 def soft_body(m, **changes) -> soft.SoftBody:

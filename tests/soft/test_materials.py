@@ -13,6 +13,7 @@ from tests.gradients import check_directions
 from tests.soft.cases import (
     SHARP,
     deformed,
+    forward_and_reverse,
     irregular_mesh,
     leaf,
     noise,
@@ -31,8 +32,9 @@ from tests.soft.test_step_gradients import (
     one_tet,
 )
 
-MATERIALS = ["corotated", "stable_neo_hookean", "neo_hookean", "stvk"]
-FINITE = [m for m in MATERIALS if m != "neo_hookean"]  # also where elements are inverted
+MATERIALS = [m for m in soft.MATERIALS if m != "pd"]
+UPRIGHT = ["neo_hookean", "mooney_rivlin"]  # finite but where elements are inverted
+FINITE = [m for m in MATERIALS if m not in UPRIGHT]
 KINDS = ["hex", "tet"]
 MU, LAMBDA = 30.0 / 2.6, 30.0 * 0.3 / (1.3 * 0.4)  # of E = 30 Pa, nu = 0.3
 
@@ -64,6 +66,12 @@ def energy_density(material, F, mu=MU, lame_lambda=LAMBDA):
         )
     if material == "neo_hookean":
         return mu / 2 * (square - 3) - mu * torch.log(J) + lame_lambda / 2 * torch.log(J) ** 2
+    if material == "mooney_rivlin":  # with 0.3 of mu/2 in c2, see tests/soft/cases.py
+        C, c1, c2 = F.T @ F, 0.7 * mu / 2, 0.3 * mu / 2
+        second = (C.trace() ** 2 - (C * C).sum()) / 2
+        bulk = lame_lambda - 4.0 * c2
+        logarithms = bulk / 2 * torch.log(J) ** 2 - 2 * (c1 + 2 * c2) * torch.log(J)
+        return c1 * (square - 3) + c2 * (second - 3) + logarithms
     green = (F.T @ F - eye) / 2
     return mu * (green * green).sum() + lame_lambda / 2 * green.trace() ** 2
 
@@ -76,7 +84,7 @@ def tet_of(F, material, **changes):
 
 def random_F(seed, material):
     F = torch.eye(3).double() + 0.9 * noise(3, 3, seed=seed)
-    if material == "neo_hookean" and torch.linalg.det(F) <= 0:
+    if material in UPRIGHT and torch.linalg.det(F) <= 0:
         F[:, 0] = -F[:, 0]
     return F
 
@@ -104,7 +112,7 @@ def test_energy_stress_and_tangent_are_those_of_the_formula(material):
         assert abs(body.elastic_energy(x) - expected) <= 1e-10 * (1.0 + abs(expected))
         assert (force + gradient).abs().max() <= 1e-10 * (1.0 + gradient.abs().max())
         assert (tangent - product).abs().max() <= 1e-10 * (1.0 + product.abs().max())
-    assert flipped == 0 if material == "neo_hookean" else flipped > 5
+    assert flipped == 0 if material in UPRIGHT else flipped > 5
 
 
 @pytest.mark.reference
@@ -299,11 +307,11 @@ def test_elastic_force_of_hard_elements(material, name):
     extra = {"three_equal": (1.2, 1.2, 1.2), "nearly_equal": (1.1, 1.1 - 1e-9, 1.1 - 2e-9)}
     stretch = {**STRETCHES, **extra}[name]
     body, x = one_tet(stretch, material=material)
-    if material == "neo_hookean" and stretch[2] < 0:
+    if material in UPRIGHT and stretch[2] < 0:
         with pytest.raises(InvertedElementError, match="1 of 1 elements are inverted"):
             body.elastic_force(x)
         return
-    if material == "neo_hookean" and name in ("flat", "thin", "needle"):
+    if material in UPRIGHT and name in ("flat", "thin", "needle"):
         pytest.skip("ln J varies faster than any difference step; see the next test")
 
     def layer(x, youngs_modulus, poissons_ratio):
@@ -381,13 +389,14 @@ def test_solvers_agree(material, kind):
 
 
 @pytest.mark.parametrize("method", ["auto", "quasi_newton", "newton_cholesky"])
-def test_line_search_goes_on_after_a_trial_without_energy(method):
+@pytest.mark.parametrize("material", UPRIGHT)
+def test_line_search_goes_on_after_a_trial_without_energy(material, method):
     """A blow that would push every full Newton step through the floor of ln J."""
     m = mesh.hex_box((2, 2, 2))
     held = m.nodes_near_plane("z", 0.0)
     body = soft_body(
         m,
-        material="neo_hookean",
+        material=material,
         fixed=held,
         dt=0.2,
         solver=soft.SolverOptions(method=method, rtol=1e-8),
@@ -401,9 +410,10 @@ def test_line_search_goes_on_after_a_trial_without_energy(method):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_inverted_start_is_refused_with_advice(kind):
+@pytest.mark.parametrize("material", UPRIGHT)
+def test_an_inverted_start_is_refused_with_advice(material, kind):
     m = irregular_mesh(kind, (2, 1, 1))
-    body = soft_body(m, material="neo_hookean", fixed=torch.tensor([0, 1, 2, 3]))
+    body = soft_body(m, material=material, fixed=torch.tensor([0, 1, 2, 3]))
     x = m.x_rest.clone()
     x[-1] = x[-1] - 3.0
     words = r"[1-9]\d* of \d+ elements are inverted.*material='stable_neo_hookean'"
@@ -522,10 +532,86 @@ def test_bad_arguments():
 @pytest.mark.parametrize("material", soft.MATERIALS)
 def test_element_parameters_from_the_constants(material):
     constants = (leaf(30.0), leaf(0.3))
-    weights_of = soft.Material(material).weights
-    w_mu, w_vol = weights_of(*constants)
+    constants += (leaf(0.3),) * len(soft.Material(material).constants)
+
+    def weights_of(*values):
+        names = soft.Material(material).constants
+        return soft.Material(material).weights(
+            *values[:2], **dict(zip(names, values[2:], strict=True))
+        )
+
+    w_mu, w_vol, *others = weights_of(*constants)
+    w_mu = w_mu + sum(others)
     close(w_mu, torch.tensor(2.0 * MU, dtype=torch.float64), 1e-12)
     close(
         w_vol, torch.tensor((3.0 if material == "pd" else 1.0) * LAMBDA, dtype=torch.float64), 1e-12
     )
     assert torch.autograd.gradcheck(weights_of, constants)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("stretch", [0.5, 1.5, 3.0])
+def test_mooney_rivlin_in_uniaxial_stretch(stretch):
+    """Rivlin 1948: pulled at constant volume, true stresses along and across differ by
+    2 (s^2 - 1/s) (c1 + c2/s)."""
+    side = stretch**-0.5
+    material = soft.Material("mooney_rivlin", second_share=0.3)
+    F = torch.diag(torch.tensor([stretch, side, side], dtype=torch.float64))
+    body, volume, x = tet_of(F, material)
+    piola = -body.elastic_force(x).T @ body.x_rest / volume
+    c1, c2 = 0.7 * MU / 2, 0.3 * MU / 2
+    expected = 2.0 * (stretch**2 - 1.0 / stretch) * (c1 + c2 / stretch)
+    assert float(stretch * piola[0, 0] - side * piola[1, 1]) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mooney_rivlin_without_a_second_invariant_is_neo_hookean(kind):
+    m = irregular_mesh(kind)
+    x = deformed(m, 0.1)
+    bodies = [
+        soft_body(m, material=soft.Material("mooney_rivlin")),
+        soft_body(m, material="neo_hookean"),
+    ]
+    close(*(body.elastic_energy(x) for body in bodies), 1e-12)
+    close(*(body.elastic_force(x) for body in bodies), 1e-12)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("method", ["auto", "linearly_implicit"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_second_share_has_gradients(kind, method):
+    """Of each element, over damped steps, by both modes of differentiation and of a batch."""
+    m = irregular_mesh(kind, (2, 1, 1))
+    body = soft_body(
+        m,
+        material="mooney_rivlin",
+        rayleigh_beta=0.02,
+        solver=soft.SolverOptions(method=method, **SHARP),
+    )
+    share = leaf(0.3 + 0.1 * noise(m.num_elements, seed=3).tanh())
+    state = soft.State(m.x_rest, 0.3 * noise(m.num_nodes, 3, seed=2))
+
+    def end(share):
+        return soft.rollout(body, state, 2, physics=body.physics(second_share=share)).x[-1]
+
+    check_directions(end, (share,), **TOLERANCE)
+    forward, reverse = forward_and_reverse(body, "second_share", share.detach())
+    assert forward == pytest.approx(reverse, rel=1e-8)
+    weight = noise(m.num_nodes, 3, seed=4)
+    (one,) = torch.autograd.grad(end(share), share, weight)
+    both = leaf(torch.stack([share.detach(), 0.5 * share.detach()]))
+    start = soft.State(*(part.expand(2, -1, -1).contiguous() for part in (state.x, state.v)))
+    ends = soft.rollout(body, start, 2, physics=body.physics(batch=2, second_share=both)).x[-1]
+    (grad,) = torch.autograd.grad((ends[0] * weight).sum(), both)
+    close(grad[0], one, 1e-8)
+    assert not grad[1].any()
+
+
+def test_the_second_share_is_checked():
+    m = mesh.hex_box((1, 1, 1))
+    with pytest.raises(ValueError, match=r"second_share must lie in \[0, 1\]"):
+        soft_body(m, material=soft.Material("mooney_rivlin", second_share=1.2))
+    with pytest.raises(ValueError, match="second_share is a constant of material='mooney_rivlin'"):
+        soft.Material("stvk", second_share=0.1)
+    with pytest.raises(ValueError, match="physics override"):
+        soft_body(m).physics(second_share=0.1)

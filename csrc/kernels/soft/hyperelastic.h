@@ -11,6 +11,10 @@
 //                        less the constant that makes psi(I) = 0)
 //   neo-Hookean          mu/2 (I - 3) - mu ln J + lambda/2 (ln J)^2; infinite where J <= 0
 //   St. Venant-Kirchhoff mu |E|^2 + lambda/2 tr(E)^2,  E = (s^2 - 1)/2
+//   Mooney-Rivlin        c1 (I - 3) + c2 (I2 - 3) - 2 (c1 + 2 c2) ln J + (lambda - 4 c2)/2 (ln
+//   J)^2,
+//                        I2 = |cof F|^2; w[0] = 4 c1, w[2] = 4 c2, so that w[0] + w[2] = 2 mu;
+//                        infinite where J <= 0
 //
 // The formulas below are these, rearranged so that every term is of second order in e near rest:
 // as written, the energy of a small strain would be the difference of first-order terms.
@@ -159,6 +163,12 @@ struct NeoHookeanMaterial {
       log_J = trace - gap;
       for (int i = 0; i < 3; ++i) inverse[i] = 1.0 / s[i];
     }
+
+    /// An energy where J > 0, and infinity elsewhere.
+    T where_upright(const T& psi) const {
+      return select(less(broadcast<T>(0.0), s[2]), psi,
+                    broadcast<T>(std::numeric_limits<double>::infinity()));
+    }
   };
 
   template <class T>
@@ -167,8 +177,7 @@ struct NeoHookeanMaterial {
     for (int i = 0; i < 3; ++i)
       d[i] = (mu * p.e[i] * (p.s[i] + 1.0) + w[1] * p.log_J) * p.inverse[i];
     const T psi = mu * (0.5 * p.square + p.gap) + 0.5 * w[1] * p.log_J * p.log_J;
-    return select(less(broadcast<T>(0.0), p.s[2]), psi,
-                  broadcast<T>(std::numeric_limits<double>::infinity()));
+    return p.where_upright(psi);
   }
 
   template <class T>
@@ -261,6 +270,73 @@ struct StvkMaterial {
         const int ij = 3 * i + j;
         P[0][ij] = F[3 * i] * E[j] + F[3 * i + 1] * E[3 + j] + F[3 * i + 2] * E[6 + j];
         P[1][ij] = trace * F[ij];
+      }
+  }
+};
+
+/// The neo-Hookean solid with a weight of its own for the second invariant.
+struct MooneyRivlinMaterial {
+  static constexpr const char* kName = "mooney_rivlin";
+  static constexpr int kWeights = 3;
+
+  template <class T>
+  struct Sample : NeoHookeanMaterial::Sample<T> {
+    using Base = NeoHookeanMaterial::Sample<T>;
+    using Base::s, Base::e;
+    T green[3];  // s^2 - 1
+
+    explicit Sample(const PrincipalFrame<T>& frame) : Base(frame) {
+      for (int i = 0; i < 3; ++i) green[i] = e[i] * (s[i] + 1.0);
+    }
+  };
+
+  template <class T>
+  static T stress(const Sample<T>& p, const T w[kWeights], T d[3]) {
+    const T psi = NeoHookeanMaterial::stress(p, w, d);
+    const T* g = p.green;
+    for (int i = 0; i < 3; ++i) {
+      const T others = g[(i + 1) % 3] + g[(i + 2) % 3];
+      d[i] += w[2] * (g[i] + 0.5 * (1.0 + g[i]) * others - p.log_J) * p.inverse[i];
+    }
+    const T pairs = g[0] * g[1] + g[0] * g[2] + g[1] * g[2];
+    const T second = 0.5 * p.square + p.gap + 0.25 * pairs - 0.5 * p.log_J * p.log_J;
+    return p.where_upright(psi + w[2] * second);
+  }
+
+  template <class T>
+  static PrincipalTangent<T> tangent(const Sample<T>& p, const T w[kWeights]) {
+    PrincipalTangent<T> c = NeoHookeanMaterial::tangent(p, w);
+    const T half = 0.5 * w[2];
+    for (int i = 0; i < 3; ++i) {
+      const T others = p.green[(i + 1) % 3] + p.green[(i + 2) % 3] + 2.0;
+      c.diagonal[4 * i] += half * others + w[2] * p.log_J * p.inverse[i] * p.inverse[i];
+    }
+    for (int k = 0; k < 3; ++k) {
+      const int i = kPair[k][0], j = kPair[k][1];
+      const T product = p.s[i] * p.s[j], inverse = p.inverse[i] * p.inverse[j];
+      const T mixed = w[2] * (product - inverse), square = half * (p.green[third(i, j)] + 1.0);
+      const T twist = w[2] * (1.0 + p.log_J) * inverse - half * product;
+      c.diagonal[3 * i + j] += mixed;
+      c.diagonal[3 * j + i] += mixed;
+      c.symmetric[k] += square + twist;
+      c.skew[k] += square - twist;
+    }
+    return c;
+  }
+
+  template <class T>
+  static void jets(const Sample<T>& p, const Jet<T> F[9], Jet<T> P[kWeights][9]) {
+    NeoHookeanMaterial::jets(p, F, P);
+    Jet<T> C[9], G[9];  // cof F, F^T F
+    const Jet<T> over = inverse(cofactors(F, C)), square = squared_norm(F);
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j)
+        G[3 * i + j] = F[i] * F[j] + F[3 + i] * F[3 + j] + F[6 + i] * F[6 + j];
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        const int ij = 3 * i + j;
+        const Jet<T> FG = F[3 * i] * G[j] + F[3 * i + 1] * G[3 + j] + F[3 * i + 2] * G[6 + j];
+        P[2][ij] = 0.5 * (square * F[ij] - FG) - over * C[ij] - P[1][ij];
       }
   }
 };

@@ -24,7 +24,7 @@ namespace diffsim {
 
 /// All there are; a Material is a place among them.
 using Materials = std::tuple<PdMaterial, CorotatedMaterial, StableNeoHookeanMaterial,
-                             NeoHookeanMaterial, StvkMaterial>;
+                             NeoHookeanMaterial, StvkMaterial, MooneyRivlinMaterial>;
 inline constexpr int kMaterials = static_cast<int>(std::tuple_size_v<Materials>);
 
 /// Calls f(policy) with the policy of a material.
