@@ -86,6 +86,7 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
           along[i] =
               weight * (frame.U[i] * Zv[0] + frame.U[3 + i] * Zv[1] + frame.U[6 + i] * Zv[2]);
         }
+#pragma GCC unroll 4  // what the weights have in common is then computed once
         for (int k = 0; k < M::kWeights; ++k) {
           M::stress(sample, unit[k].data(), d);
           by_weight[k][part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
