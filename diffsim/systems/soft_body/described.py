@@ -14,6 +14,7 @@ from torch import Tensor
 from diffsim import contact
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.identify.numerics import Numerics
+from diffsim.soft.materials import CONSTANTS
 from diffsim.systems.description import fact_in
 from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.model import SoftModel
@@ -136,6 +137,7 @@ class DescribedModel:
         }
         coarser = numerics.mesh if given.body.can_refine else 1.0
         out["youngs_modulus"] = out["youngs_modulus"] * self._softness(coarser)
+        out |= {name: own[name] for name in CONSTANTS.get(given.material.law, ())}
         out["rayleigh_beta"], out["rayleigh_alpha"] = own["rayleigh_beta"], own["rayleigh_alpha"]
         tilt = torch.stack([own["gravity_roll"], own["gravity_pitch"], torch.zeros(()).double()])
         vector = torch.tensor(given.gravity.vector, dtype=torch.float64)

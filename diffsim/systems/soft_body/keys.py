@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Hertz, KilogramsPerCubicMeter, Meters, Seconds
 from diffsim.soft import MATERIALS
+from diffsim.soft.materials import CONSTANTS
 from diffsim.systems.description import known
 from diffsim.systems.quantities import (
     Angle,
@@ -36,12 +37,25 @@ class Material(Part):
         known(0.45, "-"), description="Poisson's ratio; cells lock as it nears 0.5"
     )
     density: Density = Field(description="Density [kg/m^3]")
+    second_share: Plain = Field(
+        known(0.0, "-"),
+        description="Of `mooney_rivlin`: share of the shear modulus in the second invariant",
+    )
     rayleigh_beta: Time = Field(
         known(0.0, "s"), description="Damping that grows with the frequency: force -beta K v [s]"
     )
     rayleigh_alpha: Rate = Field(
         known(0.0, "1/s"), description="Damping by speed against the room: -alpha M v [1/s]"
     )
+
+    @model_validator(mode="after")
+    def _check_constants(self) -> Material:
+        has_share = self.second_share.is_fitted or self.second_share.value != 0.0
+        if has_share and "second_share" not in CONSTANTS.get(self.law, ()):
+            raise ValueError(
+                f"second_share is a constant of mooney_rivlin; {self.law} has none, leave it out"
+            )
+        return self
 
 
 class MaterialRegion(Part):

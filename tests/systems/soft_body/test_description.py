@@ -41,6 +41,24 @@ def test_what_a_description_makes():
     assert not {"stiffness_damping", "slack", "rate_limit", "current"} & names
 
 
+def test_rubber_of_a_second_invariant_has_its_share_in_the_study():
+    """Without the share it is neo-Hookean; with it another motion, and a share that is fitted."""
+    keys = study_of(BAR, (HEAVY,)).model["material"]
+
+    def moved(**changes):
+        setup = setup_of(study_of(BAR, (HEAVY,), material=keys | changes))
+        return setup.model, setup.model.predict(HEAVY, setup.model.at_prior())
+
+    neo, none = moved(law="neo_hookean")[1], moved(law="mooney_rivlin")[1]
+    torch.testing.assert_close(none, neo, rtol=0.0, atol=1e-9)
+    share = {"value": 0.3, "sd": 0.1, "lower": 0.0, "upper": 1.0}
+    model, half = moved(law="mooney_rivlin", second_share=share)
+    assert "second_share" in [p.name for p in model.base]
+    assert float((half - neo).abs().max()) > 1e-6
+    with pytest.raises(ValueError, match="stvk has none, leave it out"):
+        moved(law="stvk", second_share=0.2)
+
+
 def test_a_hung_weight_pulls_and_its_inertia_slows():
     study = study_of(BAR, (LIGHT, HEAVY))
     light, plain = predicted(study)
