@@ -1,8 +1,8 @@
 // Hover thrusts: least effort within the thrust limits, with the attitude free to tilt.
 //
-// All quantities are dimensionless (diffsim/copter/dynamics/hover.py scales them): thrusts in shares
-// of the weight per rotor, so that hovering is |F u| = 1 (the net thrust carries the weight once the
-// vehicle has tilted so that it points up) and T u = 0:
+// All quantities are dimensionless (diffsim/copter/dynamics/hover.py scales them): thrusts in
+// shares of the weight per rotor, so that hovering is |F u| = 1 (the net thrust carries the weight
+// once the vehicle has tilted so that it points up) and T u = 0:
 //
 //   min 1/2 sum h_i u_i^2   s.t.  c(u) = (|F u| - 1, T u) = 0,  0 <= u <= upper.
 //
