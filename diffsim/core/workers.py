@@ -92,12 +92,20 @@ class Worker:
 def _serve(pipe: Connection) -> None:
     """Answer calls until the parent closes the pipe or sends SIGTERM."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told, and ends this process
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that calls clean up
+    signal.signal(signal.SIGTERM, _interrupt_once)  # so that calls clean up
     try:
         while True:
             pipe.send_bytes(_outcome(pipe.recv_bytes()))
     except (EOFError, ConnectionError, KeyboardInterrupt):
         return
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
+def _interrupt_once(number: int, frame: object) -> None:
+    """Interrupt what runs; a process that ends already is not disturbed by a second signal."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _outcome(sent: bytes) -> bytes:
