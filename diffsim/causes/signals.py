@@ -97,6 +97,16 @@ def on_columns(change: SizedMap, u: Tensor, dt: float, size: Tensor) -> Tensor:
     return change(u.mT, Grid.even(u.shape[-2], dt), size[..., None]).mT
 
 
+def _is_alone(grid: Grid) -> bool:
+    """Whether there is a single time: nothing happened before, and maps leave it as it is."""
+    return len(grid.times) < 2
+
+
+def _alone(u: Tensor, size: Tensor) -> Tensor:
+    """A signal at a single time, at each of the sizes () or (K,)."""
+    return u + torch.zeros_like(size)[..., None]
+
+
 def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
     """u(t - delay) of straight lines between times, so that a step comes as late as it should.
 
@@ -105,6 +115,8 @@ def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
         grid: Times of the signal.
         delay: () or (K,) [s].
     """
+    if _is_alone(grid):
+        return _alone(u, delay)
     t = grid.times
     ends = u[..., :1], u[..., -1:]
     return _read_at(torch.cat([ends[0], u, ends[1]], -1), t, t - delay[..., None])
@@ -118,6 +130,8 @@ def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
         grid: Times of the signal.
         delay: () or (K,) [s].
     """
+    if _is_alone(grid):
+        return _alone(u, delay)
     t = grid.times
     place = (t - delay[..., None]).clamp(float(t[0]), float(t[-1]))
     left = _left_of(t, place)
@@ -139,6 +153,8 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
         delay: () or (K,) [s].
         signed: Whether it may be early: then slopes at whole steps are central.
     """
+    if _is_alone(grid):
+        return _alone(u, delay)
     late = _held_late(u, grid, delay, signed)
     if bool((delay != 0.0).all()):
         return late
@@ -168,6 +184,8 @@ def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
         grid: Times of the signal.
         time_constant: () or (K,) [s].
     """
+    if _is_alone(grid):
+        return _alone(u, time_constant)
     steps, decay = _decay(grid, time_constant)
     target = time_constant[..., None] * u.diff(dim=-1) / steps
     # e = u - y: e' = u' - e / tau, from one time to the next target + (e - target) * decay
@@ -183,6 +201,8 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
         grid: Times of the command.
         time_constant: () or (K,) [s].
     """
+    if _is_alone(grid):
+        return _alone(u, time_constant)
     steps, decay = _decay(grid, time_constant)
     fall = -u.diff(dim=-1)
     # e = y - u at the start of each step; it jumps where the command does

@@ -10,7 +10,7 @@ from scipy import interpolate, signal
 from diffsim.causes import interpolation, signals
 from diffsim.causes import signals as maps
 from diffsim.causes.commands import CommandGroup, command_cause
-from diffsim.causes.signals import on_columns
+from diffsim.causes.signals import MAPS, on_columns
 
 
 def column(values):
@@ -200,3 +200,12 @@ def test_decayed_is_one_recursion_for_numbers_and_for_gradients(differentiated):
         for k in range(9):
             state = a * state + terms[:, k]
             np.testing.assert_allclose(row[:, k], state, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [n for n in MAPS if n != "in_steps"])
+@pytest.mark.parametrize("between", ["held", "straight", "smooth"])
+def test_of_a_single_sample_nothing_came_before(name, between):
+    u = torch.tensor([[1.3]], dtype=torch.float64)
+    sizes = torch.tensor([[0.0], [0.2]], dtype=torch.float64)
+    got = MAPS[name][between](u, signals.Grid.even(1, 0.1), sizes)
+    torch.testing.assert_close(got, u.expand(2, 1, 1), rtol=0, atol=0)
