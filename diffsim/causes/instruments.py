@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from diffsim.causes.ports import SignalMap
 from diffsim.causes.readings import SENSOR, Instrument, reading_cause
 from diffsim.causes.row import ANY, spell_plainly
 from diffsim.causes.scales import Scales
-from diffsim.causes.signals import Grid, smoothly_delayed
+from diffsim.causes.signals import Grid, change_rows, smoothly_delayed
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
 
@@ -106,22 +106,6 @@ class InstrumentedScene:
         return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
 
-def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: Grid) -> Tensor:
-    """Some signals changed, the others as they are.
-
-    Args:
-        signals: (..., num_signals, num_times).
-        which: Indices of those that change; empty: all.
-        change: Function of them (..., width, num_times) and of the grid.
-        grid: Times of the signals.
-    """
-    places = torch.tensor(list(which) or list(range(signals.shape[-2])))
-    changed = change(signals[..., places, :], grid)
-    lead = np.broadcast_shapes(signals.shape[:-2], changed.shape[:-2])
-    every = signals.expand(*lead, *signals.shape[-2:])
-    return every.index_copy(-2, places, changed.expand(*lead, *changed.shape[-2:]))
-
-
 def grid_of(run: Run) -> Grid:
     """Samples of a run and nothing in between."""
     return grid_at(torch.from_numpy(np.asarray(run.time_s, dtype=np.float64)))
@@ -138,6 +122,7 @@ def instrument_causes(
     *,
     late_record: bool,
     without: Sequence[str] = (),
+    clocks: Collection[tuple[str, ...]] = (),
     system: str = ANY,
 ) -> Iterator[Effect]:
     """Causes of every instrument of a study, the widest first.
@@ -147,19 +132,29 @@ def instrument_causes(
         scales: Usual magnitudes of commands and readings.
         late_record: Whether a record that is late as a whole shows as no late command does.
         without: Names of rows that are left out.
+        clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
         system: Kind of system.
     """
     for group in channel_groups(channels, late_record=late_record):
-        of = _instrument(group, channels, scales)
+        of = instrument_of(group, channels, scales)
+        left_out = (*without, "sensor_delay") if group.channels in clocks else without
         for name in rows(SENSOR):
-            if name in group.causes and name not in without:
+            if name in group.causes and name not in left_out:
                 yield reading_cause(name, _with_ending(of, name, group, channels), system=system)
 
 
-def _instrument(group: ChannelGroup, channels: Sequence[Channel], scales: Scales) -> Instrument:
+def instrument_of(group: ChannelGroup, channels: Sequence[Channel], scales: Scales) -> Instrument:
+    """The instrument that shows a group of channels, its causes named by their rows alone.
+
+    Args:
+        group: Channels that causes change alike.
+        channels: Channels of the study.
+        scales: Usual magnitudes of readings.
+    """
     places = tuple(i for i, c in enumerate(channels) if c.name in group.channels)
     own = tuple(channels[i] for i in places)
-    return Instrument(own, places, scales.of_channels(group.channels), "", own[0].unit)
+    usual = scales.of_channels(group.channels)
+    return Instrument(own, places, usual, "", own[0].unit, group.causes)
 
 
 def _with_ending(
@@ -175,8 +170,8 @@ __all__ = [
     "TIMED_COMMANDS",
     "TIMED_READINGS",
     "Instruments",
-    "change_rows",
     "grid_at",
     "grid_of",
     "instrument_causes",
+    "instrument_of",
 ]

@@ -41,7 +41,7 @@ class Ports:
         channels: Names of the channels, in order.
         has_clock: Whether channels may be late.
         numbers: Names of the numbers that may be changed.
-        places: Names of the places at which forces may act, with their usual magnitudes: ``force``,
+        places: Names of the places at which forces may act, with their usual magnitudes: ``push``,
             ``distance``, ``speed``.
         push: Function (row, place) -> how a force acts; other than through the scene's port where
             a system writes forces into its formulas.
@@ -106,6 +106,8 @@ def _mistakes(where: str, row: OwnRow, ports: Ports) -> Iterator[str]:
                 f"{where}: no {row.at} {name!r}{did_you_mean(name, known)}; "
                 f"known: {', '.join(known)}"
             )
+    if row.at == "number" and row.of:
+        yield f"{where}.of: a cause of numbers names them under add or scale; leave of out"
     if row.at == "force" and len(row.of) != 1:
         yield f"{where}.of: name the one place at which the force acts; known: {', '.join(known)}"
 

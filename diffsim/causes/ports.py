@@ -24,12 +24,11 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.row import ANY, Row
-from diffsim.causes.signals import MAPS, Between, Grid, SizedMap
+from diffsim.causes.signals import MAPS, Between, Grid, SignalMap, SizedMap
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
 
-SignalMap = Callable[[Tensor, Grid], Tensor]
 PLAY = "with_play"  # the map that depends on where a run starts
 _OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
 OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, speed below which friction fades
@@ -114,26 +113,58 @@ class SignalChange:
         return not bool(self.size.detach().any())
 
 
-def map_of(
-    row: Row, scales: Mapping[str, float], between: Between = "straight", system: str = ANY
-) -> SizedMap:
-    """The map of signals that a row names or writes as a formula.
+@dataclass(frozen=True, eq=False)
+class SignalMapper:
+    """What a row does to signals, before a scene and a size are known.
 
-    Args:
-        row: Cause of commands or readings.
-        scales: Numbers that the formula may use, by name.
-        between: What a command does between samples.
-        system: Kind of system.
-
-    Raises:
-        ValueError: a formula with names that there are not.
+    Attributes:
+        map: Function (signals, grid, size).
+        is_kinked: Whether the map has a kink at size 0.
+        has_start: Whether it depends on where the run starts in a play.
     """
-    text: str = row.said("map", system)
-    if text in MAPS:
-        return MAPS[text][between]
-    formula = parse_expression(text, (*_OF_SIGNALS, *scales))
-    used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in _OF_SIGNALS)
-    return partial(_evaluate, text=text, scales=used)
+
+    map: SizedMap
+    is_kinked: bool
+    has_start: bool
+
+    @classmethod
+    def of(
+        cls,
+        row: Row,
+        scales: Mapping[str, float],
+        between: Between = "straight",
+        system: str = ANY,
+    ) -> SignalMapper:
+        """Of the map of signals that a row names or writes as a formula.
+
+        Args:
+            row: Cause of commands or readings.
+            scales: Numbers that the formula may use, by name.
+            between: What a command does between samples.
+            system: Kind of system.
+
+        Raises:
+            ValueError: a formula with names that there are not.
+        """
+        text: str = row.said("map", system)
+        if text in MAPS:
+            return cls(MAPS[text][between], row.kink, text == PLAY)
+        formula = parse_expression(text, (*_OF_SIGNALS, *scales))
+        used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in _OF_SIGNALS)
+        return cls(partial(_evaluate, text=text, scales=used), row.kink, False)
+
+    def at(self, scene: Any, size: Tensor) -> SignalChange:
+        """The change of a scene's signals; a play begins where the run does, if the scene says
+        where, else in its middle.
+
+        Args:
+            scene: Scene with ``play_start``.
+            size: (..., 1), or (..., width) where each signal has its own.
+        """
+        change = self.map
+        if self.has_start and (start := scene.play_start) is not None:
+            change = partial(change, start=start[..., None])  # type: ignore[call-arg]  # a play's
+        return SignalChange(change, size, self.is_kinked)
 
 
 @lru_cache(maxsize=256)
@@ -166,27 +197,14 @@ def on_commands(
         between: What the commands do between samples.
         system: Kind of system.
     """
-    return partial(
-        _change_commands,
-        names=tuple(names),
-        change=map_of(row, scales or {}, between, system),
-        is_kinked=row.kink,
-        has_start=_is_play(row),
-    )
+    mapper = SignalMapper.of(row, scales or {}, between, system)
+    return partial(_change_commands, names=tuple(names), mapper=mapper)
 
 
 def _change_commands(
-    scene: TakesCommands,
-    size: Tensor,
-    run: Run,
-    *,
-    names: tuple[str, ...],
-    change: SizedMap,
-    is_kinked: bool,
-    has_start: bool,
+    scene: TakesCommands, size: Tensor, run: Run, *, names: tuple[str, ...], mapper: SignalMapper
 ) -> Any:
-    change = _from_start(scene, change) if has_start else change
-    return scene.with_command(names, SignalChange(change, size, is_kinked))
+    return scene.with_command(names, mapper.at(scene, size))
 
 
 def on_readings(
@@ -199,41 +217,14 @@ def on_readings(
         channels: Indices of the channels; each has a size of its own where there are several.
         scales: Numbers that its formula may use.
     """
-    return partial(
-        _change_readings,
-        channels=tuple(channels),
-        change=map_of(row, scales or {}),
-        is_kinked=row.kink,
-        has_start=_is_play(row),
-    )
+    mapper = SignalMapper.of(row, scales or {})
+    return partial(_change_readings, channels=tuple(channels), mapper=mapper)
 
 
 def _change_readings(
-    scene: TakesReadings,
-    size: Tensor,
-    run: Run,
-    *,
-    channels: tuple[int, ...],
-    change: SizedMap,
-    is_kinked: bool,
-    has_start: bool,
+    scene: TakesReadings, size: Tensor, run: Run, *, channels: tuple[int, ...], mapper: SignalMapper
 ) -> Any:
-    change = _from_start(scene, change) if has_start else change
-    return scene.with_reading(channels, SignalChange(change, size, is_kinked))
-
-
-def _is_play(row: Row) -> bool:
-    """Whether a map depends on where the run starts in a play."""
-    return row.said("map") == PLAY
-
-
-def _from_start(scene: Any, change: SizedMap) -> SizedMap:
-    """A play that begins where the run does, if the scene says where; else in its middle."""
-    start: Tensor | None = scene.play_start
-    if start is None:
-        return change
-    bound: SizedMap = partial(change, start=start[..., None])  # type: ignore[call-arg]  # a play's
-    return bound
+    return scene.with_reading(channels, mapper.at(scene, size))
 
 
 def on_clock(channels: Sequence[int]) -> Apply:
@@ -297,7 +288,6 @@ __all__ = [
     "ForceLaw",
     "SignalChange",
     "SignalMap",
-    "map_of",
     "on_clock",
     "on_commands",
     "on_numbers",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from diffsim.causes.needs import NEEDS
 from diffsim.core.expression import parse_expression
@@ -27,6 +27,16 @@ def _for_any(given: Any) -> Any:
     return given if isinstance(given, Mapping) else {ANY: given}
 
 
+def _check_words(words: str) -> str:
+    try:
+        words.format(0.5)
+    except (KeyError, IndexError, ValueError) as error:
+        raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
+    return words
+
+
+#: Text that a size is filled into: `{:.2g} N lost in each drive`.
+SizeWords = Annotated[str, AfterValidator(_check_words)]
 ANY = "any"  # kind of system, where a row says nothing of one
 Names = Annotated[tuple[str, ...], BeforeValidator(_wrap_in_tuple)]
 #: What a row says of any kind of system, and of those where it is something else.
@@ -81,20 +91,10 @@ class Row(Part):
     form: str = Field(
         "", description="What it does at a size, in a sentence; {reach:.3g} is a usual magnitude"
     )
-    words: str | None = Field(
+    words: SizeWords | None = Field(
         None, description="What people call it at a size: `{:.2g} N lost in each drive`"
     )
     like: Names = Field((), description="What data may not tell from it")
-
-    @field_validator("words")
-    @classmethod
-    def _takes_a_number(cls, words: str | None) -> str | None:
-        if words is not None:
-            try:
-                words.format(0.5)
-            except (KeyError, IndexError, ValueError) as error:
-                raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
-        return words
 
     @field_validator("typical", "masks", "map", "law", "one_sided")
     @classmethod
@@ -117,6 +117,11 @@ class Row(Part):
             raise ValueError(f"a cause at a {self.at} is stated by {' or '.join(wanted)} alone")
         if wrong := [key for key in stated if key not in wanted]:
             raise ValueError(f"a cause at a {self.at} has no {wrong[0]}")
+        numbers = self.add or self.scale
+        if len(numbers) % len(self.components):
+            raise ValueError(
+                f"{len(numbers)} numbers cannot share {len(self.components)} sizes evenly"
+            )
         if self.needs is not None and self.needs not in NEEDS:
             raise ValueError(f"needs must be one of {', '.join(NEEDS)}, got {self.needs!r}")
         return self

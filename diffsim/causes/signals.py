@@ -7,7 +7,7 @@ signals in columns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -81,6 +81,8 @@ def _space_evenly(num_times: int, dt: float) -> Grid:
     return Grid(torch.from_numpy(seconds), torch.arange(num_times), seconds)
 
 
+#: (signals (..., width, num_times), grid) -> the same signals, changed
+SignalMap = Callable[[Tensor, "Grid"], Tensor]
 #: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
 SizedMap = Callable[[Tensor, "Grid", Tensor], Tensor]
 
@@ -95,6 +97,22 @@ def on_columns(change: SizedMap, u: Tensor, dt: float, size: Tensor) -> Tensor:
         size: () or of the leading axes of u.
     """
     return change(u.mT, Grid.even(u.shape[-2], dt), size[..., None]).mT
+
+
+def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: Grid) -> Tensor:
+    """Some signals changed, the others as they are.
+
+    Args:
+        signals: (..., num_signals, num_times).
+        which: Indices of those that change; empty: all.
+        change: Function of them (..., width, num_times) and of the grid.
+        grid: Times of the signals.
+    """
+    places = torch.tensor(list(which) or list(range(signals.shape[-2])))
+    changed = change(signals[..., places, :], grid)
+    lead = np.broadcast_shapes(signals.shape[:-2], changed.shape[:-2])
+    every = signals.expand(*lead, *signals.shape[-2:])
+    return every.index_copy(-2, places, changed.expand(*lead, *changed.shape[-2:]))
 
 
 def _is_alone(grid: Grid) -> bool:

@@ -81,3 +81,9 @@ def test_the_page_of_all_causes_is_up_to_date():
     spec.loader.exec_module(module)
     kept = module.PAGE.read_text(encoding="utf-8").partition(module.MARK)[2]
     assert kept == f"\n{module.page()}"
+
+
+def test_numbers_that_cannot_share_the_sizes_are_refused():
+    given = {"name": "x", "at": "number", "kind": "force", "add": "mass", "components": ["y", "z"]}
+    with pytest.raises(ValueError, match="1 numbers cannot share 2 sizes evenly"):
+        Row.model_validate({**given, "typical": 0.1})

@@ -70,6 +70,7 @@ def test_a_row_is_the_library_s_own_cause_of_the_same_map():
         ({"at": "law", "map": None, "law": "y"}, "no law for causes of your own"),
         ({"typical": "0.1*rech"}, "did you mean 'reach'"),
         ({"needs": "luck"}, "needs must be one of"),
+        ({"at": "number", "map": None, "scale": "c", "of": "force"}, "leave of out"),
     ],
 )
 def test_a_wrong_row_is_refused_with_the_mend(change, said):

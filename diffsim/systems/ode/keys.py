@@ -16,6 +16,7 @@ from pydantic import (
 )
 
 from diffsim.causes.own import OwnRow
+from diffsim.causes.row import SizeWords
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
@@ -247,22 +248,12 @@ class OwnEffect(Part):
         "force", description=f"Where it enters, one of {', '.join(KINDS[:-1])}"
     )
     form: str = Field("", description="What it does, in a sentence")
-    words: str | None = Field(
+    words: SizeWords | None = Field(
         None,
         description="What people call it at a size: `rotor 3 lost {:.0%} of its thrust`, where {} "
         "stands for the size, {:.0%} for the size in percent",
     )
     also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
-
-    @field_validator("words")
-    @classmethod
-    def _takes_a_number(cls, words: str | None) -> str | None:
-        if words is not None:
-            try:
-                words.format(0.5)
-            except (KeyError, IndexError, ValueError) as error:
-                raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
-        return words
 
     @model_validator(mode="after")
     def _check_one_way(self) -> OwnEffect:

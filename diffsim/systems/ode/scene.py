@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffsim.causes.ports import SignalMap
 from diffsim.causes.readings import PLAY_START
-from diffsim.causes.signals import Grid, smoothly_delayed
+from diffsim.causes.signals import Grid, change_rows, smoothly_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
 from diffsim.systems.ode.network import TIME, Change, Network
@@ -61,7 +61,10 @@ class OdeScene:
             names: Names of the inputs; empty: all.
             change: The function.
         """
-        changed = {n: change(self.inputs[n][..., None, :], self.grid)[..., 0, :] for n in names}
+        changed = {
+            name: change(self.inputs[name][..., None, :], self.grid)[..., 0, :]
+            for name in names or self.inputs
+        }
         return replace(self, inputs={**self.inputs, **changed})
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> OdeScene:
@@ -90,13 +93,8 @@ class OdeScene:
         order = [list(self.network.readings).index(c) for c in self.channels]
         if order != list(range(readings.shape[-1])):
             readings = readings[..., order]
-        if self.readers:
-            columns = list(readings.unbind(-1))
-            for channels, change in self.readers:
-                own = torch.stack(torch.broadcast_tensors(*(columns[c] for c in channels)), -2)
-                for c, column in zip(channels, change(own, self.grid).unbind(-2), strict=True):
-                    columns[c] = column
-            readings = torch.stack(torch.broadcast_tensors(*columns), -1)
+        for channels, change in self.readers:
+            readings = change_rows(readings.mT, channels, change, self.grid).mT.contiguous()
         for channel, (low, high) in self.ranges.items():
             # the sensor ends after all that happens before it
             own = torch.zeros(len(self.channels), dtype=torch.bool)

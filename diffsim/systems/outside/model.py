@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from threading import Lock
 from typing import Any
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from diffsim.causes.ports import ForceLaw, SignalChange, SignalMap
 from diffsim.causes.readings import PLAY_START
-from diffsim.causes.signals import Grid, smoothly_delayed
+from diffsim.causes.signals import Grid, change_rows, smoothly_delayed
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
@@ -234,14 +235,11 @@ class OutsideScene:
         """
         out, grid = torch.from_numpy(predicted), self._make_grid()
         for name, idx in self.model.clocks.items():
-            late = self.values[name].detach()
-            out = out.clone()
-            out[:, list(idx)] = smoothly_delayed(out[:, list(idx)].mT, grid, late).mT
+            late = partial(smoothly_delayed, delay=self.values[name].detach())
+            out = change_rows(out.mT, idx, late, grid).mT
         for channels, change in self.output_maps:
-            shown = list(channels)
-            out = out.clone()
-            out[:, shown] = change(out[:, shown].mT, grid).detach().mT
-        return out
+            out = change_rows(out.mT, channels, change, grid).mT
+        return out.detach().contiguous()
 
     def _make_grid(self) -> Grid:
         return Grid.of(np.asarray(self.run.time_s, dtype=np.float64), np.inf)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import InstrumentedScene, change_rows
+from diffsim.causes.instruments import InstrumentedScene
 from diffsim.causes.ports import SignalMap
-from diffsim.causes.signals import Grid
+from diffsim.causes.signals import Grid, change_rows
 from diffsim.systems.rod.assembly import Numbers, rod_of
 from diffsim.systems.rod.layout import RodLayout
 from diffsim.systems.rod.statics import RodStatics, equilibrium, nearby

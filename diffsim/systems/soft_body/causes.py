@@ -13,10 +13,10 @@ import numpy as np
 from diffsim.causes.catalogue import rows
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups, channels_of
 from diffsim.causes.commands import CommandGroup, command_causes
+from diffsim.causes.instruments import instrument_of
 from diffsim.causes.ports import on_clock, on_numbers, on_readings
 from diffsim.causes.readings import (
     SENSOR,
-    Instrument,
     pace,
     reading_cause,
     reading_causes,
@@ -223,7 +223,8 @@ def _list_cameras(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Eff
     """Causes in what all channels share."""
     readings = given.channels.values()
     turns = (given.camera.roll, given.camera.pitch, given.camera.yaw)
-    whole = _make_instrument(study, scales, ChannelGroup("", tuple(c.name for c in study.channels)))
+    every = ChannelGroup("", tuple(c.name for c in study.channels))
+    whole = instrument_of(every, study.channels, scales)
     found = []
     if scales.facts[TIMED]:
         if not given.clock.offset.is_fitted and not _begins_with_command(given):
@@ -262,23 +263,10 @@ def _list_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> list
         left_out |= {"sensor_delay"} if group.channels in clocks else set()
         left_out |= set() if scales.facts[TIMED] else set(READ_OVER_TIME)
         tried = tuple(name for name in group.causes if name not in left_out)
-        instrument = _make_instrument(study, scales, replace(group, causes=tried))
-        found += reading_causes(instrument, system=SYSTEM)
+        instrument = instrument_of(replace(group, causes=tried), study.channels, scales)
+        ending = f"_of_{spell_plainly(group.name)}"
+        found += reading_causes(replace(instrument, ending=ending), system=SYSTEM)
     return list(pace(found, usual_sample(study.runs)))
-
-
-def _make_instrument(study: Study, scales: Scales, group: ChannelGroup) -> Instrument:
-    names = [c.name for c in study.channels]
-    places = tuple(names.index(name) for name in group.channels)
-    channels = tuple(study.channels[i] for i in places)
-    return Instrument(
-        channels,
-        places,
-        scales.of_channels(group.channels),
-        f"_of_{spell_plainly(group.name)}" if group.name else "",
-        channels[0].unit,
-        group.causes,
-    )
 
 
 def soft_body_library(reach: float = 0.1) -> tuple[Effect, ...]:
