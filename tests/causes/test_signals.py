@@ -209,3 +209,14 @@ def test_of_a_single_sample_nothing_came_before(name, between):
     sizes = torch.tensor([[0.0], [0.2]], dtype=torch.float64)
     got = MAPS[name][between](u, signals.Grid.even(1, 0.1), sizes)
     torch.testing.assert_close(got, u.expand(2, 1, 1), rtol=0, atol=0)
+
+
+def test_rows_are_changed_each_by_its_own_size_and_the_others_stay():
+    grid = signals.Grid.even(4, 0.1)
+    y = torch.arange(12.0, dtype=torch.float64).reshape(3, 4)
+    sizes = torch.tensor([[1.0, 100.0], [2.0, 200.0]], dtype=torch.float64)  # of two points
+    got = signals.change_rows(y, (2, 0), lambda u, grid: u + sizes[..., None], grid)
+    added = torch.tensor([[100.0, 0.0, 1.0], [200.0, 0.0, 2.0]], dtype=torch.float64)
+    torch.testing.assert_close(got, y + added[..., None], rtol=0, atol=0)
+    whole = signals.change_rows(y, (), lambda u, grid: -u, grid)
+    torch.testing.assert_close(whole, -y, rtol=0, atol=0)
