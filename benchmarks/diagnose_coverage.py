@@ -136,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_executor(parser, "parts")
     args = parser.parse_args(arguments)
     studies = [read_study(given) for given in args.studies]
-    chosen = args.effects or named_by(inputs_of(studies[0], seed=0, quick=True))
+    chosen = args.effects or named_by(inputs_of(studies[0], seed=0, budget="quick"))
     if len(studies) > 1:
         parts = [(study.name, study) for study in studies]
     else:

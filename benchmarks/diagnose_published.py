@@ -61,7 +61,7 @@ def row(name: str, *, quick: bool = False) -> str:
         require_ready(study, name, plan=study.faults is None)
         if study.faults is not None:
             return _row_of_faults(study, start)
-        inputs = inputs_of(study, seed=0, quick=quick)
+        inputs = inputs_of(study, seed=0, budget="quick" if quick else "full")
         setup = inputs.setup
         report = diagnose(
             inputs.study,

@@ -7,6 +7,7 @@ import argparse
 from diffsim.core.executors import executor_word
 
 DIAGNOSES = "runs/diagnose"  # folder of the results, one folder per study
+QUICK, FULL = "quick", "full"  # what a diagnosis may simulate
 
 
 def positive(text: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from diffsim.cli.arguments import DIAGNOSES, fact, names, positive
+from diffsim.cli.arguments import DIAGNOSES, FULL, QUICK, fact, names, positive
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
@@ -105,6 +105,16 @@ def _finding(step: argparse.ArgumentParser) -> None:
     step.add_argument("--seed", type=int, default=0, help="of draws of the scatter (default: 0)")
 
 
+def _budget(text: str) -> str | float:
+    """quick, full or a count of steps."""
+    try:
+        return text if text in (QUICK, FULL) else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"expected {QUICK}, {FULL} or a number of steps such as 5e7, got {text!r}"
+        ) from None
+
+
 def _judging(step: argparse.ArgumentParser) -> None:
     step.add_argument(
         "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
@@ -113,7 +123,16 @@ def _judging(step: argparse.ArgumentParser) -> None:
     step.add_argument(
         "--setup", type=Path, metavar="FILE.py", help="own model: a file with setup(study)"
     )
-    step.add_argument("--quick", action="store_true", help="fewer refits: a first impression")
+    step.add_argument(
+        "--budget",
+        type=_budget,
+        default=FULL,
+        metavar="quick|full|N",
+        help="what may be simulated: a first answer, all (default), or N weighted steps a search",
+    )
+    step.add_argument(
+        "--quick", dest="budget", action="store_const", const=QUICK, help="same as --budget quick"
+    )
     step.add_argument(
         "--threads",
         dest="workers",

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.cli.arguments import FULL, QUICK
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
 from diffsim.core.version import __version__
@@ -22,16 +23,17 @@ from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.inputs import Inputs
 from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import published
 from diffsim.systems.ode.traced import with_function
 from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
-# sets grow as in full while there is time: of two causes only, cheap studies had wrong names
-QUICK: dict[str, Any] = {
-    "scan_seconds": 20.0,
-    "refit_seconds": 12.0,
+# sets grow as in full within the budget: of two causes only, cheap studies had wrong names
+SEARCH: dict[str, Any] = {
+    "scan_steps": 20e6,
+    "refit_steps": 12e6,
     "linear_error": 0.2,  # fits end earlier, so that linear evidence at their ends is rougher
 }
 # steps of twice the length cost half, where the numerics gate lets them pass
@@ -39,8 +41,8 @@ FIRST: dict[str, Any] = {
     "noise_rounds": 1,
     "first_step": 2.0,
     "first_mesh": 2.0,
-    "dear_seconds": 0.3,
-    "again_seconds": 12.0,
+    "dear_steps": 0.3e6,
+    "again_steps": 12e6,
     "fit_rtol": 0.01,
     "fit_nats": 0.5,  # a sixth of what separates two names
     "bend_after": 0,
@@ -165,7 +167,7 @@ def inputs_of(
     setup_file: Path | None = None,
     only: Sequence[str] = (),
     without: Sequence[str] = (),
-    quick: bool = False,
+    budget: str | float = FULL,
     workers: int = 1,
     accept_numerics: bool = False,
     with_bank: bool = False,
@@ -178,7 +180,8 @@ def inputs_of(
         setup_file: Python file with the user's own ``setup(study)``; None: that of the study.
         only: Names of the effects to keep; empty: all.
         without: Names of the effects to leave out.
-        quick: Fewer refits.
+        budget: "quick" for a first answer, "full", or the number of weighted steps of a search
+            (``SimModel.cost``) after which no further set is fitted and no further size tried.
         workers: Threads over runs.
         accept_numerics: Go on although numerical settings matter.
         with_bank: Make runs that could be recorded next, where the setup has none.
@@ -195,11 +198,28 @@ def inputs_of(
         workers=workers,
         accept_numerics=accept_numerics or setup.settings.accept_numerics,
     )
-    if quick:
-        search = replace(settings.search, **QUICK)
-        settings = replace(settings, search=search, **FIRST)
+    settings = _with_budget(settings, budget)
     setup = replace(setup, effects=choose(setup.effects, only, without), settings=settings)
     return Inputs(study, setup, seed, _fingerprint(study, setup, setup_file, seed))
+
+
+def _with_budget(settings: DiagnosisSettings, budget: str | float) -> DiagnosisSettings:
+    """Effort within a budget.
+
+    Raises:
+        ValueError: neither quick, full nor a count.
+    """
+    if budget == FULL:
+        return settings
+    if budget == QUICK:
+        return replace(settings, search=replace(settings.search, **SEARCH), **FIRST)
+    if isinstance(budget, str) or not budget > 0.0:
+        raise ValueError(
+            f"budget must be {QUICK!r}, {FULL!r} or a number of simulated steps above 0, such as "
+            f"5e7, got {budget!r}"
+        )
+    search = replace(settings.search, scan_steps=float(budget), refit_steps=float(budget))
+    return replace(settings, search=search)
 
 
 def _with_bank(setup: DiagnosisSetup, study: Study, recorded: Collection[str]) -> DiagnosisSetup:

@@ -72,7 +72,7 @@ def _inputs(
         setup_file=args.setup,
         only=getattr(args, "effects", ()),
         without=getattr(args, "without", ()),
-        quick=args.quick,
+        budget=args.budget,
         workers=args.workers,
         accept_numerics=args.accept_numerics,
         with_bank=with_bank,

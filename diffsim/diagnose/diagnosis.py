@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,7 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
-FIRST_SHARE = 0.4  # of the gradient checks' time, where simulations are expensive
+FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 MAX_RENEWALS = 3  # times that finer simulations are made at an answer
 MAX_SEARCHES = 3  # each may end at a set that needs finer numerical settings
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
@@ -94,7 +93,6 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
-    started = process_time()
     gates = (*data_gate(study), *effort_gate(settings or DiagnosisSettings()))
     # from here to the end of the search nothing can look at a test run: there is none
     case = _make_case(study.without_tests(), model, effects, unknowns, settings, progress)
@@ -103,7 +101,7 @@ def diagnose(
     case, once = coarsen_first_look(case)
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")
-    null, checks, simulations = _check_null(null, gates, cache, started, once)
+    null, checks, simulations = _check_null(null, gates, cache, once)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = screen(checks.center.evidence)
@@ -172,11 +170,11 @@ def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
     allow; simulations under coarser ones do not serve."""
     for round_ in range(MAX_SEARCHES):
-        started = process_time()
+        started = null.case.model.simulations.steps
         search = search_sets(begin(null, simulations))
-        seconds = process_time() - started
+        steps = search.steps - started
         best = decision_of(search).best
-        is_late = seconds > null.case.settings.again_seconds or round_ == MAX_SEARCHES - 1
+        is_late = steps > null.case.settings.again_steps or round_ == MAX_SEARCHES - 1
         search = with_numerics(search, best, is_late=is_late)
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:
@@ -193,7 +191,7 @@ def _store_anew(null: Null, before: Simulations) -> Null:
     """With a store of its own: what is kept there holds for one choice of numerical settings."""
     if before.store is None:
         return null
-    store = Store(before.store.folder.parent, _key(null.case))
+    store = Store(before.store.folder.parent, _key(null.case), before.store.tally)
     return replace(null, case=replace(null.case, store=store))
 
 
@@ -221,12 +219,12 @@ def _make_case(
         progress=progress or silent,
         unmet=unmet,
         numerics=coarse,
-        num_simulated=model.simulations.count,
+        begun=model.simulations.work,
     )
 
 
 def _check_null(
-    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, started: float, once: float
+    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, once: float
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
     found: NullCorrection | RefinedNull
@@ -241,12 +239,12 @@ def _check_null(
     if case.settings.accept_numerics:
         case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
     if cache is not None:
-        case = replace(case, store=Store(cache, _key(case)))
+        case = replace(case, store=Store(cache, _key(case), case.model.simulations))
     null = replace(null, case=case)
     simulations = Simulations(null.wide, case.store).under(null)
     at, simulations = simulations.screen(NONE, None)
     center = simulations.center(NONE, at, 1)
-    spent = process_time() - started
+    spent = case.model.simulations.since(case.begun).steps
     share = GRADIENT_SHARE if once == 0.0 else FIRST_SHARE * GRADIENT_SHARE
     case.progress("checks", 0.2, "gradients")
     linear = center.evidence

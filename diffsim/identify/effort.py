@@ -1,4 +1,8 @@
-"""Effort of a diagnosis: options that a system advises and a user may change."""
+"""Effort of a diagnosis: options that a system advises and a user may change.
+
+All budgets are counts of what is simulated, never of time: the same study has the same answer on
+any machine, under any load.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,10 @@ class SearchSettings:
             behind the best one is not refitted [nats].
         linear_error: Further error of linear evidence, as a share of the misfit [-].
         scan_points: Largest number of sizes of effects with kinks that are tried before fits.
-        scan_seconds: CPU time of these trials after which no further effect is tried [s].
-        refit_seconds: CPU time of a search after which rivals of the best set keep their linear
-            evidence [s]; infinite: all that could win are refitted.
+        scan_steps: Weighted steps (``SimModel.cost``) of these trials after which no further effect
+            is tried.
+        refit_steps: Weighted steps of a search after which rivals of the best set keep their linear
+            evidence; infinite: all that could win are refitted.
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
@@ -36,8 +41,8 @@ class SearchSettings:
     rival_nats: float = 6.0
     linear_error: float = 0.1
     scan_points: int = 400
-    scan_seconds: float = 150.0
-    refit_seconds: float = math.inf
+    scan_steps: float = 150e6
+    refit_steps: float = math.inf
     num_starts: int = 3
     unknown_steps: int = 3
 
@@ -56,11 +61,11 @@ class DiagnosisSettings:
         first_step: Factor on the model's own time step to begin with; above 1 for first answers,
             as the numerics gate refines what is too coarse.
         first_mesh: Factor on the size of the model's own cells to begin with, where that pays.
-        dear_seconds: CPU time of a simulation of all fitted runs from which an answer begins with
-            ``first_mesh``, and is told once what finer settings change (``Correction``) instead of
-            simulating everything with them [s]; infinite: never.
-        again_seconds: CPU time of a search up to which it is repeated where the best set needs
-            finer numerical settings [s]; else the page says what these change. Infinite: repeated.
+        dear_steps: Weighted steps of a simulation of all fitted runs from which an answer begins
+            with ``first_mesh``, and is told once what finer settings change (``Correction``)
+            instead of simulating everything with them; infinite: never.
+        again_steps: Weighted steps of a search up to which it is repeated where the best set needs
+            finer numerical settings; else the page says what these change. Infinite: repeated.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
@@ -77,8 +82,8 @@ class DiagnosisSettings:
     refine_budget: float = 8.0
     first_step: float = 1.0
     first_mesh: float = 1.0
-    dear_seconds: float = math.inf
-    again_seconds: float = math.inf
+    dear_steps: float = math.inf
+    again_steps: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     fit_rtol: float = FIT_RTOL
     fit_nats: float = FIT_NATS

@@ -41,6 +41,10 @@ class ExtendedModel(SimModel):
         self.simulations, self.frame = inner.simulations, inner.frame
         self._components = [effect_coordinates([e]) for e in effects]
 
+    def cost(self, run: Run, numerics: Numerics | None = None) -> float:
+        """Weighted steps of one prediction: those of the plain model."""
+        return self.inner.cost(run, self._settings(numerics))
+
     def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:
         values_of_inner = {p.name: values[p.name] for p in self.inner.base}
         scene = self.inner.build(values_of_inner, run, self._settings(numerics) or Numerics())

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -167,17 +167,46 @@ class Scene(Protocol):
         ...
 
 
+class Work(NamedTuple):
+    """What was simulated, in counts: the same on every machine.
+
+    Attributes:
+        simulations: Predictions of one run at one point.
+        steps: Their weighted steps (``SimModel.cost``), derivatives included.
+    """
+
+    simulations: int
+    steps: int
+
+
+NOTHING = Work(0, 0)
+
+
 class Tally:
-    """Number of simulations that were asked for; threads may count at once."""
+    """Work that was asked for; threads may count at once."""
 
     def __init__(self) -> None:
-        self.count, self._lock = 0, Lock()
+        self.count, self.steps, self._lock = 0, 0, Lock()
 
-    def add(self, number: int) -> None:
-        """Add simulations to the count."""
+    def add(self, number: int, steps: int = 0) -> None:
+        """Add simulations and their weighted steps."""
         with self._lock:
             self.count += number
+            self.steps += steps
 
+    @property
+    def work(self) -> Work:
+        """All that was counted so far."""
+        with self._lock:
+            return Work(self.count, self.steps)
+
+    def since(self, before: Work) -> Work:
+        """What was counted after some moment."""
+        now = self.work
+        return Work(now.simulations - before.simulations, now.steps - before.steps)
+
+
+TOGETHER = 0.25  # of a simulation, that one more point or direction of a batch costs
 
 Build = Callable[[Mapping[str, Tensor], "Run", Numerics], Scene]
 
@@ -199,10 +228,18 @@ class SimModel:
         frame: What its setup takes from the runs of the study, such as labels and the magnitudes
             that sizes of effects mean by, in types that JSON has; a study with this ``frame`` makes
             causes that mean the same. Extended models are saved with it.
+        run_cost: Weighted steps that a prediction of a run costs, however short. One is a step of
+            a small system, about a microsecond of one core: ``benchmarks.step_costs``. Budgets
+            count in these.
+        step_cost: Weighted steps of one sample.
+        mesh_power: By which power of a cell's size a sample gets cheaper; 0: there are no cells.
     """
 
     prepared_q: Tensor | None = None
     frame: Mapping[str, Any] = MappingProxyType({})
+    run_cost: float = 250.0
+    step_cost: float = 2.0
+    mesh_power: float = 0.0
 
     def __init__(
         self,
@@ -218,6 +255,26 @@ class SimModel:
         self.build, self.base, self.name, self.batched = build, tuple(base), name, batched
         self.values = BaseValues(self.base)
         self.simulations = Tally()
+
+    def cost(self, run: Run, numerics: Numerics | None = None) -> float:
+        """Weighted steps of one prediction: what budgets count, the same on every machine.
+
+        Args:
+            run: Run that is simulated.
+            numerics: Factors on time step, mesh and tolerance; None: the model's own.
+        """
+        n = numerics or Numerics()
+        finer = n.time_step * n.mesh**self.mesh_power
+        return self.run_cost + len(run.time_s) * self.step_cost / finer
+
+    def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
+        """Count predictions of a run; of a batch all but the first are cheaper."""
+        more = (TOGETHER if self.batched else 1.0) * (number - 1)
+        self.simulations.add(number, round(self.cost(run, numerics) * (1.0 + more)))
+
+    def note_derivatives(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
+        """Count the model's own derivatives of a prediction along some coordinates."""
+        self.simulations.add(0, round(self.cost(run, numerics) * (1.0 + TOGETHER * number)))
 
     def predict(
         self,
@@ -235,7 +292,7 @@ class SimModel:
             numerics: Settings; the model's own if None.
         """
         physical, numerical = _split_effects(sizes)
-        self.simulations.add(len(q) if q.ndim > 1 else 1)
+        self.note_simulations(run, len(q) if q.ndim > 1 else 1, numerics)
         out = plain = self.scene(run, q, physical, numerics).simulate()
         for effect, size in numerical.items():
             if size.requires_grad or bool((size != 0.0).any()):
@@ -262,7 +319,7 @@ class SimModel:
         if self.batched:
             return self.predict(run, q, sizes, numerics)
         physical, numerical = _split_effects(sizes)
-        self.simulations.add(len(q))
+        self.note_simulations(run, len(q), numerics)
         out = plain = self.simulate_many(run, q, physical, numerics)
         for effect, size in numerical.items():
             if (rows := torch.nonzero(size[:, 0])[:, 0]).numel():

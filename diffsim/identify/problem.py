@@ -43,6 +43,7 @@ from diffsim.identify.whitening import Whitener
 Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
 _MOST_KEPT = 256
+BACKWARD = 4  # directions of a batch, that a backward pass costs
 
 
 class PredictionError(DiffsimError):
@@ -230,6 +231,10 @@ class Problem:
 
         return np.concatenate(self._compute_each(one))
 
+    def cost(self) -> float:
+        """Weighted steps of one simulation of all runs."""
+        return sum(self.model.cost(run, self.numerics) for run in self.runs)
+
     def records(self, points: Array) -> Array:
         """Predicted samples of all runs at K points, (K, N) [unit of the channel].
 
@@ -325,6 +330,7 @@ class Problem:
             )
         if given is None:
             return None
+        self.model.note_derivatives(run, len(stencils), self.numerics)
         here, columns = given
         shape = run.measured.shape
         columns = self._of_shape(run, columns, (len(stencils), *shape))
@@ -368,6 +374,7 @@ class Problem:
 
         def one(run: Run) -> Array:
             matrix = self.whitener.matrix(run)
+            self.model.note_derivatives(run, BACKWARD, self.numerics)
             return _pulled_back(self.predict(run, leaf), leaf, matrix.T @ of_run[run.name])
 
         return np.asarray(np.sum(self._compute_each(one), axis=0))

@@ -15,6 +15,7 @@ from typing import Any
 
 from torch import Tensor
 
+from diffsim.cli.arguments import FULL, QUICK
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
@@ -75,7 +76,11 @@ def case_inputs(
     """Study and setup of a sealed case, with the library and settings that it prescribes."""
     options = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
     inputs = inputs_of(
-        load_study(folder), seed=0, setup_file=setup_file, quick=quick, workers=workers
+        load_study(folder),
+        seed=0,
+        setup_file=setup_file,
+        budget=QUICK if quick else FULL,
+        workers=workers,
     )
     setup = inputs.setup
     # names of a laboratory's effect with several components: "weak_rotor" is weak_rotor_1, ...

@@ -89,7 +89,7 @@ def solve(case: Case) -> Case:
         if report.gain is None
         else [report.gain.value, report.gain.low, report.gain.high, report.gain.excess],
     }
-    out["simulations"] = report.settings["num_simulations"]
+    out["simulations"] = report.settings["work"]["simulations"]
     out["cpu_s"] = time.process_time() - started
     rows = {r.effect: r for r in report.table}
     hidden = case["hidden"]

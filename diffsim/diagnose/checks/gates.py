@@ -305,10 +305,10 @@ def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
     """
     if not settings.is_first_answer:
         return ()
-    until = settings.search.refit_seconds
+    until = settings.search.refit_steps
     note = (
         f"sets of at most {settings.search.max_effects} causes were tried"
-        + (f", no larger one after {until:g} CPU s of search" if math.isfinite(until) else "")
+        + (f", no larger one after {until:,.0f} steps of search" if math.isfinite(until) else "")
         + ", fits end within "
         f"{settings.fit_rtol:.0%} of their misfit or {settings.fit_nats:g} nats, and the noise was "
         "estimated once; what it names is likely, never certain"
@@ -319,7 +319,7 @@ def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
 def budget_gates(
     num_unscanned: int, num_unfitted: int, settings: SearchSettings
 ) -> Iterator[GateResult]:
-    """What budgets left out, in CPU seconds: a faster machine may see more, so it is said.
+    """What budgets left out: a larger one may show more, so it is said.
 
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
@@ -327,11 +327,11 @@ def budget_gates(
         settings: The budgets.
     """
     if num_unscanned:
-        spent = f"{settings.scan_seconds:g} CPU s were over before"
+        spent = f"{settings.scan_steps:,.0f} steps were spent before"
         note = f"groups of causes not tried over decades: {spent}"
         yield GateResult("scan_budget", False, float(num_unscanned), 0.0, note)
     if num_unfitted:
-        spent = f"{settings.refit_seconds:g} CPU s were over"
+        spent = f"{settings.refit_steps:,.0f} steps were spent"
         note = f"{num_unfitted} rival sets were not refitted, as {spent}"
         yield GateResult(LATE, False, float(num_unfitted), 0.0, note, applies=False)
 

@@ -1,7 +1,7 @@
-"""Gradients of the simulator against differences, in a tenth of the time of a diagnosis.
+"""Gradients of the simulator against differences, for a tenth of the work of a diagnosis.
 
 The slopes of the linearization cost nothing here. An adjoint costs several simulations, so few runs
-are asked: as many as show every effect, more while time is left, and the gate says how many. The
+are asked: as many as show every effect, more within a budget, and the gate says how many. The
 adjoint is asked for slopes along the residual and along every effect's own slopes together: along
 the residual alone an error of an effect that explains little of it would not show.
 
@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from time import process_time
 
 import numpy as np
 import torch
@@ -34,9 +33,9 @@ from diffsim.identify.model import has_tangents
 
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
-# of the time that null fit and screening took; a diagnosis takes some times that
+# of the work that null fit and screening took; a diagnosis takes some times that
 GRADIENT_SHARE = 0.25
-ADJOINT_SHARE = 0.5  # of the time of the check; the rest is for differences
+ADJOINT_SHARE = 0.5  # of the work of the check; the rest is for differences
 SHOWN = 0.5  # of an effect's largest slope over the runs: such a run shows it
 SEED = 0  # of weights among the slopes that the adjoint is asked for
 LENGTHS = (0.5, 0.1, 2.5)  # of the step of the differences
@@ -84,7 +83,7 @@ class _Slopes:
 
 
 def gradient_gate(
-    problem: Problem, x: Array, residual: Array, jacobian: Array, seconds: float = np.inf
+    problem: Problem, x: Array, residual: Array, jacobian: Array, steps: float = np.inf
 ) -> list[GateResult]:
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
@@ -93,10 +92,11 @@ def gradient_gate(
         x: Standardized coordinates of the null fit, (n,).
         residual, jacobian: Whitened, with the slopes of all candidates, (num_valid,) and
             (num_valid, n).
-        seconds: CPU time that the check may take beyond its first run [s]; what it leaves out is
+        steps: Weighted steps that the check may take beyond its first run; what it leaves out is
             said.
     """
-    start = process_time()
+    tally = problem.model.simulations
+    start = tally.steps
     parts = _split_by_run(problem, x, residual, jacobian)
     whole = _Slopes.joined(parts)
     effects = [e for e in problem.effects if e.smooth and whole.moved(e) > ROUNDING]
@@ -112,11 +112,11 @@ def gradient_gate(
     for place in order:
         adjoint += parts[place].problem.pullback(x, parts[place].cotangent)
         checked.append(place)
-        if process_time() > start + ADJOINT_SHARE * seconds:
+        if tally.steps > start + ADJOINT_SHARE * steps:
             break
     shown = [e for e, there in zip(effects, shows[checked].any(0), strict=True) if there]
     some = _Slopes.joined([parts[place] for place in checked])
-    errors, late = _compare_adjoint(some, shown, adjoint, start + seconds)
+    errors, late = _compare_adjoint(some, shown, adjoint, start + steps)
     note = "adjoint against finite differences"
     if len(checked) < len(parts):
         note += f", {len(checked)} of {len(parts)} runs"
@@ -126,7 +126,7 @@ def gradient_gate(
         if e not in late
     ]
     if left_out := [e.name for e in effects if e not in shown or e in late]:
-        note = f"of {', '.join(left_out)}: it would take more than a tenth of the diagnosis"
+        note = f"of {', '.join(left_out)}: it would cost more than a tenth of the diagnosis"
         gates.append(GateResult(LEFT_OUT, False, len(left_out), 0.0, note, applies=False))
     return gates
 
@@ -176,8 +176,8 @@ def _order_runs(shows: NDArray[np.bool_], lengths: Sequence[int]) -> list[int]:
 def _compare_adjoint(
     slopes: _Slopes, effects: Sequence[Effect], adjoint: Array, end: float
 ) -> tuple[dict[Effect, float], set[Effect]]:
-    """Errors of the adjoint over the length of an effect's slopes, and the effects for which time
-    was over."""
+    """Errors of the adjoint over the length of an effect's slopes, and the effects for which the
+    budget was spent."""
     problem, scores = slopes.problem, slopes.scores
 
     def error(effect: Effect, wanted: Array) -> float:
@@ -194,8 +194,8 @@ def _compare_adjoint(
     late: set[Effect] = set()
     doubted = sorted((e for e in effects if e not in sound), key=lambda e: -errors[e])
     for effect in doubted:
-        # an adjoint that disagrees is followed up, whatever the time: the largest error at least
-        if process_time() > end and (effect is not doubted[0] or effect in alike):
+        # an adjoint that disagrees is followed up, whatever the budget: the largest error at least
+        if problem.model.simulations.steps > end and (effect is not doubted[0] or effect in alike):
             late.add(effect)
             continue
         errors[effect] = np.inf
@@ -208,12 +208,12 @@ def _compare_adjoint(
 
 
 def _sound(slopes: _Slopes, effects: Sequence[Effect], end: float) -> set[Effect]:
-    """Effects whose slopes are the differences, by halves; the others are not, or time is over."""
+    """Effects whose slopes are the differences, halved; others are not, or the budget is over."""
     if not effects:
         return set()
     if _agrees_along(slopes, effects):
         return set(effects)
-    if len(effects) == 1 or process_time() > end:
+    if len(effects) == 1 or slopes.problem.model.simulations.steps > end:
         return set()
     half = len(effects) // 2
     return _sound(slopes, effects[:half], end) | _sound(slopes, effects[half:], end)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,6 @@ NUMERICS_LAMBDA = 2.0
 NUMERICS_SHARE = 0.25
 ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
-TIMINGS = 2  # of the plain simulation; the shorter counts
 
 
 def numerics_changes(
@@ -189,7 +187,7 @@ def check_numerics_of_set(
     used = fit.problem.numerics or Numerics()
     finer, paid = used, 1.0
     if not settings.accept_numerics and settings.refine_budget > 1.0 and names_of_failed(gates):
-        once = time_simulation(replace(fit.problem, numerics=None), fit.x)
+        once = replace(fit.problem, numerics=None).cost()
         # what refined settings cost is said of them
         is_enough = is_late and not any(getattr(used, name) < 1.0 for name in REFINEMENTS)
         budget = settings.refine_budget
@@ -218,7 +216,7 @@ def refine_within(
         budget: Cost of a simulation over the plain one, at most.
         changes: Change of the record by refining each setting, by its name, (N,) each.
         gates: The numerics gate, which fails.
-        once: CPU seconds of a plain simulation.
+        once: Weighted steps of a plain simulation.
         is_any_enough: Whether any finer settings are.
 
     Returns:
@@ -231,11 +229,11 @@ def refine_within(
         record = None
         for name in failing:
             finer = numerics.refined(REFINEMENTS[name])
-            tried, seconds = _time_record(replace(problem, numerics=finer), x)
-            if seconds > budget * once:
+            tried = replace(problem, numerics=finer)
+            if tried.cost() > budget * once:
                 unaffordable.add(name)
             else:
-                numerics, paid, record = finer, seconds / once, tried
+                numerics, paid, record = finer, tried.cost() / once, record_at(tried, x)
                 if is_any_enough:
                     return numerics, changes, gates, paid
         if record is None:
@@ -253,18 +251,6 @@ def refine_within(
 def names_of_failed(gates: Sequence[GateResult]) -> list[str]:
     """Settings that move the record by more than their limit."""
     return [g.name for g in gates if not g.passed]
-
-
-def time_simulation(problem: Problem, x: Array) -> float:
-    """CPU seconds of a simulation, the shortest of some."""
-    return min(_time_record(problem, x)[1] for _ in range(TIMINGS))
-
-
-def _time_record(problem: Problem, x: Array) -> tuple[Array, float]:
-    """Record at x and the CPU seconds that it took."""
-    start = process_time()
-    record = record_at(problem, x)
-    return record, max(process_time() - start, 1e-9)
 
 
 def note_numerics(

@@ -301,7 +301,7 @@ def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:
         "alone_nats": ALONE_NATS,
         "explained": EXPLAINED,
         "unrepeatable": UNREPEATABLE,
-        "num_simulations": case.model.simulations.count - case.num_simulated,
+        "work": case.model.simulations.since(case.begun)._asdict(),
         "search": asdict(case.settings.search),
         "numerics": None if (made := null.fit.problem.stands_for) is None else asdict(made),
         **({} if search is None else _trouble(search)),

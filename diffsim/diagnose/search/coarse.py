@@ -1,6 +1,6 @@
 """First answers about expensive simulations: coarse ones, corrected by what finer ones say.
 
-A simulation of all fitted runs that takes longer than ``DiagnosisSettings.dear_seconds`` begins
+A simulation of all fitted runs that costs more than ``DiagnosisSettings.dear_steps`` begins
 with larger cells and longer steps. At the plain fit settings are refined, one at a time, until what
 is left to refine is below the limit of the numerics gate. What they change becomes a ``Correction``
 of the coarse records; nothing else is simulated so finely. At the answer the same is simulated
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +54,7 @@ def corrected(null: Null, once: float) -> tuple[Null, NullCorrection]:
 
     Args:
         null: The plain model, fitted with coarse settings.
-        once: CPU seconds of a simulation of all runs with the cells that were given.
+        once: Weighted steps of a simulation of all runs with the cells that were given.
     """
     found = _find_correction(null, once)
     case = replace(null.case, correction=found.correction)
@@ -110,10 +109,9 @@ def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
     nothing = np.zeros_like(at.record)
     here = _RefinedSetting(name, coarse, np.zeros(problem.num_base), nothing, nothing)
     for _ in range(MAX_LEVELS):
-        start = process_time()
         there = here.numerics.refined(REFINEMENTS[name])
-        record = record_at(replace(problem, numerics=there), at.x)
-        seconds = process_time() - start
+        finer = replace(problem, numerics=there)
+        record = record_at(finer, at.x)
         raw = numerics_gate(null.fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
@@ -124,7 +122,7 @@ def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
         enough = here.left < NUMERICS_LAMBDA
         if min(size, here.left) < 0.5 * NUMERICS_LAMBDA:
             break
-        if FINER_COSTS * seconds > once * (CHEAP if enough else dearest):
+        if FINER_COSTS * finer.cost() > once * (CHEAP if enough else dearest):
             break
     return here
 

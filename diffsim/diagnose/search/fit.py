@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from time import process_time
 
 import numpy as np
 import torch
@@ -27,7 +26,6 @@ from diffsim.diagnose.checks.numerics import (
     numerics_changes,
     numerics_gate,
     refine_within,
-    time_simulation,
 )
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.store import Store
@@ -41,7 +39,7 @@ from diffsim.identify.linearization import (
     record_at,
     residuals_by_run,
 )
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import NOTHING, SimModel, Work
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.stability import runs_away
 from diffsim.identify.unknown import Unknown
@@ -142,7 +140,7 @@ def _per_sample(fit: Fit) -> float:
 
 Progress = Callable[[str, float, str], None]
 """Stage, share of the whole that is done, message."""
-PAYS = 1.5  # times that a simulation with larger cells is quicker, from which it is worth it
+PAYS = 1.5  # times that a simulation with larger cells is cheaper, from which it is worth it
 MAX_REFITS = 3  # of the plain model: each may show that settings are still too coarse for it
 
 
@@ -163,7 +161,7 @@ class Case:
         progress: Receives stage, share done and message.
         store: Keeps simulations on disk; None: keep none.
         unmet: What the study lacks for the candidates that were left out, by name.
-        num_simulated: Simulations that the model had made before.
+        begun: What the model had simulated before.
         numerics: Refined numerical settings of all simulations; None: the model's own.
         correction: What finer settings than ``numerics`` change, made at one point; None: nothing.
         num_tests: Test runs that are kept, and looked at after the answer is frozen.
@@ -177,10 +175,14 @@ class Case:
     progress: Progress = silent
     store: Store | None = None
     unmet: Mapping[str, str] = field(default_factory=dict)
-    num_simulated: int = 0
+    begun: Work = NOTHING
     numerics: Numerics | None = None
     correction: Correction | None = None
     num_tests: int = 0
+
+    def cost(self) -> float:
+        """Weighted steps of a simulation of all fitted runs."""
+        return sum(self.model.cost(run, self.numerics) for run in self.study.fit_runs)
 
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""
@@ -247,36 +249,30 @@ def coarsen_first_look(case: Case) -> tuple[Case, float]:
     """The case with the cells that a first answer begins with.
 
     Returns:
-        The case, and the CPU seconds of a simulation of all fitted runs with the cells that it was
-        given; 0 where that is cheap.
+        The case, and the weighted steps of a simulation of all fitted runs with the cells that it
+        was given; 0 where that is cheap.
     """
     case, settings = _with_own_step(case), case.settings
-    if not np.isfinite(settings.dear_seconds) or settings.accept_numerics:
-        return case, 0.0
-    once = _time_plain_model(case)
-    if once is None or once < settings.dear_seconds:
+    once = case.cost()
+    if once < settings.dear_steps or settings.accept_numerics:
         return case, 0.0
     if settings.first_mesh == 1.0:
         return case, once
     larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
     coarse = replace(case, numerics=larger)
-    quicker = _time_plain_model(coarse)
-    return (coarse if quicker is not None and PAYS * quicker < once else case), once
+    pays = PAYS * coarse.cost() < once and _can_be_simulated(coarse)
+    return (coarse if pays else case), once
 
 
-def _time_plain_model(case: Case) -> float | None:
-    """CPU seconds of the plain model at its prior, by one run; None: it cannot be simulated."""
+def _can_be_simulated(case: Case) -> bool:
+    """Whether the plain model at its prior can, by one run."""
     channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
     problem = case.problem(WhiteNoise(channels))
-    x, one = np.zeros(problem.num_base), replace(problem, runs=problem.runs[:1])
     try:
-        record_at(one, x)  # what is built once
-        start = process_time()
-        record_at(one, x)
+        record_at(replace(problem, runs=problem.runs[:1]), np.zeros(problem.num_base))
     except (DiffsimError, ValueError):
-        return None
-    samples = [len(run.time_s) for run in problem.runs]
-    return (process_time() - start) * sum(samples) / samples[0]
+        return False
+    return True
 
 
 def _with_own_step(case: Case) -> Case:
@@ -344,7 +340,7 @@ def check_numerics(null: Null) -> RefinedNull:
     if settings.accept_numerics or settings.refine_budget <= 1.0 or not names_of_failed(gates):
         gates = note_numerics(gates, null.fit.problem.numerics, 1.0, settings.refine_budget)
         return RefinedNull(null, changes, gates)
-    once = time_simulation(null.fit.problem, null.at.x)
+    once = null.fit.problem.cost()
     paid = 1.0
     for _ in range(MAX_REFITS):
         null.case.progress("null fit", 0.1, f"refining {', '.join(names_of_failed(gates))}")

@@ -47,7 +47,7 @@ class Search:
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
-        num_late: Rivals that keep their linear evidence, as ``refit_seconds`` were over.
+        num_late: Rivals that keep their linear evidence, as ``refit_steps`` were spent.
         numerics: Numerical settings at sets where they were checked.
     """
 
@@ -60,6 +60,11 @@ class Search:
     borrowed: Mapping[Members, str] = field(default_factory=dict)
     num_late: int = 0
     numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
+
+    @property
+    def steps(self) -> int:
+        """Weighted steps that were simulated so far."""
+        return self.wide.model.simulations.steps
 
     @property
     def wide(self) -> Problem:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +27,14 @@ from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
     measured_of,
-    record_at,
     whitened,
 )
 from diffsim.identify.whitening import MOST_RUNS
 
 Array = NDArray[np.float64]
 LEAST_REFITS = 4  # sets that are fitted from there
-LINEARIZED = 2.0  # of the scans' time, that slopes there may take
-SHARE = 0.5  # of the CPU time of scans, for those at the data sheet
+LINEARIZED = 2.0  # of the scans' budget, that slopes there may take
+SHARE = 0.5  # of the budget of scans, for those at the data sheet
 WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
 PAIRED = 12  # causes that are best alone, each paired with every other
 
@@ -52,38 +50,27 @@ def center_at_prior(
         num_families: Families of effects, for the evidence.
 
     Returns:
-        The center, None where it cannot be simulated, and the simulations with the time it took.
+        The center, None where it cannot be simulated, and the simulations with the work it took.
     """
-    wide, spent = simulations.wide, simulations.scan_seconds
-    budget = SHARE * (settings.scan_seconds - spent)
+    wide, spent = simulations.wide, simulations.scan_steps
+    budget = SHARE * (settings.scan_steps - spent)
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
     # kept apart: scans are known by the set that they start from, here as at the plain model's fit
     apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")
-    settings = replace(settings, scan_seconds=spent + budget)
+    settings = replace(settings, scan_steps=spent + budget)
     try:
-        if simulations.at_prior is None and not _is_affordable(wide, x, LINEARIZED * budget):
+        if wide.cost() * len(x) > LINEARIZED * budget:
             return None, simulations
         at = simulations.at_prior or apart.remembered("slopes", lambda: _slopes(wide, x))
         center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
     except DiffsimError:
         return None, simulations
-    spent = made.scan_seconds
-    return center, replace(simulations, scan_seconds=spent, at_prior=at, prior_scans=made.scans)
+    spent = made.scan_steps
+    return center, replace(simulations, scan_steps=spent, at_prior=at, prior_scans=made.scans)
 
 
 def _slopes(wide: Problem, x: Array) -> Linearization:
     return linearization_at(wide, x, list(range(len(x))), screen=True)
-
-
-def _is_affordable(wide: Problem, x: Array, seconds: float) -> bool:
-    """Whether all slopes at a point take no longer, by the time of one simulation of all runs; the
-    rest of them is left out once it is known."""
-    start = process_time()
-    for run in wide.runs:
-        record_at(replace(wide, runs=(run,)), x)
-        if (process_time() - start) * len(x) > seconds:
-            return False
-    return True
 
 
 class _Warm:

@@ -49,12 +49,12 @@ class Scan:
         at: Linearization at the best sizes, in wide coordinates with all slopes; None where none
             is better than zero.
         num_points: Number of sizes that were simulated.
-        seconds: CPU time that this took [s].
+        steps: Weighted steps that this took.
     """
 
     at: Linearization | None
     num_points: int
-    seconds: float = 0.0
+    steps: int = 0
 
 
 def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +34,9 @@ from diffsim.identify.linearization import Linearization
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
-MAX_OVERTAKING = 2  # refits after the time for them is over
+MAX_OVERTAKING = 2  # refits after the budget for them is spent
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FROM_PRIOR = 0.5  # of the time of refits, for those from the data sheet
+FROM_PRIOR = 0.5  # of the budget of refits, for those from the data sheet
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -55,7 +54,7 @@ def begin(null: Null, simulations: Simulations) -> Search:
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
-    until = process_time() + search.settings.refit_seconds
+    until = search.steps + search.settings.refit_steps
     center, search = _refit_from_prior(search)
     if center is search.plain:
         center, search = _scan_kinks(search, search.plain)
@@ -67,7 +66,7 @@ def search_sets(search: Search) -> Search:
         if best == center.members:
             break
         center, search = _center(search, best, center)
-        if process_time() > until:
+        if search.steps > until:
             break
     return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
@@ -106,10 +105,9 @@ def _refit_from_prior(search: Search) -> tuple[Center, Search]:
     if at_prior is not None:
         ranked = promising_sets(at_prior, search.settings.max_effects)
         settings = search.settings
-        seconds = min(settings.scan_seconds, FROM_PRIOR * settings.refit_seconds)
-        until = process_time() + seconds
+        until = search.steps + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
-            if process_time() < until:
+            if search.steps < until:
                 search = refit(search, members, at_prior, begin=cooled)
     best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
@@ -265,15 +263,14 @@ def _refit_promising(
         search: Sets that were weighed so far.
         center: The best set.
         ranked: Its neighbors, best first.
-        until: CPU time after which the rest keeps its linear evidence [s]. Where no refit so far
-            stayed near the data sheet, linear evidence was no guide, and a few more are made
-            however late it is: a busy machine must not choose the answer.
+        until: Weighted steps after which the rest keeps its linear evidence. Where no refit so far
+            stayed near the data sheet, linear evidence was no guide, and a few more are made.
     """
     wanted = search.settings.num_refits
     most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
     for k, members in enumerate(ranked[:most]):
-        has_time = k == 0 or (k < wanted and process_time() < until)
-        if not has_time and any(_is_near_prior(search, tried) for tried in ranked[:k]):
+        is_within = k == 0 or (k < wanted and search.steps < until)
+        if not is_within and any(_is_near_prior(search, tried) for tried in ranked[:k]):
             break
         search = refit(search, members, center)
     return search
@@ -291,7 +288,7 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
     Args:
         search: Sets that were weighed so far.
         center: The best set.
-        until: CPU time after which the rest keeps its linear evidence [s], subsets apart, and the
+        until: Weighted steps after which the rest keeps its linear evidence, subsets apart, and the
             first that promise to be better than the best set.
     """
     slack = search.linear_slack(center.members)
@@ -308,7 +305,7 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
             enough = max(enough, plain + KEEP_NATS)
         nats, search = _with_linear(search, center, [members])
         if nats[members] > enough - slack:
-            is_late = process_time() > until and not members < center.members
+            is_late = search.steps > until and not members < center.members
             overtakes = nats[members] > best + KEEP_NATS and num_overtaking < MAX_OVERTAKING
             if is_late and not overtakes:
                 search = replace(search, num_late=search.num_late + 1)

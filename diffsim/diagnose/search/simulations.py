@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from time import process_time
 from typing import Any
 
 import numpy as np
@@ -22,9 +21,9 @@ from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
-from diffsim.diagnose.search.store import Store, gauss_newton_kept
+from diffsim.diagnose.search.store import Arrays, Store, gauss_newton_kept, packed, unpacked
 from diffsim.identify import Fit, Problem
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import (
     Linearization,
@@ -84,7 +83,7 @@ class Simulations:
         at_unknowns: Where sets with an unknown cause have their optimum, in the coordinates of
             ``narrow``: simulations serve every unknown cause, as only its response differs.
         scans: Sizes that were tried, by members of the center and group of effects.
-        scan_seconds: CPU time that these took [s].
+        scan_steps: Weighted steps that these took.
         scans_late: Groups of effects that were not tried because that time was over.
         at_prior: All slopes of the plain model at its prior, where they were asked for.
         prior_scans: Sizes that were tried there.
@@ -98,7 +97,7 @@ class Simulations:
     unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
     at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
-    scan_seconds: float = 0.0
+    scan_steps: int = 0
     scans_late: frozenset[tuple[Members, Members]] = frozenset()
     at_prior: Linearization | None = None
     prior_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
@@ -232,22 +231,21 @@ class Simulations:
                 significant with them nor like a member; None: all are simulated.
         """
         here, label = self.fitted[members], f"screened {self._label(members)}"
-        before = self.screened.get(members)
-        if before is None and self.store is not None:
-            before = self.store.load(label)
-        if before is not None:
-            return here.joined(before), replace(self, screened={**self.screened, members: before})
+        screened = self.screened.get(members)
+        if screened is None:
+            screened = self._recall(label, partial(self._screen_at, here, last))
+        here = here.joined(screened)
+        return here, replace(self, screened={**self.screened, members: screened})
+
+    def _screen_at(self, here: Linearization, last: Linearization | None) -> Linearization:
+        """A fit with the slopes of all candidates, as ``screen`` says."""
         if last is None:
             others = [i for i in range(len(here.x)) if i not in here.idx]
-            here = here.joined(linearization_at(self.wide, here.x, others, screen=True))
-        else:
-            again = [i for i in self._significant(here.joined(last)) if i not in here.idx]
-            if again:
-                here = here.joined(linearization_at(self.wide, here.x, again, screen=True))
-            here = here.joined(last)
-        if self.store is not None:
-            self.store.save(label, here)
-        return here, replace(self, screened={**self.screened, members: here})
+            return here.joined(linearization_at(self.wide, here.x, others, screen=True))
+        again = [i for i in self._significant(here.joined(last)) if i not in here.idx]
+        if again:
+            here = here.joined(linearization_at(self.wide, here.x, again, screen=True))
+        return here.joined(last)
 
     def center(self, members: Members, at: Linearization, num_families: int) -> Center:
         """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
@@ -265,7 +263,7 @@ class Simulations:
 
         Args:
             center: A fitted set.
-            settings: Largest number of effects in one set, of sizes and of CPU seconds.
+            settings: Largest number of effects in one set, of sizes and of weighted steps.
             num_families: Families of effects, for the evidence.
         """
         made, found = self, {}
@@ -279,13 +277,13 @@ class Simulations:
                     points = sum(s.num_points for s in made.scans.values())
                     effects = [self.wide.effects[i] for i in members]
                     points += num_points(effects, len(first_runs(self.wide.runs)))
-                if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
+                if points > settings.scan_points or made.scan_steps > settings.scan_steps:
                     is_late = points <= settings.scan_points
                     made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))
                     continue
                 result = self._scan(center, members, courses)
-                spent = made.scan_seconds + result.seconds
-                made = replace(made, scans={**made.scans, key: result}, scan_seconds=spent)
+                spent = made.scan_steps + result.steps
+                made = replace(made, scans={**made.scans, key: result}, scan_steps=spent)
             if (at := made.scans[key].at) is not None:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made
@@ -299,25 +297,27 @@ class Simulations:
             courses: Courses at this center that are known, which grow.
         """
         label = f"scan of {self._label(frozenset(group))} at {self._label(center.members)}"
-        if self.store is not None and (kept := self.store.load_array(label)) is not None:
-            at = self.store.load(f"best {label}")
-            if at is not None or not kept[2]:
-                return Scan(at, int(kept[0]), float(kept[1]))
-        start = process_time()
         own, effect = self.coordinates(center.members), self.wide.effects[group[0]]
+        tally = self.wide.model.simulations
+        before, make = tally.work, partial(scan, self.wide, own, center.at, group)
         if (locate := effect.locate) is not None:
-            if locate.course not in courses:
-                courses[locate.course] = course_at(self.wide, own, center.at, locate)
-            found = scan_located(self.wide, own, center.at, effect, courses[locate.course])
-        else:
-            found = scan(self.wide, own, center.at, group)
-        found = replace(found, seconds=process_time() - start)
-        if self.store is not None:
-            if found.at is not None:
-                self.store.save(f"best {label}", found.at)
-            numbers = [found.num_points, found.seconds, found.at is not None]
-            self.store.save_array(label, np.array(numbers, dtype=np.float64))
-        return found
+            course = courses.get(locate.course)
+            if course is None:  # apart from the scan: others share it
+                course = self._course(own, center, locate)
+                courses[locate.course] = course
+            make = partial(scan_located, self.wide, own, center.at, effect, course)
+        found = make() if self.store is None else _recall_scan(self.store, label, make)
+        return replace(found, steps=tally.since(before).steps)
+
+    def _course(self, own: Sequence[int], center: Center, locate: Locator) -> Course:
+        """What any course in time would gain at a center."""
+
+        def make() -> Arrays:
+            course = course_at(self.wide, own, center.at, locate)
+            return {"times": course.times, "gram": course.gram, "score": course.score}
+
+        label = f"course {locate.course.name} at {self._label(center.members)}"
+        return Course(**(make() if self.store is None else self.store.remembered(label, make)))
 
     def with_unknowns(
         self, center: Center, unknowns: Sequence[Unknown], num_families: int
@@ -352,22 +352,21 @@ class Simulations:
 
     def remembered(self, what: str, make: Callable[[], Linearization]) -> Linearization:
         """A linearization by its name, from an earlier process or made now."""
-        label = f"{what}{self.place}"
-        at = None if self.store is None else self.store.load(label)
-        if at is None:
-            at = make()
-            if self.store is not None:
-                self.store.save(label, at)
-        return at
+        return self._recall(f"{what}{self.place}", make)
+
+    def _recall(self, label: str, make: Callable[[], Linearization]) -> Linearization:
+        if self.store is None:
+            return make()
+        return unpacked(self.store.remembered(label, lambda: packed(make())))
 
     def _slopes_of(self, unknown: Unknown, members: Members, at: Linearization) -> Array:
+        def make() -> Arrays:
+            x = at.x[self.coordinates(members)]
+            return {"slopes": unknown.slopes(self.narrow(members), x)}
+
         label = f"{unknown.name} at {self._label(members)}"
-        if self.store is not None and (kept := self.store.load_array(label)) is not None:
-            return kept
-        slopes = unknown.slopes(self.narrow(members), at.x[self.coordinates(members)])
-        if self.store is not None:
-            self.store.save_array(label, slopes)
-        return slopes
+        kept = make() if self.store is None else self.store.remembered(label, make)
+        return kept["slopes"]
 
     def _significant(self, at: Linearization) -> list[int]:
         """Coordinates of effects that stand out of the noise with borrowed slopes, or that are
@@ -391,3 +390,15 @@ class Simulations:
             if linalg.norm(z[c]) > SIGNIFICANT * np.sqrt(len(c)) or alike[c].any():
                 chosen += c
         return chosen
+
+
+def _recall_scan(store: Store, label: str, make: Callable[[], Scan]) -> Scan:
+    """A scan from an earlier process or made now."""
+
+    def arrays() -> Arrays:
+        found = make()
+        best = {} if found.at is None else packed(found.at)
+        return {"num_points": np.array(found.num_points), **best}
+
+    kept = store.remembered(label, arrays)
+    return Scan(unpacked(kept) if "x" in kept else None, int(kept["num_points"]))

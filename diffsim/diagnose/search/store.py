@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
@@ -19,9 +19,28 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import Linearization, measured_of, whitened
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import SimModel, Tally
 
 Array = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+WORK = "work"  # what an entry's simulations were counted as
+
+
+def packed(at: Linearization) -> Arrays:
+    """A linearization as arrays."""
+    return {
+        "x": at.x,
+        "record": at.record,
+        "idx": np.array(at.idx, dtype=np.int64),
+        "columns": at.columns,
+        "slope_error": np.array(at.slope_error),
+    }
+
+
+def unpacked(kept: Arrays) -> Linearization:
+    """The linearization that was packed."""
+    idx, error = tuple(int(i) for i in kept["idx"]), float(kept["slope_error"])
+    return Linearization(kept["x"], kept["record"], idx, kept["columns"], error)
 
 
 class Store:
@@ -32,43 +51,32 @@ class Store:
     Args:
         folder: Shared by any number of studies.
         key: Identifier of study, model and candidates, as ``key_of`` makes it.
+        tally: Counts what is simulated, and what earlier processes have simulated for what is read
+            back: budgets end at the same place.
     """
 
-    def __init__(self, folder: str | Path, key: str):
-        self.folder = Path(folder) / key
+    def __init__(self, folder: str | Path, key: str, tally: Tally):
+        self.folder, self.tally = Path(folder) / key, tally
 
     def beside(self, label: str) -> Store:
         """Files of the same, simulated another way."""
-        return Store(self.folder.parent, f"{self.folder.name}-{label}")
+        return Store(self.folder.parent, f"{self.folder.name}-{label}", self.tally)
 
-    def save(self, name: str, at: Linearization) -> None:
-        """Write a linearization to the folder."""
-        self.save_arrays(
-            name,
-            x=at.x,
-            record=at.record,
-            idx=np.array(at.idx, dtype=np.int64),
-            columns=at.columns,
-            slope_error=np.array(at.slope_error),
-        )
+    def remembered(self, name: str, make: Callable[[], Arrays]) -> Arrays:
+        """Arrays by name, from an earlier process or made and written now.
 
-    def load(self, name: str) -> Linearization | None:
-        """A linearization; None if there is none that can be read."""
+        Args:
+            name: Says what they are, within this store.
+            make: Simulates them.
+        """
         kept = self.load_arrays(name)
-        if kept is None:
-            return None
-        idx = tuple(int(i) for i in kept["idx"])
-        error = float(kept["slope_error"])
-        return Linearization(kept["x"], kept["record"], idx, kept["columns"], error)
-
-    def save_array(self, name: str, array: Array) -> None:
-        """Write an array to the folder."""
-        self.save_arrays(name, array=array)
-
-    def load_array(self, name: str) -> Array | None:
-        """An array; None if there is none that can be read."""
-        kept = self.load_arrays(name)
-        return None if kept is None else kept["array"]
+        if kept is not None:
+            self.tally.add(*(int(n) for n in kept.pop(WORK)))
+            return kept
+        before = self.tally.work
+        made = make()
+        self.save_arrays(name, **made, **{WORK: np.array(self.tally.since(before))})
+        return made
 
     def save_arrays(self, name: str, **arrays: NDArray[Any]) -> None:
         """Write arrays of numbers, truth values or text to the folder."""
@@ -123,27 +131,20 @@ def gauss_newton_kept(
         start: Start point, with the slopes of all coordinates.
         best_cost: As of ``gauss_newton`` [nats].
     """
-    name = f"ended fit {_digest(problem, start, best_cost)}"
-    kept = store.load_arrays(name)
-    if kept is None:
+
+    def ended() -> Arrays:
         fit, at = gauss_newton(problem, start, best_cost=best_cost)
-        store.save_arrays(
-            name,
-            x=at.x,
-            record=at.record,
-            columns=at.columns,
-            slope_error=np.array(at.slope_error),
-            residual=fit.residual,
-            jacobian=fit.jacobian,
-            ended=np.array(fit.ended),
-            message=np.array(fit.message),
-            evaluations=np.array(fit.num_evaluations),
-        )
-        return fit, at
-    coordinates = tuple(range(len(kept["x"])))
-    at = Linearization(
-        kept["x"], kept["record"], coordinates, kept["columns"], float(kept["slope_error"])
-    )
+        return {
+            **packed(at),
+            "residual": fit.residual,
+            "jacobian": fit.jacobian,
+            "ended": np.array(fit.ended),
+            "message": np.array(fit.message),
+            "evaluations": np.array(fit.num_evaluations),
+        }
+
+    kept = store.remembered(f"ended fit {_digest(problem, start, best_cost)}", ended)
+    at = unpacked(kept)
     fit = summary(
         problem,
         at.x,

@@ -38,6 +38,8 @@ from diffsim.systems.flow_network.lumped_build import (
 )
 from diffsim.systems.quantities import Viscosity
 
+NETWORK = 2000.0  # weighted steps of a prediction
+
 
 class FlowNetworkDescription(Description):
     """Narrow channels between nodes, pumps and pressures, and meters; steady at every sample."""
@@ -87,6 +89,7 @@ class FlowNetworkDescription(Description):
         if self.effects.only or self.samples == "time":
             causes += self._list_signal_causes(study, scales)
         model = SimModel(network, network.parameters.base, "flow network")
+        model.run_cost = NETWORK
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,

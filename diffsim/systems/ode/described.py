@@ -338,7 +338,9 @@ class FormulaSystem:
 
     def model(self) -> SimModel:
         """The model without effects."""
-        return SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
+        made = SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
+        made.step_cost *= self.parts
+        return made
 
     def _build_scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
         if PLAY_START in self.quantities:

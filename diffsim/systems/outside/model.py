@@ -257,6 +257,9 @@ class OutsideScene:
         return commands
 
 
+SAMPLE = 20.0  # weighted steps of a sample: simulators take some of their own
+
+
 class OutsideModel(SimModel):
     """A simulator from outside, with base parameters.
 
@@ -284,6 +287,7 @@ class OutsideModel(SimModel):
         workers: int = 1,
     ):
         super().__init__(self._build_scene, base, source.label)
+        self.step_cost = SAMPLE
         self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run
         self.channels, self.places, self.workers = tuple(channels), tuple(places), workers

@@ -74,6 +74,9 @@ class DescribedRod:
         return RodScene(layout, numbers, torch.from_numpy(command), tolerance, drives, grid_of(run))
 
 
+EQUILIBRIUM = 1000.0  # weighted steps of a pose
+
+
 class RodModel(SimModel):
     """The model of a described rod, which shows it in space.
 
@@ -83,6 +86,7 @@ class RodModel(SimModel):
 
     def __init__(self, described: DescribedRod):
         self.described = described
+        self.step_cost = EQUILIBRIUM
         super().__init__(described.build, described.parameters.base, "described rod", batched=True)
 
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:

@@ -69,7 +69,11 @@ class DescribedModel:
 
     def model(self) -> SoftModel:
         """The model that is fitted."""
-        return SoftModel(self.build, self.parameters.base, "described soft body")
+        made = SoftModel(self.build, self.parameters.base, "described soft body")
+        numerics = self.given.numerics
+        made.num_nodes, made.num_poses = len(self.rig().mesh.nodes), numerics.poses
+        made.dt_s = 0.0 if numerics.motion == "quasi_static" else numerics.time_step
+        return made
 
     def rig(self, numerics: Numerics | None = None) -> BodyRig:
         """The body on the mesh of some numerics."""

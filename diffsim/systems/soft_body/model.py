@@ -24,13 +24,36 @@ if TYPE_CHECKING:
     from diffsim.identify.shape import MovingShape
 
 
+NODE_COST = 4.0  # weighted steps of a node in a time step
+
+
 class SoftModel(SimModel):
     """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
 
     All smooth columns of a linearization come from one rollout with its tangents. Effects of size
     zero are left out wherever they are not what is differentiated: at zero they are the scene
     itself.
+
+    Attributes:
+        num_nodes: Of the mesh, for the cost of a step; 0: not stated.
+        dt_s: Time step [s]; 0: one equilibrium per pose.
+        num_poses: Most equilibria of a run where motions are slow.
     """
+
+    num_nodes: int = 0
+    dt_s: float = 0.0
+    num_poses: int = 0
+    mesh_power = 3.0
+
+    def cost(self, run: Run, numerics: Numerics | None = None) -> float:
+        """Weighted steps of one prediction, see :meth:`SimModel.cost`."""
+        if not self.num_nodes:
+            return super().cost(run, numerics)
+        n = numerics or Numerics()
+        steps = float(min(self.num_poses, len(run.time_s)))
+        if self.dt_s > 0.0:
+            steps = float(run.time_s[-1] - run.time_s[0]) / (self.dt_s * n.time_step)
+        return self.run_cost + NODE_COST * self.num_nodes / n.mesh**self.mesh_power * steps
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run, at once where only commands differ."""

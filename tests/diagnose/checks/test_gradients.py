@@ -8,7 +8,9 @@ import torch
 
 from diffsim.diagnose.checks import gradients
 from diffsim.diagnose.checks.gradients import LEFT_OUT, gradient_gate
-from diffsim.identify import Jacobian, Problem
+from diffsim.identify import Jacobian
+from diffsim.identify.model import TOGETHER
+from diffsim.identify.problem import BACKWARD
 from tests.diagnose import linear
 
 
@@ -106,7 +108,7 @@ def test_what_a_spent_budget_leaves_out_is_said():
     effects = (linear.line("push"), replace(pull, apply=wrong))
     problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
     at = problem, np.zeros(4), *problem.linearize(np.zeros(4))
-    (gate,) = gradient_gate(*at, seconds=0.0)
+    (gate,) = gradient_gate(*at, steps=0.0)
     assert gate.name == LEFT_OUT and not gate.applies and "push, pull" in gate.note
     named = {g.name: g.passed for g in gradient_gate(*at)}
     assert named == {"gradient:push": True, "gradient:pull": False}
@@ -132,11 +134,11 @@ def steeper(effect):
 
 
 @pytest.mark.grad
-def test_one_run_of_many_shows_a_wrong_gradient_when_time_is_short():
+def test_one_run_of_many_shows_a_wrong_gradient_within_a_small_budget():
     at = many_runs((linear.line("push"), steeper(linear.line("pull"))))
     simulations = at[0].model.simulations
     before = simulations.count
-    gates = {g.name: g for g in gradient_gate(*at, seconds=1e-9)}
+    gates = {g.name: g for g in gradient_gate(*at, steps=1.0)}
     # is there a gradient, the adjoint of one run; then nothing else is begun but a direction
     assert simulations.count - before <= 1 + 1 + 9
     assert gates[LEFT_OUT].note.startswith("of push, pull")
@@ -147,7 +149,7 @@ def test_one_run_of_many_shows_a_wrong_gradient_when_time_is_short():
 
 @pytest.mark.grad
 def test_runs_that_show_every_effect_come_first(monkeypatch):
-    """An effect that acts in one run of twelve is checked, though time is for two of them."""
+    """An effect that acts in one run of twelve is checked, though the budget is for two."""
 
     def only_in_r9(scene, size, run):
         there = 1.0 if run.name == "r9" else 0.0
@@ -157,11 +159,10 @@ def test_runs_that_show_every_effect_come_first(monkeypatch):
 
     rare = replace(linear.line("rare"), apply=only_in_r9)
     at = many_runs((linear.line("push"), linear.line("pull"), rare))
-    adjoints = []
-    pullback = Problem.pullback
-    monkeypatch.setattr(Problem, "pullback", lambda *given: adjoints.append(0) or pullback(*given))
-    monkeypatch.setattr(gradients, "process_time", lambda: float(len(adjoints)))
-    gates = {g.name: g for g in gradient_gate(*at, seconds=3.0)}
+    # whether there is a gradient costs a prediction of a run; an adjoint one and a backward pass
+    one, adjoint = at[0].cost() / 12, 2.0 + TOGETHER * BACKWARD
+    monkeypatch.setattr(gradients, "ADJOINT_SHARE", 0.01)
+    gates = {g.name: g for g in gradient_gate(*at, steps=200.0 * adjoint * one)}
     assert not gates["gradient:rare"].passed
     assert gates["gradient:rare"].note.endswith("2 of 12 runs")
 

@@ -47,19 +47,13 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
 
 
 @pytest.mark.parametrize(("budget", "numerics"), [(8.0, None), (1.5, None), (8.0, 0.5)])
-def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(
-    budget, numerics, monkeypatch
-):
+def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(budget, numerics):
     """What is said of the settings is the same: that they fail, and whether finer cost too much."""
     settings = replace(QUICK, refine_budget=budget)
     null = null_fit(case(settings, step=0.01 if numerics is None else 0.04))
     if numerics is not None:
         null = refit_under(null, Numerics(time_step=numerics))
 
-    def timed(problem, x):
-        return record_at(problem, x), 1.0 / (problem.numerics or Numerics()).time_step
-
-    monkeypatch.setattr(refine, "_time_record", timed)
     count, found = null.case.model.simulations, []
     for is_late in (False, True):
         before = count.count
@@ -77,51 +71,45 @@ def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(
         assert few == many
 
 
-class Clock:
-    """CPU seconds that pass as scenes say, whatever else this machine does."""
+class Costly(SimModel):
+    """A model whose predictions cost as stated, whatever they take on this machine."""
 
-    def __init__(self, monkeypatch):
-        self.seconds = 0.0
-        monkeypatch.setattr(refine, "process_time", lambda: self.seconds)
+    def __init__(self, plain, dear, build=None):
+        super().__init__(build or plain.build, plain.base)
+        self.dear = dear
 
-
-class Costly:
-    """A scene whose simulation takes the given seconds of a clock and is off by an error."""
-
-    def __init__(self, scene, clock, seconds, error=0.0):
-        self.scene, self.clock, self.seconds, self.error = scene, clock, seconds, error
-
-    def __getattr__(self, name):
-        return getattr(self.scene, name)
-
-    def simulate(self):
-        self.clock.seconds += self.seconds
-        return self.scene.simulate() + self.error
+    def cost(self, run, numerics=None):
+        return self.dear(numerics or Numerics())
 
 
-def test_a_budget_that_is_spent_is_said_with_figures(monkeypatch):
-    coarse, clock = case(replace(QUICK, refine_budget=1.2)), Clock(monkeypatch)
-    plain = coarse.model
-
-    def build(values, run, numerics):  # it costs as its number of steps
-        return Costly(plain.build(values, run, numerics), clock, 0.02 / numerics.time_step)
-
-    found = check_numerics(null_fit(replace(coarse, model=SimModel(build, plain.base))))
+def test_a_budget_that_is_spent_is_said_with_figures():
+    coarse = case(replace(QUICK, refine_budget=1.2))
+    model = Costly(coarse.model, lambda numerics: 20.0 / numerics.time_step)
+    found = check_numerics(null_fit(replace(coarse, model=model)))
     gate = next(g for g in found.gates if g.name == "time_step")
     assert not gate.passed and "budget of 1.2 times" in gate.note
 
 
-def test_a_setting_beyond_the_budget_does_not_keep_others_coarse(monkeypatch):
+def test_a_setting_beyond_the_budget_does_not_keep_others_coarse():
     """An error that only a mesh finer by far takes out, which costs a hundred times as much."""
-    coarse, clock = case(), Clock(monkeypatch)
+    coarse = case()
     plain = coarse.model
 
-    def build(values, run, numerics):
-        seconds = 0.01 if numerics.mesh == 1.0 else 1.0
-        return Costly(plain.build(values, run, numerics), clock, seconds, 50.0 * numerics.mesh)
+    class Off:
+        def __init__(self, scene, error):
+            self.scene, self.error = scene, error
 
-    null = null_fit(replace(coarse, model=SimModel(build, plain.base)))
-    numerics = check_numerics(null).null.case.numerics
+        def __getattr__(self, name):
+            return getattr(self.scene, name)
+
+        def simulate(self):
+            return self.scene.simulate() + self.error
+
+    def build(values, run, numerics):
+        return Off(plain.build(values, run, numerics), 50.0 * numerics.mesh)
+
+    model = Costly(plain, lambda numerics: 10.0 if numerics.mesh == 1.0 else 1000.0, build)
+    numerics = check_numerics(null_fit(replace(coarse, model=model))).null.case.numerics
     assert numerics.mesh == 1.0 and numerics.time_step < 1.0
 
 

@@ -25,7 +25,7 @@ from tests.diagnose import toy
 
 STEP = 0.01  # implicit Euler of 10 ms: far too coarse for the toy
 DEAR = DiagnosisSettings(
-    search=SearchSettings(max_effects=2, num_refits=2), fit_rtol=0.01, dear_seconds=0.0
+    search=SearchSettings(max_effects=2, num_refits=2), fit_rtol=0.01, dear_steps=0.0
 )
 
 
@@ -97,16 +97,16 @@ def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
 
 def test_simulations_that_are_not_dear_begin_as_they_are():
     study = noisy()
-    case = Case(study, toy.model(study.runs, STEP), (), (), replace(DEAR, dear_seconds=100.0))
+    case = Case(study, toy.model(study.runs, STEP), (), (), replace(DEAR, dear_steps=1e9))
     assert coarsen_first_look(case) == (case, 0.0)
     full = replace(case, settings=DiagnosisSettings())
     assert coarsen_first_look(full) == (full, 0.0)
 
 
-def test_rivals_for_which_time_is_over_are_said():
+def test_rivals_for_which_the_budget_is_spent_are_said():
     study = noisy({"bias": 0.3, "delay": 0.03})
     effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
-    search = replace(DEAR.search, refit_seconds=1e-9)
+    search = replace(DEAR.search, refit_steps=1.0)
     settings = DiagnosisSettings(search=search, fit_rtol=0.01)
     report = diagnose(study, toy.model(study.runs), effects, seed=0, settings=settings)
     late = [g for g in report.gates if g.name == "refit_budget"]
@@ -114,7 +114,7 @@ def test_rivals_for_which_time_is_over_are_said():
     assert any("rival sets were not refitted" in s for s in report.sentences)
 
 
-def test_a_rival_that_promises_more_is_refitted_though_time_is_over():
+def test_a_rival_that_promises_more_is_refitted_though_the_budget_is_spent():
     """A stranger's late encoder was said to lag: its delay, 1,258 nats better, came too late."""
     study = noisy({"delay": 0.03})
     effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)

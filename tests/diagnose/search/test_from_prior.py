@@ -7,9 +7,7 @@ from scipy.integrate import solve_ivp
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.search import from_prior
 from diffsim.systems.registry import setup_of
-from tests.diagnose import linear
 
 G, STEP, LATE, FRICTION = 9.81, 0.02, 0.07, 0.6
 T = STEP * np.arange(200)
@@ -89,12 +87,3 @@ def test_two_large_causes_are_named_although_neither_helps_alone():
     assert abs(rubs.value - FRICTION) < 0.03
     masses = {row.name: row for row in report.base if row.name in ("M", "m")}
     assert all(abs(row.pull) < 2.0 for row in masses.values())
-
-
-def test_what_is_too_dear_is_known_from_one_run():
-    problem = linear.problem((linear.line("push"),))
-    count = problem.model.simulations
-    assert not from_prior._is_affordable(problem, np.zeros(3), 0.0)
-    assert count.count == 1
-    assert from_prior._is_affordable(problem, np.zeros(3), 1e6)
-    assert count.count == 1 + len(problem.runs)
