@@ -1,0 +1,72 @@
+"""The same answer on any machine: beside busy processes, by a clock that lies, on more threads."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from diffsim.data.study_save import save_study
+from tests.cli import test_diagnose
+from tests.diagnose import toy
+
+BUDGET = "2e4"  # ends before all that could win is fitted
+LYING = """
+import time
+for name in ("process_time", "perf_counter", "monotonic", "thread_time"):
+    real = getattr(time, name)
+    setattr(time, name, lambda real=real: 10.0 * real())
+"""
+EXPLAIN = """
+import sys
+from diffsim.cli import main
+raise SystemExit(main(["diagnose", "explain", sys.argv[1], "--out", sys.argv[2], "--setup", sys.argv[3],
+           "--budget", sys.argv[4], "--threads", sys.argv[5]]))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("any_machine") / "study"
+    save_study(toy.generate(2, {"drag": 0.2, "bias": 0.1}), folder)
+    return folder
+
+
+def answered(folder: Path, out: Path, *, before: str = "", threads: int = 1) -> dict[str, bytes]:
+    given = [str(folder), str(out), test_diagnose.SETUP, BUDGET, str(threads)]
+    subprocess.run([sys.executable, "-c", before + EXPLAIN, *given], check=True, timeout=300)
+    return {n: (out / n).read_bytes() for n in ("report.json", "extended_model.yaml")}
+
+
+@pytest.fixture(scope="module")
+def quiet(folder, tmp_path_factory):
+    return answered(folder, tmp_path_factory.mktemp("quiet"))
+
+
+def test_the_budget_ended_the_search(quiet):
+    report = json.loads(quiet["report.json"])
+    assert "refit_budget" in {gate["name"] for gate in report["gates"]}
+    assert report["settings"]["work"]["steps"] > float(BUDGET)
+
+
+@pytest.mark.cpu(40)  # three busy processes run beside it
+@pytest.mark.serial
+def test_beside_busy_processes_every_byte_is_the_same(folder, quiet, tmp_path):
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
+    try:
+        assert answered(folder, tmp_path) == quiet
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def test_by_a_clock_that_runs_ten_times_as_fast_every_byte_is_the_same(folder, quiet, tmp_path):
+    assert answered(folder, tmp_path, before=LYING) == quiet
+
+
+def test_on_two_threads_every_byte_is_the_same(folder, quiet, tmp_path):
+    assert answered(folder, tmp_path, threads=2) == quiet
