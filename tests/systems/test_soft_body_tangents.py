@@ -12,6 +12,7 @@ import torch
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
+from diffsim.identify.problem import PredictionError
 from diffsim.systems.soft_body import (
     SoftModel,
     model,
@@ -284,3 +285,22 @@ def test_explicit_steps_fall_back_to_differences(monkeypatch):
     count = simulations(monkeypatch)
     problem.linearize(np.zeros(len(problem.names)))
     assert len(count) == 1 + 2 * len(problem.names)
+
+
+class _Endless(Force):
+    """A force without an end, at any size but zero."""
+
+    def __call__(self, scene, moment):
+        return torch.full_like(moment.x, float("inf"))
+
+
+def test_derivatives_that_leave_the_range_of_numbers_are_a_step_too_far():
+    """A fit shortens its step then: a diagnosis ended with an error about an argument."""
+
+    def apply(scene, size, run):
+        return scene.changed(forces=(*scene.forces, _Endless)) if bool(size.any()) else scene
+
+    endless = replace(AIR[0], name="endless", components=("size",), apply=apply)
+    problem = problem_of(beam(), FREE, endless)
+    with pytest.raises(PredictionError, match="left the range of numbers at 0"):
+        problem.linearize(np.zeros(len(problem.names)))

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim import soft
+from diffsim.identify.problem import PredictionError
 from diffsim.systems.soft_body.line import Key, LinePoints, OwnedScene, SceneLine, same_surroundings
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
@@ -150,7 +151,11 @@ class MovingForces:
             total.index_add_(0, idx, factor * force)
         for p, scene, hook in self._alone:
             total[p].add_(hook(scene, Moment(x[p], v[p], scene.time_of(k), dt)))
-        return self._extrapolate(self._before_rates, self._points.slopes(total))
+        rates = self._extrapolate(self._before_rates, self._points.slopes(total))
+        if not bool(torch.isfinite(rates).all()):  # a motion that runs away: too far for a fit
+            time = round(self._scene.time_of(k), 4)
+            raise PredictionError(f"derivatives of forces left the range of numbers at {time} s")
+        return rates
 
     def _extrapolate(self, before: list[Tensor], now: Tensor) -> Tensor:
         past = before.pop() if before else now
