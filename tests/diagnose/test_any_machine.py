@@ -23,8 +23,9 @@ for name in ("process_time", "perf_counter", "monotonic", "thread_time"):
 EXPLAIN = """
 import sys
 from diffsim.cli import main
-raise SystemExit(main(["diagnose", "explain", sys.argv[1], "--out", sys.argv[2], "--setup", sys.argv[3],
-           "--budget", sys.argv[4], "--threads", sys.argv[5]]))
+study, out, setup, budget, threads = sys.argv[1:]
+raise SystemExit(main(["diagnose", "explain", study, "--out", out, "--setup", setup,
+                       "--budget", budget, "--threads", threads]))
 """
 
 
