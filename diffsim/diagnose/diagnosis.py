@@ -16,7 +16,6 @@ from diffsim.diagnose.checks.gates import (
     GateResult,
     budget_gates,
     data_gate,
-    effort_gate,
     repeatability_gate,
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
@@ -48,7 +47,6 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
-from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -93,7 +91,7 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
-    gates = (*data_gate(study), *effort_gate(settings or DiagnosisSettings()))
+    gates = data_gate(study)
     # from here to the end of the search nothing can look at a test run: there is none
     case = _make_case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))
@@ -107,6 +105,7 @@ def diagnose(
         screened = screen(checks.center.evidence)
         frozen = report_of(null, checks, Judgment(decision), screened, seed, bank)
         return tested(frozen, study, seed)
+    null = replace(null, case=replace(null.case, searching=model.simulations.steps))
     search, renewal = _renew_correction(search_rounds(null, simulations))
     checks, null = checks.joined(renewal), search.null
     screened = screen(search.plain.evidence)
@@ -209,7 +208,6 @@ def _make_case(
         raise ValueError(f"effects share names: {repeated}; a report could not distinguish them")
     unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
     settings = settings or DiagnosisSettings()
-    coarse = None if settings.first_step == 1.0 else Numerics(time_step=settings.first_step)
     return Case(
         study=study,
         model=model,
@@ -218,7 +216,6 @@ def _make_case(
         settings=settings,
         progress=progress or silent,
         unmet=unmet,
-        numerics=coarse,
         begun=model.simulations.work,
     )
 
@@ -275,7 +272,6 @@ def _key(case: Case) -> str:
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
     s = case.settings
-    fits = s.fit_rtol, s.fit_nats, s.bend_after
     correction = None if case.correction is None else case.correction.key
-    settings = (s.jacobian, case.numerics, fits, correction)
+    settings = (s.jacobian, case.numerics, correction)
     return key_of(case.study, case.model, causes, generic, *settings, __version__)

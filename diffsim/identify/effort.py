@@ -29,8 +29,8 @@ class SearchSettings:
         scan_points: Largest number of sizes of effects with kinks that are tried before fits.
         scan_steps: Weighted steps (``SimModel.cost``) of these trials after which no further effect
             is tried.
-        refit_steps: Weighted steps of a search after which rivals of the best set keep their linear
-            evidence; infinite: all that could win are refitted.
+        refit_steps: Weighted steps of all searches after which rivals of the best set keep their
+            linear evidence; infinite: all that could win are refitted.
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
@@ -58,8 +58,6 @@ class DiagnosisSettings:
         accept_numerics: Whether to go on although the numerics gate fails.
         refine_budget: Cost of a simulation, over that with the model's own settings, up to which
             time step, mesh and tolerance are refined where the numerics gate fails; 1: never.
-        first_step: Factor on the model's own time step to begin with; above 1 for first answers,
-            as the numerics gate refines what is too coarse.
         first_mesh: Factor on the size of the model's own cells to begin with, where that pays.
         dear_steps: Weighted steps of a simulation of all fitted runs from which an answer begins
             with ``first_mesh``, and is told once what finer settings change (``Correction``)
@@ -68,10 +66,6 @@ class DiagnosisSettings:
             finer numerical settings; else the page says what these change. Infinite: repeated.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
-        fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
-        fit_nats: The same where hardly any misfit is left [nats].
-        bend_after: Number of times that a fit has simulated its slopes again, from which steps use
-            what these show beyond Gauss-Newton; None: never. Quicker in long bent valleys.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
     """
 
@@ -80,17 +74,8 @@ class DiagnosisSettings:
     workers: int = 1
     accept_numerics: bool = False
     refine_budget: float = 8.0
-    first_step: float = 1.0
     first_mesh: float = 1.0
     dear_steps: float = math.inf
     again_steps: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
-    fit_rtol: float = FIT_RTOL
-    fit_nats: float = FIT_NATS
-    bend_after: int | None = None
     noise_rounds: int = 3
-
-    @property
-    def is_first_answer(self) -> bool:
-        """Whether fits end early, as first answers do: what these name is likely at most."""
-        return self.fit_rtol > FIT_RTOL

@@ -32,7 +32,6 @@ from diffsim.identify.effect import (
     stretch_at,
     touches,
 )
-from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import DifferenceLine, ModelPoint
 from diffsim.identify.model import SimModel, has_tangents
@@ -62,10 +61,6 @@ class Problem:
         jacobian: Method and step of the derivatives.
         numerics: Factors on the numerical settings; the model's own settings if None.
         workers: Threads over runs; the compiled kernels release the interpreter.
-        fit_rtol: Gain of a further step, as a share of the misfit, below which a fit ends.
-        fit_nats: The same where hardly any misfit is left [nats].
-        bend_after: Number of times that a fit has simulated its slopes again, from which steps use
-            what these show beyond Gauss-Newton; None: never.
         correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
         memo: What was computed of this problem and is asked for again.
     """
@@ -77,9 +72,6 @@ class Problem:
     jacobian: Jacobian = field(default_factory=Jacobian)
     numerics: Numerics | None = None
     workers: int = 1
-    fit_rtol: float = FIT_RTOL
-    fit_nats: float = FIT_NATS
-    bend_after: int | None = None
     correction: Correction | None = None
     memo: Memo[Any] = memo_field(_MOST_KEPT)
 

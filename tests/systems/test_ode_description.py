@@ -16,9 +16,7 @@ from scipy.linalg import expm
 from diffsim.data.steps import looks_held
 from diffsim.data.study import Command, Run
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.search.fit import Case, _with_own_step
 from diffsim.identify import Numerics
-from diffsim.identify.stability import runs_away
 from diffsim.systems.ode import described as described_file
 from diffsim.systems.ode import stepping
 from diffsim.systems.registry import description_of, load_extended, setup_of
@@ -318,18 +316,6 @@ def test_steps_are_tried_once_for_the_check_and_the_set_up(monkeypatch):
     assert len(tried) == first == np.log2(parts)
     slower = replace(study, model={**study.model, "rates": {"i": "(force - resistance*i)/0.5"}})
     assert setup_of(slower).model.frame["steps_per_sample"] == 1  # other formulas are tried
-
-
-def test_a_first_look_keeps_a_step_whose_double_is_unstable():
-    study = winding(time_step=0.002)  # 2.5 time constants, of at most 2.8
-    s = setup_of(study)
-    assert not runs_away(s.model, study.fit_runs)
-    assert runs_away(s.model, study.fit_runs, Numerics(time_step=2.0))
-    settings = replace(s.settings, first_step=2.0)
-    case = Case(study, s.model, (), (), settings, numerics=Numerics(time_step=2.0))
-    assert _with_own_step(case).numerics == Numerics()
-    calm = replace(case, study=plain_study(), model=setup_of(plain_study()).model)
-    assert _with_own_step(calm) is calm
 
 
 def test_a_command_in_percent_has_its_dead_band_in_percent():

@@ -7,7 +7,6 @@ nothing about its other half.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from diffsim.data.signal import noise_std
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.identify import Fit
-from diffsim.identify.effort import FIT_RTOL, DiagnosisSettings, SearchSettings
+from diffsim.identify.effort import SearchSettings
 
 Array = NDArray[np.float64]
 Place = tuple[int, int]  # run and sample
@@ -223,7 +222,7 @@ def _goes_on(first: Run, second: Run) -> bool:
     return True
 
 
-FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
+COARSE, SCANS, LATE = "coarse", "scan_budget", "refit_budget"
 REPEATS = "repeats:"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
@@ -297,25 +296,6 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
     )
 
 
-def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:
-    """What a first answer leaves out; nothing of a full one.
-
-    Args:
-        settings: Effort of the diagnosis.
-    """
-    if not settings.is_first_answer:
-        return ()
-    until = settings.search.refit_steps
-    note = (
-        f"sets of at most {settings.search.max_effects} causes were tried"
-        + (f", no larger one after {until:,.0f} steps of search" if math.isfinite(until) else "")
-        + ", fits end within "
-        f"{settings.fit_rtol:.0%} of their misfit or {settings.fit_nats:g} nats, and the noise was "
-        "estimated once; what it names is likely, never certain"
-    )
-    return (GateResult(FIRST_ANSWER, False, settings.fit_rtol, FIT_RTOL, note, applies=False),)
-
-
 def budget_gates(
     num_unscanned: int, num_unfitted: int, settings: SearchSettings
 ) -> Iterator[GateResult]:
@@ -329,7 +309,7 @@ def budget_gates(
     if num_unscanned:
         spent = f"{settings.scan_steps:,.0f} steps were spent before"
         note = f"groups of causes not tried over decades: {spent}"
-        yield GateResult("scan_budget", False, float(num_unscanned), 0.0, note)
+        yield GateResult(SCANS, False, float(num_unscanned), 0.0, note, applies=False)
     if num_unfitted:
         spent = f"{settings.refit_steps:,.0f} steps were spent"
         note = f"{num_unfitted} rival sets were not refitted, as {spent}"

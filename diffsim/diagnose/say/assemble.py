@@ -118,7 +118,7 @@ def report_of(
     rest = float(np.sqrt(best.chi2 / best.num_samples))
     left = None if decision.beside is None or rest <= MUCH_LEFT else rest
     may_stand_in = bool(far_pulls) or left is not None
-    surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
+    surest = LIKELY if may_stand_in or (search is not None and search.is_cut_short) else CERTAIN
     about = None if search is None else averaged(search, judgment, best, checks.changes)
     certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
     rivals = decision.rivals if about is None else open_rivals(decision, about, certain)

@@ -41,7 +41,6 @@ from diffsim.identify.linearization import (
 )
 from diffsim.identify.model import NOTHING, SimModel, Work
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.stability import runs_away
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -162,6 +161,7 @@ class Case:
         store: Keeps simulations on disk; None: keep none.
         unmet: What the study lacks for the candidates that were left out, by name.
         begun: What the model had simulated before.
+        searching: Its weighted steps where the search begins: budgets of the search count from it.
         numerics: Refined numerical settings of all simulations; None: the model's own.
         correction: What finer settings than ``numerics`` change, made at one point; None: nothing.
         num_tests: Test runs that are kept, and looked at after the answer is frozen.
@@ -176,6 +176,7 @@ class Case:
     store: Store | None = None
     unmet: Mapping[str, str] = field(default_factory=dict)
     begun: Work = NOTHING
+    searching: int = 0
     numerics: Numerics | None = None
     correction: Correction | None = None
     num_tests: int = 0
@@ -194,9 +195,6 @@ class Case:
             jacobian=s.jacobian,
             numerics=self.numerics,
             workers=s.workers,
-            fit_rtol=s.fit_rtol,
-            fit_nats=s.fit_nats,
-            bend_after=s.bend_after,
             correction=self.correction,
         )
 
@@ -252,8 +250,7 @@ def coarsen_first_look(case: Case) -> tuple[Case, float]:
         The case, and the weighted steps of a simulation of all fitted runs with the cells that it
         was given; 0 where that is cheap.
     """
-    case, settings = _with_own_step(case), case.settings
-    once = case.cost()
+    settings, once = case.settings, case.cost()
     if once < settings.dear_steps or settings.accept_numerics:
         return case, 0.0
     if settings.first_mesh == 1.0:
@@ -273,16 +270,6 @@ def _can_be_simulated(case: Case) -> bool:
     except (DiffsimError, ValueError):
         return False
     return True
-
-
-def _with_own_step(case: Case) -> Case:
-    """The case with its model's own time step, where the longer one of a first look runs away."""
-    if case.numerics is None or case.settings.first_step == 1.0:
-        return case
-    if not runs_away(case.model, case.study.fit_runs[:1], case.numerics):
-        return case
-    own = Numerics(time_step=1.0 / case.settings.first_step)
-    return replace(case, numerics=case.numerics.refined(own))
 
 
 def null_fit(case: Case) -> Null:

@@ -62,6 +62,13 @@ class Search:
     numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
 
     @property
+    def is_cut_short(self) -> bool:
+        """Whether a budget ended it, or coarse simulations stand for finer ones: what it names is
+        likely at most."""
+        is_coarse = self.null.case.correction is not None
+        return self.num_late > 0 or bool(self.simulations.scans_late) or is_coarse
+
+    @property
     def steps(self) -> int:
         """Weighted steps that were simulated so far."""
         return self.wide.model.simulations.steps

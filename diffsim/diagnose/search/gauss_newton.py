@@ -3,20 +3,12 @@
 Steps are Gauss-Newton within a trust region, in scaled coordinates (``Problem.scaled``). Each costs
 one simulation of every run: the slopes are kept by Broyden updates (Broyden 1965, "A class of
 methods for solving nonlinear simultaneous equations") and simulated again only where the linear
-prediction was too far off. Then they also show how the misfit bends beyond Gauss-Newton.
-
-Half of |r|^2 with r = y - S curves by J'J - sum_i r_i d2S_i. Where the misfit stays large and the
-response bends, the sum matters: without it steps creep along the valley. Every time slopes are
-simulated again they show it along the way that was gone, at no cost.
-
-Source: Dennis, Gay and Welsch, An adaptive nonlinear least-squares algorithm, ACM TOMS 7 (1981)
-348: the update of the second-order part with its sizing.
+prediction was too far off.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +18,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.record import Ended
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import (
     Linearization,
@@ -36,58 +29,6 @@ from diffsim.identify.linearization import (
 )
 
 Array = NDArray[np.float64]
-NO_CHANGE = 1e-8  # cosine of step and change of the gradient below which nothing is learned
-LEAST = 1.0  # curvature of the misfit with its prior: a step is to lead down
-
-
-class Point(NamedTuple):
-    """A point with slopes that were simulated there.
-
-    Attributes:
-        scaled: Coordinates, (n,).
-        residual: r, (num_valid,).
-        slopes: J = dS/du, (num_valid, n).
-    """
-
-    scaled: Array
-    residual: Array
-    slopes: Array
-
-
-def learned(bend: Array, before: Point, here: Point) -> Array:
-    """The second-order part after another point, (n, n), symmetric.
-
-    Args:
-        bend: The part so far; zeros at first.
-        before, here: The last two points with slopes of their own.
-    """
-    step = here.scaled - before.scaled
-    moved = before.slopes.T @ before.residual - here.slopes.T @ here.residual
-    along = float(moved @ step)
-    if not abs(along) > NO_CHANGE * linalg.norm(moved) * linalg.norm(step):
-        return bend
-    second = (before.slopes - here.slopes).T @ here.residual
-    known = float(step @ bend @ step)
-    if known != 0.0:  # of another time, when the residual may have been larger
-        bend = bend * min(1.0, abs(float(step @ second) / known))
-    missing = second - bend @ step
-    cross = np.outer(missing, moved) / along
-    square = float(step @ missing) / along**2
-    return np.asarray(bend + cross + cross.T - square * np.outer(moved, moved))
-
-
-def definite(gram: Array, bend: Array) -> Array:
-    """J'J and the second-order part together, (n, n), so that with the prior's unit matrix every
-    direction curves upwards."""
-    if not bend.any():
-        return gram
-    one = np.eye(len(gram))
-    values, vectors = linalg.eigh(gram + bend + one)
-    if values[0] >= LEAST:
-        return np.asarray(gram + bend)
-    return np.asarray((vectors * np.maximum(values, LEAST)) @ vectors.T - one)
-
-
 GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
 OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
 SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
@@ -106,9 +47,6 @@ class _Iterate:
         at: Linearization with the slopes of all coordinates.
         residual: Whitened residual, (num_valid,).
         jacobian: Whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n).
-        bend: Second-order part of half of |r|^2, (n, n).
-        exact: The last point with slopes of its own; None: there was none yet.
-        num_refreshed: How often slopes were simulated again.
         radius: Radius of the trust region, in scaled coordinates.
     """
 
@@ -116,9 +54,6 @@ class _Iterate:
     at: Linearization
     residual: Array
     jacobian: Array
-    bend: Array
-    exact: Point | None = None
-    num_refreshed: int = 0
     radius: float = MAX_RADIUS
 
     @property
@@ -143,28 +78,15 @@ class _Iterate:
         return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
 
     def refreshed(self) -> _Iterate:
-        """The iterate with slopes simulated here, and what they show since the last ones."""
+        """The iterate with slopes simulated here."""
         at = linearization_at(self.problem, self.at.x)
-        here = Point(self.scaled, self.residual, whitened(self.problem, at.columns))
-        bend = self.bend if self.exact is None else learned(self.bend, self.exact, here)
-        count = self.num_refreshed + 1
-        new = replace(self, at=at, jacobian=here.slopes, bend=bend, exact=here)
-        return replace(new, num_refreshed=count)
+        return replace(self, at=at, jacobian=whitened(self.problem, at.columns))
 
     def promised(self, step: Array) -> float:
-        """Nats that a step gains by the slopes and the bend."""
-        linear, there = self.residual - self.jacobian @ step, self.scaled + step
-        x = self.problem.standardized(there)
-        beyond = float(step @ self.curved @ step - np.sum((self.jacobian @ step) ** 2))
-        return 0.5 * (self.cost - float(linear @ linear + x @ x) - beyond)
-
-    @property
-    def curved(self) -> Array:
-        """Curvature of half of |r|^2 as steps use it, (n, n): Gauss-Newton's, until that creeps."""
-        gram, after = self.jacobian.T @ self.jacobian, self.problem.bend_after
-        if after is None or self.num_refreshed < after:
-            return gram
-        return definite(gram, self.bend)
+        """Nats that a step gains by the slopes."""
+        linear = self.residual - self.jacobian @ step
+        x = self.problem.standardized(self.scaled + step)
+        return 0.5 * (self.cost - float(linear @ linear + x @ x))
 
     def tried(self, step: Array) -> tuple[_Iterate, bool]:
         """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
@@ -237,7 +159,7 @@ def gauss_newton(
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
         promised = s.promised(step)
-        if promised < max(problem.fit_nats, 0.5 * problem.fit_rtol * s.misfit, GAP_RTOL * behind):
+        if promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit, GAP_RTOL * behind):
             if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
@@ -259,19 +181,14 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
     slopes = start.slopes(coordinates)
     at = replace(start, idx=coordinates, columns=slopes)
     residual = whitened(problem, measured_of(problem) - at.record)
-    first = _Iterate(
-        problem, at, residual, whitened(problem, slopes), np.zeros((len(start.x),) * 2)
-    )
-    if at.slope_error > 0.0:
-        return first
-    return replace(first, exact=Point(first.scaled, residual, first.jacobian))
+    return _Iterate(problem, at, residual, whitened(problem, slopes))
 
 
 def _step(s: _Iterate, low: Array, high: Array) -> Array:
     """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius f_i,
     f_i below 1 for parameters that move edges."""
     u = s.scaled
-    gram = s.curved
+    gram = s.jacobian.T @ s.jacobian
     is_size = np.arange(len(u)) >= s.problem.num_base
     reach = s.radius * s.problem.step_factors
     least, most = np.maximum(low, u - reach), np.minimum(high, u + reach)

@@ -29,6 +29,7 @@ from diffsim.diagnose.search.from_prior import (
 from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import FIT_RTOL
 from diffsim.identify.linearization import Linearization
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def begin(null: Null, simulations: Simulations) -> Search:
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
-    until = search.steps + search.settings.refit_steps
+    until = search.null.case.searching + search.settings.refit_steps
     center, search = _refit_from_prior(search)
     if center is search.plain:
         center, search = _scan_kinks(search, search.plain)
@@ -66,7 +67,8 @@ def search_sets(search: Search) -> Search:
         if best == center.members:
             break
         center, search = _center(search, best, center)
-        if search.steps > until:
+        if search.steps > until:  # the better sets that might follow are not known
+            search = replace(search, num_late=search.num_late + 1)
             break
     return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
@@ -105,7 +107,8 @@ def _refit_from_prior(search: Search) -> tuple[Center, Search]:
     if at_prior is not None:
         ranked = promising_sets(at_prior, search.settings.max_effects)
         settings = search.settings
-        until = search.steps + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
+        begun = search.null.case.searching
+        until = begun + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
         for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
             if search.steps < until:
                 search = refit(search, members, at_prior, begin=cooled)
@@ -203,7 +206,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    exact = max(WORSE_NATS, fit.problem.fit_nats, fit.problem.fit_rtol * misfit)
+    exact = max(WORSE_NATS, FIT_RTOL * misfit)
     return best if 0.5 * (fit.chi2 + fit.prior) > costs[best] + exact else None
 
 

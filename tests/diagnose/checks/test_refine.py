@@ -8,12 +8,10 @@ import pytest
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.checks import numerics as refine
-from diffsim.diagnose.checks.gates import effort_gate
 from diffsim.diagnose.checks.numerics import numerics_changes
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.search.fit import Case, check_numerics, null_fit, refit_under
 from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
-from diffsim.identify.effort import FIT_RTOL
 from diffsim.identify.linearization import Linearization, record_at
 from tests.diagnose import linear, toy
 
@@ -137,26 +135,16 @@ def test_a_diagnosis_goes_on_with_refined_settings():
     assert report.best.problem.numerics == report.null.problem.numerics == finer
 
 
-def test_a_first_answer_begins_coarse_and_says_what_it_left_out():
+def test_what_a_budget_cut_short_is_likely_and_a_full_answer_makes_certain():
     study = noisy({"bias": 0.3})
-    settings = replace(QUICK, first_step=2.0, fit_rtol=0.01)
-    report = diagnose(study, toy.model(study.runs, 0.01), (toy.BIAS,), seed=0, settings=settings)
-    assert report.named == ("bias",)
-    assert report.settings["numerics"]["time_step"] < 1.0  # the gate found that too coarse
-    assert any("first answer" in s and "1% of their misfit" in s for s in report.sentences)
-    full = replace(settings, first_step=1.0, fit_rtol=FIT_RTOL)
-    assert effort_gate(full) == ()
-
-
-def test_what_a_first_answer_names_is_likely_and_a_full_one_makes_certain():
-    study = noisy({"bias": 0.3})
-    for fit_rtol, status, word in ((0.01, LIKELY, " probably "), (FIT_RTOL, CERTAIN, "")):
-        settings = replace(QUICK, fit_rtol=fit_rtol)
+    for steps, status, word in ((1.0, LIKELY, " probably "), (np.inf, CERTAIN, "")):
+        settings = replace(QUICK, search=replace(QUICK.search, refit_steps=steps))
         report = diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)
         assert (report.verdict, report.named) == ("named", ("bias",))
         assert [c.status for c in report.causes if c.name == "bias"] == [status]
         assert (" probably missing" in report.headline) == (status == LIKELY)
         assert f"The model{word or ' '}lacks" in report.sentences[0]
+        assert any(t.startswith("A first answer") for t in report.sentences) == (status == LIKELY)
 
 
 @dataclass

@@ -24,9 +24,7 @@ from diffsim.identify.linearization import (
 from tests.diagnose import toy
 
 STEP = 0.01  # implicit Euler of 10 ms: far too coarse for the toy
-DEAR = DiagnosisSettings(
-    search=SearchSettings(max_effects=2, num_refits=2), fit_rtol=0.01, dear_steps=0.0
-)
+DEAR = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2), dear_steps=0.0)
 
 
 def noisy(hidden=None):
@@ -107,7 +105,7 @@ def test_rivals_for_which_the_budget_is_spent_are_said():
     study = noisy({"bias": 0.3, "delay": 0.03})
     effects = (toy.BIAS, toy.DELAY, toy.STIFFENING, toy.DRAG)
     search = replace(DEAR.search, refit_steps=1.0)
-    settings = DiagnosisSettings(search=search, fit_rtol=0.01)
+    settings = DiagnosisSettings(search=search)
     report = diagnose(study, toy.model(study.runs), effects, seed=0, settings=settings)
     late = [g for g in report.gates if g.name == "refit_budget"]
     assert late == list(budget_gates(0, int(late[0].value), search)) and late[0].value >= 1
