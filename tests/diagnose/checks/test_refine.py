@@ -161,7 +161,7 @@ def test_a_first_answer_begins_coarse_and_says_what_it_left_out():
 
 
 def test_what_a_first_answer_names_is_likely_and_a_full_one_makes_certain():
-    study = noisy({"bias": 0.3})
+    study = noisy({"bias": 0.6})
     for fit_rtol, status, word in ((0.01, LIKELY, " probably "), (FIT_RTOL, CERTAIN, "")):
         settings = replace(QUICK, fit_rtol=fit_rtol)
         report = diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)
