@@ -134,6 +134,8 @@ def _fit_ended_early(g: Grounds) -> str:
 
 def _slopes_are_inexact(g: Grounds) -> str:
     """Of these the intervals are made; other causes' slopes tell what else could be."""
+    if not g.fit.converged:
+        return ""  # said before
     if g.members in g.search.borrowed:
         return "slopes of other causes could not be simulated at the fit"
     at = g.search.simulations.fitted[g.members]
