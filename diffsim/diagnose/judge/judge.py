@@ -217,9 +217,6 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             without = search.posteriors.get(Hypothesis(decision.best - {i}))
             if without is not None and without.fit is not None:
                 now[i] = gain_over(validation, without.fit, best, seed)
-        if (better := decision_of(search, withdrawn).best) != decision.best:
-            search = _ready_without(search, better)  # it had not been fitted
-            continue
         gains = gains | now
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
         if not harmful:

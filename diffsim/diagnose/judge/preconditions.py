@@ -227,6 +227,11 @@ def _is_unconfirmed(total: Gain) -> str:
     return "no gain is confirmed" if total.status in ("not confirmed", "withdrawn") else ""
 
 
+def _evidence_does_without(g: Grounds, i: int) -> str:
+    """The set without it was fitted for the gain, after the choice, and ended lower."""
+    return "" if g.added(i) >= KEEP_NATS else "the evidence does not ask for it beside the others"
+
+
 def _unknown_explains_more(g: Grounds, i: int) -> str:
     decision = g.judgment.decision
     h = decision.beside
@@ -291,6 +296,7 @@ LEAVES_OPEN: tuple[Callable[[Grounds, int], str], ...] = (
 OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (
     *LEAVES_OPEN,
     _gain_is_not_confirmed,
+    _evidence_does_without,
     _unknown_explains_more,
     _neighbor_is_as_good,
     _gradients_are_wrong,

@@ -80,6 +80,11 @@ def with_stalled_rival(g: Grounds, behind: float) -> Grounds:
     return with_search(replace(g, about=about), posteriors=posteriors)
 
 
+def with_posterior(g: Grounds, members: frozenset[int], nats: float) -> Grounds:
+    held = replace(g.search.posteriors[Hypothesis(members)], nats=nats)
+    return with_search(g, posteriors={**g.search.posteriors, Hypothesis(members): held})
+
+
 def with_slope_error(g: Grounds, error: float) -> Grounds:
     made = g.search.simulations
     fitted = {**made.fitted, PUSHED: replace(made.fitted[PUSHED], slope_error=error)}
@@ -112,6 +117,9 @@ BROKEN = {
     "no gain by it": lambda g: with_judgment(g, gains={0: gained(0.3, 0.0, 0.6, fall=-0.1)}),
     "noise is not what was stated": lambda g: with_judgment(g, gain=gained(2.18, 1.9, 2.5)),
     "no gain could be computed": lambda g: with_judgment(g, gain=None, gains={}),
+    "the evidence does not ask for it": lambda g: with_posterior(
+        g, frozenset(), g.search.nats(Hypothesis(PUSHED)) - 3.0
+    ),
     "explains more beside it, 1790": lambda g: with_decision(
         g, beside=Hypothesis(PUSHED, 0), lead=1790.0
     ),
