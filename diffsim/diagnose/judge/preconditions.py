@@ -128,14 +128,10 @@ class Grounds:
         return self.search.nats(Hypothesis(best)) - self.search.nats(Hypothesis(without))
 
 
-def _fit_ended_early(g: Grounds) -> str:
-    return "" if g.fit.converged else "the fit did not converge"
-
-
-def _slopes_are_inexact(g: Grounds) -> str:
-    """Of these the intervals are made; other causes' slopes tell what else could be."""
+def _fit_is_inexact(g: Grounds) -> str:
+    """Of its slopes intervals are made; other causes' slopes tell what else could be."""
     if not g.fit.converged:
-        return ""  # said before
+        return "the fit did not converge"
     if g.members in g.search.borrowed:
         return "slopes of other causes could not be simulated at the fit"
     at = g.search.simulations.fitted[g.members]
@@ -275,8 +271,7 @@ def _unseen(g: Grounds) -> str:
 
 
 OF_THE_FIT: tuple[Callable[[Grounds], str], ...] = (
-    _fit_ended_early,
-    _slopes_are_inexact,
+    _fit_is_inexact,
     _settings_are_coarse,
     _is_first_answer,
 )
