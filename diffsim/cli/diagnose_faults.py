@@ -107,7 +107,13 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
     for size in verdict.sizes:
         i, unit = size.interval, "" if size.unit == "-" else f" {size.unit}"
         out.append(f"  {size.cause} {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
-    if not verdict.causes:
+    if verdict.causes:
+        by_runs, by_labels = verdict.lead_by_runs, verdict.lead_by_labels
+        out.append(
+            f"  ahead of the next explanation by {by_runs:.1f} nats from these runs, "
+            f"{by_labels:+.1f} from labels of other groups"
+        )
+    else:
         least = sorted(verdict.smallest_visible.items(), key=lambda item: item[1])[:4]
         out.append("  smallest visible: " + ", ".join(f"{c} {v:.2g}" for c, v in least))
     return out

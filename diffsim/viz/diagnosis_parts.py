@@ -45,9 +45,14 @@ def gain_number(gain: Gain) -> page.Number:
         value=f"{100 * gain.value:.0f}",
         unit="%",
         note=f"90 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %"
-        + ("; beyond 100: below the noise as stated" if gain.value > 1.0 else ""),
+        + (_beyond_all(gain) if gain.value > 1.0 else ""),
         tone=_TONES.get(gain.status, "fair"),
     )
+
+
+def _beyond_all(gain: Gain) -> str:
+    is_off = gain.is_below_noise
+    return "; the noise is not as stated" if is_off else "; beyond 100: below the noise as stated"
 
 
 def runs_section(

@@ -138,8 +138,16 @@ def _cause(row: CauseRow) -> list[str]:
         "–" if row.probability is None else f"{row.probability:.2f}",
         _sizes(row),
         _interval(row.gain),
-        f"needs {row.note}" if row.status == UNJUDGED and row.note else row.note,
+        _note(row),
     ]
+
+
+def _note(row: CauseRow) -> str:
+    """What else is said of a cause, and why it is not certain."""
+    if row.status == UNJUDGED and row.note:
+        return f"needs {row.note}"
+    doubts = f"Likely, not certain: {'; '.join(row.doubts)}." if row.doubts else ""
+    return f"{row.note} {doubts}".strip()
 
 
 def _status(row: CauseRow) -> str:

@@ -356,6 +356,15 @@ def test_the_status_says_below_which_size_and_beside_which_rivals():
     assert rows[3][6] == "needs three runs"
 
 
+def test_the_note_of_a_likely_cause_says_why_it_is_not_certain():
+    why = ("the fit did not converge", "its gradient check failed")
+    row = CauseRow("b", "b", "effect", "likely", 0.9, {}, "N", note="Force -size v.", doubts=why)
+    (cells,) = tables.causes(example(causes=(row,))).rows
+    assert cells[6] == (
+        "Force -size v. Likely, not certain: the fit did not converge; its gradient check failed."
+    )
+
+
 def test_barely_outside_is_not_one_times():
     outside = (OutsideRow("b", "frequency of u", 0.413, 0.417, 0.711, 1.0004, "Hz"),)
     (row,) = tables.outside(outside)[0].rows

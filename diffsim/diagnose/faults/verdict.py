@@ -80,6 +80,9 @@ class FaultVerdict:
         sound: Probability that nothing is wrong, by these runs alone.
         strength: Length of the named causes' misfit, in sd of noise and scatter together.
         sizes: Their sizes.
+        lead_by_runs, lead_by_labels: Evidence over the next explanation that lacks one of the
+            causes: what these runs say, and what the labels of other groups add to it by making
+            frequent faults more likely [nats]; 0 where nothing is named.
         rivals: Other sets that the runs themselves do not tell from it; ``SOUND`` and ``UNLISTED``
             stand for those without a cause.
         sets: Most probable explanations.
@@ -100,6 +103,8 @@ class FaultVerdict:
     sets: tuple[SetRow, ...]
     smallest_visible: Mapping[str, float]
     words: str
+    lead_by_runs: float = 0.0
+    lead_by_labels: float = 0.0
 
     @property
     def is_right(self) -> bool | None:
@@ -199,7 +204,26 @@ def verdict_of(
         ),
         smallest_visible=dict(smallest_visible),
         words=_words(status, sizes, rivals),
+        **(_leads(evidences, learned, best) if is_named else {}),
     )
+
+
+def _leads(evidences: Sequence[CandidateEvidence], learned: Array, best: int) -> dict[str, float]:
+    """Lead over the most probable explanation that lacks a cause of the best one [nats]."""
+    chosen = set(evidences[best].candidate.causes)
+    lacking = [i for i, w in enumerate(evidences) if not chosen <= set(w.candidate.causes)]
+    ours, theirs = (evidences[i] for i in (best, max(lacking, key=lambda i: learned[i])))
+
+    def by_runs(w: CandidateEvidence) -> float:
+        return w.evidence.log_evidence + w.candidate.log_odds
+
+    def by_labels(w: CandidateEvidence) -> float:
+        return w.candidate.learned_odds - w.candidate.log_odds
+
+    return {
+        "lead_by_runs": float(by_runs(ours) - by_runs(theirs)),
+        "lead_by_labels": float(by_labels(ours) - by_labels(theirs)),
+    }
 
 
 def _status(

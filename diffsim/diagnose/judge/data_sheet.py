@@ -19,6 +19,7 @@ from diffsim.identify.model import Parameter
 Array = NDArray[np.float64]
 PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
 FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
+FAR_OFF = 5.0  # prior sd, from which what is no finding may be what a named cause took up
 WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
 TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
 
@@ -46,23 +47,28 @@ def words_of(name: str) -> str:
     return f"{words} of {run}" if run else words
 
 
-def far_off(fit: Fit) -> dict[str, float]:
-    """Parameters further off than 99 % even of wrong data sheets are.
+def far_off(rows: Sequence[BaseRow], *, unknown_acts: bool) -> dict[str, float]:
+    """Parameters so far off that what is named may stand in for what they took up.
 
-    Where something unknown acts besides, a set may get there by standing in for it.
+    A finding says itself what is wrong, unless it is further off than 99 % even of wrong data
+    sheets are while something unknown acts. What is a run's own says nothing of the data sheet.
 
     Args:
-        fit: Fit of a set.
+        rows: Base parameters, findings among them.
+        unknown_acts: Whether an unknown cause has the evidence beside the names.
 
     Returns:
         Distance from the data sheet by the parameter's words [prior sd].
     """
-    base, limit = fit.problem.model.base, -WIDE * float(ndtri(FALSE_FINDINGS / 2.0))
-    return {
-        words_of(p.name): float(x)
-        for p, x in zip(base, fit.x[: len(base)], strict=True)
-        if "@" not in p.name and abs(x) > limit
-    }
+    widest = -WIDE * float(ndtri(FALSE_FINDINGS / 2.0))
+    found = {row.name for row in rows if row.finding}
+
+    def limit(row: BaseRow) -> float:
+        if row.name.partition("@")[0] not in found:
+            return FAR_OFF
+        return widest if unknown_acts else np.inf
+
+    return {row.words: row.pull for row in rows if abs(row.pull) > limit(row)}
 
 
 def base_rows(

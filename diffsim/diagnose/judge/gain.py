@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _MOST_KEPT = 256  # fits
 MIN_BLOCKS = 4  # per run; fewer in all say nothing: equal models win three in a row by chance
 LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
+MOST = 1.2  # share that can be removed, and stated over left noise, where the noise is known
 BLOCK_S = 0.3  # longer than the memory of what the models leave
 
 
@@ -41,6 +42,8 @@ class Gain:
         excess: (e_null^2 - n^2) in noise variances per sample; where it is small the share means
             little.
         num_blocks: Number of blocks of samples that the bootstrap resamples.
+        fall: Lower end of the 90 % interval of e_null^2 - e_ext^2, in noise variances per sample:
+            what is known of it where the excess, and with it every share, is uncertain.
     """
 
     value: float
@@ -48,18 +51,36 @@ class Gain:
     high: float
     excess: float
     num_blocks: int
+    fall: float = 0.0
 
     @property
     def status(self) -> str:
         """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
         or "nothing to gain": the plain model's error is noise alone. Too few blocks confirm
-        nothing."""
+        nothing, and no share of a noise that is not what was stated."""
         if self.high < 0.0:
             return "withdrawn"
         if self.excess <= 0.0:
             return "nothing to gain"
-        is_sure = self.num_blocks >= MIN_BLOCKS and min(self.low, self.value) >= LEAST
-        return "confirmed" if is_sure else "not confirmed"
+        return "confirmed" if self.is_above_zero and not self.is_below_noise else "not confirmed"
+
+    @property
+    def is_above_zero(self) -> bool:
+        """Whether the interval of the share lies above zero."""
+        return self.num_blocks >= MIN_BLOCKS and min(self.low, self.value) >= LEAST
+
+    @property
+    def is_below_noise(self) -> bool:
+        """Whether so much is removed that the noise cannot be what was stated; of a small excess a
+        share says little, so what is left must be below the noise as well."""
+        left = 1.0 + self.excess * (1.0 - self.value)
+        return self.excess > 0.0 and self.value > MOST and MOST * left < 1.0
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the error has fallen for sure, however uncertain the share of a small excess."""
+        is_gain = self.excess <= 0.0 or self.value >= LEAST
+        return is_gain and self.num_blocks >= MIN_BLOCKS and self.fall > 0.0
 
     @property
     def words(self) -> str:
@@ -71,9 +92,10 @@ class Gain:
         if self.num_blocks < MIN_BLOCKS:
             what = "block of samples is" if self.num_blocks == 1 else "blocks of samples are"
             interval = f"{self.num_blocks} {what} too few for an interval"
+        why = "; the noise is not what was stated" if self.is_below_noise else ""
         return (
             f"On unseen runs {share} of the error above the noise is removed ({interval}): "
-            f"{self.status}."
+            f"{self.status}{why}."
         )
 
 
@@ -149,10 +171,11 @@ def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
     # a resample whose null error is below the noise has no excess to remove: it says nothing
     shares = np.where(null > count, shares, 0.0)
     low, high = np.quantile(shares, [0.05, 0.95])
+    fall = float(np.quantile((null - extended) / count, 0.05))
     total = blocks.sum(axis=0)
     excess = (total[1] - total[0]) / total[0]
     value = (total[1] - total[2]) / (total[1] - total[0]) if excess > 0.0 else 0.0
-    return Gain(float(value), float(low), float(high), float(excess), len(blocks))
+    return Gain(float(value), float(low), float(high), float(excess), len(blocks), fall)
 
 
 def held_out_residual(fit: Frozen, run: Run) -> Array:

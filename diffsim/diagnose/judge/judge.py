@@ -16,8 +16,9 @@ from diffsim.diagnose.judge.crosscheck import swap_probability
 from diffsim.diagnose.judge.gain import Gain, Validation, gain_over
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
-from diffsim.diagnose.search.search import refit, weigh_unknowns_beside
+from diffsim.diagnose.search.search import fitted_exactly, refit, weigh_unknowns_beside
 from diffsim.diagnose.search.simulations import Members
+from diffsim.identify.effect import is_of_run
 
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
@@ -27,6 +28,7 @@ SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach 
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
 MAX_HELPERS = 6  # sets that are tried beside an unknown cause
+MAX_SWAPS = 6  # sets that are tried in the place of members of the best
 MAX_SINGLES = 2  # of them, effects that the search has not refitted alone
 
 
@@ -165,6 +167,8 @@ class Judgment:
         refuted: Unknown causes, by index, that repeats refuted.
         helps: Effects that remove error from what they were not fitted to although the verdict is
             "unknown": the extended model holds them, their names are not known.
+        as_good: Effects outside the best set that do nearly as well as members of it on what they
+            were not fitted to, each with these members.
     """
 
     decision: Decision
@@ -175,6 +179,7 @@ class Judgment:
     gates: tuple[GateResult, ...] = ()
     refuted: frozenset[int] = frozenset()
     helps: frozenset[int] = frozenset()
+    as_good: Mapping[int, frozenset[int]] = field(default_factory=dict)
 
 
 def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
@@ -193,7 +198,7 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
     withdrawn: frozenset[int] = frozenset()
     refuted: frozenset[int] = frozenset()
     while True:
-        asked = decision_of(search, withdrawn)
+        asked, search = _decided_exactly(search, withdrawn)
         decision, checks = confirmed(asked, search, seed)
         if (h := asked.unknown) is not None and decision.unknown is None:
             refuted |= frozenset() if h in decision.rivals or h.unknown is None else {h.unknown}
@@ -216,9 +221,68 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
         if not harmful:
             total = gain_over(validation, search.fit_of(frozenset()), best, seed)
-            return replace(judgment, search=search, gain=total, gains=gains)
+            judgment = replace(judgment, search=search, gain=total, gains=gains)
+            return replace(judgment, as_good=as_good(judgment, validation, seed))
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)
+
+
+def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, frozenset[int]]:
+    """Effects that do in the place of members nearly what these do: a large share of their misfit,
+    and on what was not fitted a gain within the interval of theirs.
+
+    Evidence tells which of two laws is the better one, not that the worse one is not what acts:
+    both may be a little wrong. So no cause is refuted by such a neighbor.
+
+    Args:
+        judgment: Verdict with the gains of the members.
+        validation: What these were computed on.
+        seed: Seed of the bootstraps.
+    """
+    search, best = judgment.search, judgment.decision.best
+    assert search is not None  # gains come of a search
+    fits, found = search.fits, dict[int, frozenset[int]]()
+    for gone, i in _swaps(search, best, judgment.withdrawn)[:MAX_SWAPS]:
+        rest, own = best - gone, judgment.gain
+        if rest:
+            own = judgment.gains.get(min(gone))
+        if own is None or not own.is_above_zero:
+            continue
+        instead = gain_over(validation, fits[rest], fits[rest | {i}], seed)
+        if instead.is_above_zero and instead.value >= own.low:
+            found[i] = found.get(i, frozenset()) | gone
+    return found
+
+
+def _swaps(search: Search, best: Members, withdrawn: Members) -> list[tuple[Members, int]]:
+    """A member, or all of them, and an effect that explains most of what those do; by evidence.
+
+    None with a size for each run: it is fitted to unseen runs as well, which proves nothing.
+    """
+    fits, out = search.fits, list[tuple[Members, int]]()
+    for members in sorted(fits, key=lambda s: -search.nats(Hypothesis(s))):
+        gone, came = best - members, members - best
+        rest = best - gone
+        if len(came) != 1 or members & withdrawn or rest not in fits:
+            continue
+        if not gone or (rest and len(gone) > 1):
+            continue
+        if any(map(is_of_run, search.wide.effects[min(came)].components)):
+            continue
+        all_of_it, share = fits[rest].chi2 - fits[best].chi2, fits[rest].chi2 - fits[members].chi2
+        if share >= EXPLAINED * all_of_it:
+            out.append((gone, min(came)))
+    return out
+
+
+def _decided_exactly(search: Search, withdrawn: Members) -> tuple[Decision, Search]:
+    """The decision from a best set whose slopes are exact: it may have been far behind one whose
+    effects were withdrawn."""
+    tried = set[Members]()
+    while (asked := decision_of(search, withdrawn)).best not in tried:
+        tried.add(asked.best)
+        search = fitted_exactly(search, asked.best)
+    return asked, search
 
 
 def _with_help(judgment: Judgment, validation: Validation, seed: int) -> Judgment:
@@ -235,7 +299,7 @@ def _with_help(judgment: Judgment, validation: Validation, seed: int) -> Judgmen
     plain = search.fit_of(frozenset())
     nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MAX_HELPERS]
     gains = {members: gain_over(validation, plain, fits[members], seed) for members in nearest}
-    helpful = [m for m in nearest if gains[m].status == "confirmed"]
+    helpful = [m for m in nearest if gains[m].is_above_zero]
     if not helpful:
         return replace(judgment, search=search)
     best = max(helpful, key=lambda m: (gains[m].low, -len(m)))

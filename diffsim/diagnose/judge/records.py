@@ -57,11 +57,11 @@ class CauseRow:
         words: The same in plain words, such as "sliding friction".
         origin: "effect" of the library, "data sheet" (a base parameter beyond the ``limit``
             of its row), or "unknown" (a smooth force or drift without a name).
-        status: One of ``STATUSES``. "certain": in every set of causes within reach; "likely":
-            in sets of 80 % probability; "cannot be told from": of the causes in ``rivals``;
-            "refuted": by runs that it was not fitted to, or by the evidence although it would be
-            visible; "not visible below": the data do not ask for it, and could not show it below
-            ``smallest_visible``.
+        status: One of ``STATUSES``. "certain": in every set of causes within reach, and all of
+            ``judge.preconditions`` hold; "likely": in sets of 80 % probability; "cannot be told
+            from": of the causes in ``rivals``; "refuted": by runs that it was not fitted to, or by
+            the evidence of a fit that would have shown it; "not visible below": the data do not
+            ask for it, and could not show it below ``smallest_visible``.
         probability: Probability that it acts, over all sets that were weighed; None: not weighed.
         size: Size by component, averaged over the sets that hold it; empty without one. A
             "data sheet" cause has its value here, under its own name.
@@ -74,6 +74,7 @@ class CauseRow:
             name is not known.
         factor: How many times wider the interval is than noise alone would make it.
         note: What else is to be said, in a sentence.
+        doubts: Why it is likely and not certain, each a clause.
         shown_unit: Unit in which a user reads the size; None: ``unit``.
         shown_times: What a size is multiplied by to be read in it; None: as the units say.
     """
@@ -91,6 +92,7 @@ class CauseRow:
     helps: bool = False
     factor: float = 1.0
     note: str = ""
+    doubts: tuple[str, ...] = ()
     shown_unit: str | None = None
     shown_times: float | None = None
 

@@ -17,30 +17,46 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
-from diffsim.diagnose.judge.data_sheet import base_rows, far_off
-from diffsim.diagnose.judge.gain import Validation
+from diffsim.diagnose.judge.data_sheet import base_rows
+from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import unmet_by
-from diffsim.diagnose.judge.records import CERTAIN, LIKELY, BaseRow, CauseRow
+from diffsim.diagnose.judge.preconditions import (
+    Grounds,
+    doubts_of,
+    doubts_of_fit,
+    doubts_of_names,
+    doubts_of_unseen,
+    singled_out,
+)
+from diffsim.diagnose.judge.records import (
+    CERTAIN,
+    EFFECT,
+    LIKELY,
+    UNTOLD,
+    BaseRow,
+    CauseRow,
+    ErrorRow,
+)
 from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_data_sheets
 from diffsim.diagnose.judge.unseen import on_unseen, spans_of
-from diffsim.diagnose.say.causes import CauseEvidence, cause_rows, certain_of, open_rivals, vetoed
+from diffsim.diagnose.say.causes import REST, CauseEvidence, cause_rows, open_rivals, ranked
 from diffsim.diagnose.say.force_map import ForceMap, force_map
 from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.say.wording import sentences
+from diffsim.diagnose.say.wording import BeforeTest, sentences
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.search import refit, with_numerics
-from diffsim.diagnose.search.simulations import NONE, Center
+from diffsim.diagnose.search.simulations import NONE, Center, Members
 from diffsim.identify import Fit
+from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce
 
 Array = NDArray[np.float64]
-MUCH_LEFT = 3.0  # noise sd, root mean square: nothing is certain that leaves more to the unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,22 +130,16 @@ def report_of(
     if members and not best.converged:
         why = f"of the extended model: its sizes are not to be trusted ({best.message})"
         checks = checks.joined([GateResult("fit_converged", False, 0.0, 1.0, why)])
-    far_pulls = {} if decision.beside is None else far_off(best)
-    rest = float(np.sqrt(best.chi2 / best.num_samples))
-    left = None if decision.beside is None or rest <= MUCH_LEFT else rest
-    may_stand_in = bool(far_pulls) or left is not None
-    surest = LIKELY if may_stand_in or (search is not None and search.is_cut_short) else CERTAIN
     about = None if search is None else averaged(search, judgment, best, checks.changes)
-    certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
-    rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
-    known = CauseEvidence(
-        judgment, about, screened, effects, members, case.unmet, certain, rivals, surest
-    )
-    base = _base(best, judgment)
-    causes = cause_rows(known, base)
-    refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
+    base, chosen_by = _base(best, judgment), "" if validation is None else validation.words
+    grounds = None
+    if about is not None:
+        grounds = Grounds(judgment, about, members, best, checks.gates, base, chosen_by)
+    known = _evidence(judgment, grounds, screened, effects, members, case.unmet)
+    rivals, causes = known.rivals, cause_rows(known, base)
+    refused = grounds is not None and bool(grounds.refused)
     is_off = any(row.finding for row in base)
-    verdict, named = _verdict(judgment, certain, is_off=is_off, stands_in=bool(refused))
+    verdict, named = _verdict(judgment, known.alone, is_off=is_off, stands_in=refused)
     # of a verdict that names what all sets share, the sets are all given
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
     rows = effect_rows(effects, judgment, screened, checks.changes)
@@ -144,9 +154,7 @@ def report_of(
         named=set_names(Hypothesis(named), effects, ()),
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside=_beside(judgment),
-        far_pulls=far_pulls,
-        left=left,
-        chosen_by="" if validation is None else validation.words,
+        chosen_by=chosen_by,
         hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
         screened=screened,
@@ -163,6 +171,32 @@ def report_of(
         base=base,
         unknown_share=_unknown_share(null, best, judgment),
         interval_factor=_interval_factor(causes, about),
+    )
+
+
+def _evidence(
+    judgment: Judgment,
+    grounds: Grounds | None,
+    screened: Screen,
+    effects: Sequence[Effect],
+    members: Members,
+    unmet: Mapping[str, str],
+) -> CauseEvidence:
+    """What the rows of causes are made from; where nothing was searched, no precondition is
+    asked."""
+    decision = judgment.decision
+    known = CauseEvidence(judgment, None, screened, effects, members, unmet)
+    if grounds is None:
+        return replace(known, rivals=decision.rivals)
+    alone, asked = singled_out(grounds), decision.best if decision.verdict in NAMES else NONE
+    return replace(
+        known,
+        about=grounds.about,
+        alone=alone,
+        rivals=open_rivals(decision, grounds.about, alone),
+        doubts={i: doubts_of(grounds, i) for i in asked},
+        doubts_of_names=doubts_of_names(grounds),
+        doubts_of_fit=doubts_of_fit(grounds),
     )
 
 
@@ -186,10 +220,12 @@ def _settle_best_set(judgment: Judgment, checks: Checks) -> tuple[Judgment, Chec
 def tested(frozen: Report, study: Study, seed: int) -> Report:
     """The frozen answer with its errors on test runs, and in words.
 
-    Without test runs errors are those of select runs, and no gain is known.
+    What test runs show can take a verdict back, and make of certain causes likely ones; it adds
+    nothing. ``before_test`` holds what the answer was. Without test runs errors are those of select
+    runs, and no gain is known.
 
     Args:
-        frozen: Report whose answer does not change any more.
+        frozen: Report whose answer does not change any more but by what is taken back.
         study: Study with its test runs.
         seed: Seed of the bootstrap.
     """
@@ -208,15 +244,50 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
     )
     gain = found.gain if frozen.best.problem.effects else None
     gained = gain if is_test else None  # runs that chose between causes prove none
+    answer = taken_back(frozen, gained, found.errors)
     return replace(
-        frozen,
+        answer,
         study=replace(study, runs=(*seen.runs, *study.test_runs)),
         errors=found.errors,
         outside=found.outside,
         gain=gained,
-        headline=headline(frozen, found.errors, found.failed, gain),
-        sentences=sentences(frozen, gained, found.errors, found.failed),
+        headline=headline(answer, found.errors, found.failed, gain),
+        sentences=sentences(answer, gained, found.errors, found.failed),
     )
+
+
+def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) -> Report:
+    """The answer without what the test runs took from it.
+
+    Args:
+        frozen: Report before they were looked at.
+        gained: Gain on test runs; None without such runs or without a cause.
+        errors: Errors on runs that were not fitted.
+    """
+    is_withdrawn = gained is not None and gained.status == "withdrawn"
+    is_withdrawn = is_withdrawn and frozen.verdict in NAMES
+    doubts = tuple(doubts_of_unseen(gained, errors))
+    causes = [_after_test(row, doubts, is_withdrawn=is_withdrawn) for row in frozen.causes]
+    before = {
+        row.name: row.status
+        for row, now in zip(frozen.causes, causes, strict=True)
+        if row.status != now.status
+    }
+    if not (before or is_withdrawn):
+        return replace(frozen, causes=tuple(causes))
+    answer = replace(frozen, causes=ranked(causes), before_test=BeforeTest(frozen.verdict, before))
+    return replace(answer, verdict="unknown", named=()) if is_withdrawn else answer
+
+
+def _after_test(row: CauseRow, doubts: tuple[str, ...], *, is_withdrawn: bool) -> CauseRow:
+    """The row of an effect, which test runs may have withdrawn or left likely at most."""
+    if row.origin != EFFECT:
+        return row
+    if is_withdrawn and row.status in (CERTAIN, LIKELY):
+        return replace(row, status=UNTOLD, rivals=(REST,), doubts=())
+    if row.status == CERTAIN and doubts:
+        return replace(row, status=LIKELY, doubts=doubts)
+    return replace(row, doubts=(*row.doubts, *doubts)) if row.status == LIKELY else row
 
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
@@ -226,24 +297,24 @@ def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
 
 
 def _verdict(
-    judgment: Judgment, certain: frozenset[int], *, is_off: bool, stands_in: bool
+    judgment: Judgment, alone: frozenset[int], *, is_off: bool, stands_in: bool
 ) -> tuple[str, frozenset[int]]:
-    """Verdict of the causes that are certain, and the effects that it names.
+    """Verdict of the causes that are singled out, and the effects that it names.
 
-    Where rivals share causes that are certain, these are named: only the rest cannot be told. Where
-    none is certain and an unknown cause has the evidence beside the best set, or the set may stand
-    in for what unseen runs refused, something unknown is the verdict. A best set of which nothing
-    is certain, and that leaves much, is not named either. What a data sheet has wrong is no noise,
+    Where rivals share causes that are, these are named: only the rest cannot be told. Where
+    none is and an unknown cause has the evidence beside the best set, or the set may stand in for
+    what unseen runs refused, something unknown is the verdict. A best set of which nothing is
+    singled out, and that leaves much, is not named either. What a data sheet has wrong is no noise,
     and no cause that the model lacks: a verdict of its own.
     """
     decision = judgment.decision
-    if decision.verdict == "named" and not certain:
+    if decision.verdict == "named" and not alone:
         if decision.beside is not None or stands_in:
             return "unknown", NONE
         if decision.share < EXPLAINED:
             return "ambiguous", decision.best
     if decision.verdict == "ambiguous":
-        return ("named", certain) if certain else ("ambiguous", decision.best)
+        return ("named", alone) if alone else ("ambiguous", decision.best)
     if decision.verdict == "none" and is_off:
         return "data_sheet", NONE
     return decision.verdict, decision.best if decision.verdict == "named" else NONE

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from diffsim.diagnose.judge.averaging import HALF_90, ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
-from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment
+from diffsim.diagnose.judge.judge import Decision, Judgment
+from diffsim.diagnose.judge.preconditions import SURE
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -24,102 +25,25 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     Interval,
 )
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, VISIBLE, Hypothesis, Screen
+from diffsim.diagnose.search.evidence import KEEP_NATS, VISIBLE, Hypothesis, Screen
 from diffsim.diagnose.search.scan import least_tried
 from diffsim.identify.effect import Effect
 
-SURE, PROBABLE, POSSIBLE = 0.99, 0.8, 0.2  # probabilities over all sets
+PROBABLE, POSSIBLE = 0.8, 0.2  # probabilities over all sets
+SEEN = 1.5  # of the usual size: a smallest visible size up to which a cause would be seen
 NOISE = "noise"
 REST = "what else is missing"
 ORDER = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 
 
-def certain_of(decision: Decision, about: ModelAverage, judgment: Judgment) -> frozenset[int]:
-    """Effects in every set within reach or that fits as well, with a probability of 99 %.
-
-    None where an unknown cause beside the best set is a rival: the set explains too little then.
-    Where larger sets were not fitted although they have the evidence, what they would hold must not
-    be enough to replace the effect. Nor is an effect certain that only stands in for what the
-    validation took away, that helps nothing on unseen parts, or whose size may as well be zero. A
-    single recording makes nothing certain: no other one could contradict it.
-    """
-    case = about.search.null.case
-    if decision.verdict not in NAMES or len(case.study.runs) + case.num_tests < 2:
-        return frozenset()
-    left_out = _left_out(decision, about)
-    refused = vetoed(about, decision.best, judgment.withdrawn)
-    # the interval lies at zero or below, although there is something to gain
-    idle = {i for i, gain in judgment.gains.items() if gain.high <= 0.0 < gain.excess}
-    if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
-        return frozenset()
-    return frozenset(
-        i
-        for i in decision.best
-        if about.probability(i) >= SURE
-        and not _may_be_replaced(about, i, left_out)
-        and all(i in h.effects for h in (*about.reach, *decision.equal))
-        and all(i in members for members in refused)
-        and i not in idle
-        and not _may_be_zero(about, i)
-        and i not in decision.forms
-    )
-
-
-def vetoed(
-    about: ModelAverage, best: frozenset[int], withdrawn: frozenset[int]
-) -> list[frozenset[int]]:
-    """The best sets with effects that the validation withdrew, where they have the evidence.
-
-    The fit runs ask for them and unseen runs refuse them: something that the library has not got
-    right acts there. What is named instead may stand in for it, unless these sets hold it as well.
-    """
-    by_set = {h: w.nats for h, w in about.search.posteriors.items() if h.unknown is None}
-    taken = {h.effects: nats for h, nats in by_set.items() if h.effects & withdrawn}
-    most = max(taken.values(), default=-np.inf)
-    if most < by_set[Hypothesis(best)] + ALONE_NATS:
-        return []
-    return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
-
-
-def _may_be_zero(about: ModelAverage, i: int) -> bool:
-    """Whether the widened intervals of all components of a size hold zero, together too."""
-    sizes = about.size(i).values()
-    if not sizes or not all(size.low <= 0.0 <= size.high for size in sizes):
-        return False
-    return len(sizes) == 1 or not about.differs_jointly(i)
-
-
-def _left_out(decision: Decision, about: ModelAverage) -> float:
-    """Most that one more cause would add to the largest set that is allowed [nats]."""
-    search = about.search
-    if len(decision.best) < search.settings.max_effects:
-        return 0.0
-    others = set(range(len(search.wide.effects))) - decision.best
-    most = max((about.added(decision.best, i) for i in others), default=0.0)
-    return most if most >= KEEP_NATS else 0.0
-
-
-def _may_be_replaced(about: ModelAverage, i: int, left_out: float) -> bool:
-    """Whether sets larger than were fitted could do without a member.
-
-    Without it the evidence falls by so much that even twice what one more cause adds elsewhere does
-    not make up for it: then it stands, whatever else acts.
-    """
-    if left_out == 0.0:
-        return False
-    nats = {h: w.nats for h, w in {**about.search.linear, **about.search.posteriors}.items()}
-    without = max(n for h, n in nats.items() if i not in h.effects)
-    return max(nats.values()) - without < 2.0 * left_out + ALONE_NATS
-
-
 def open_rivals(
-    decision: Decision, about: ModelAverage, certain: frozenset[int]
+    decision: Decision, about: ModelAverage, alone: frozenset[int]
 ) -> tuple[Hypothesis, ...]:
     """Sets that the choice is open to.
 
-    Where some effects are certain, those within reach and those that fit as well.
+    Where some effects are singled out, those within reach and those that fit as well.
     """
-    if not certain:
+    if not alone:
         return decision.rivals
     within = [h for h in about.reach if not h.effects >= decision.best]
     within += [h for h in decision.equal if h not in within]
@@ -138,10 +62,11 @@ class CauseEvidence:
         effects: Candidates, in the order of their indices.
         members: Effects that the extended model holds, by index.
         unmet: What the study lacks for candidates that were left out, by name.
-        certain: Effects that are certain, by index.
+        alone: Effects in whose place nothing else may act, by index.
         rivals: Sets that the choice is open to.
-        surest: Status of what no set within reach can do without. Likely in a first answer, as a
-            further cause may take its place, and where it may stand in for what is unknown.
+        doubts: Why members of the best set are not certain, by index; none: they are.
+        doubts_of_names: Why no data sheet is, either.
+        doubts_of_fit: Why no unknown cause is.
     """
 
     judgment: Judgment
@@ -150,9 +75,11 @@ class CauseEvidence:
     effects: Sequence[Effect]
     members: frozenset[int]
     unmet: Mapping[str, str]
-    certain: frozenset[int] = frozenset()
+    alone: frozenset[int] = frozenset()
     rivals: tuple[Hypothesis, ...] = ()
-    surest: str = CERTAIN
+    doubts: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    doubts_of_names: tuple[str, ...] = ()
+    doubts_of_fit: tuple[str, ...] = ()
 
 
 def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
@@ -170,11 +97,15 @@ def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow,
     ]
     rows += [_finding_row(known, row) for row in base if row.finding]
     rows += _unknown_rows(known)
+    return ranked(rows)
+
+
+def ranked(rows: Sequence[CauseRow]) -> tuple[CauseRow, ...]:
+    """Rows by status, then by probability, then by what a cause explains."""
     return tuple(sorted(rows, key=_rank))
 
 
 def _rank(row: CauseRow) -> tuple[int, float, float]:
-    """By status, by probability, and by what a cause explains."""
     gained = 0.0 if row.gain is None else row.gain.value * row.gain.excess
     return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
@@ -202,6 +133,9 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
         return replace(row, note=f"not judged: {why}")
     p = about.probability(i)
     status, rivals = _status(known, about, i, p)
+    if status == REFUTED and (why := _why_not_refuted(known, i)):
+        status = UNJUDGED if i in known.judgment.withdrawn else UNTOLD if rivals else HIDDEN
+        row = replace(row, note=why if status == UNJUDGED else f"{row.note} Not refuted: {why}.")
     helps = i in known.members and status not in (CERTAIN, LIKELY)
     sizes = about.size(i) or row.size
     if status in (HIDDEN, REFUTED):  # nobody looked below
@@ -218,6 +152,7 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
         probability=p,
         size=sizes,
         rivals=rivals,
+        doubts=known.doubts.get(i, ()) if status == LIKELY else (),
         helps=helps,
         factor=about.factor(i),
     )
@@ -233,21 +168,41 @@ def _status(
     if decision.verdict == "unknown":
         if i in decision.best or i in known.members:
             return UNTOLD, _unknown_names(known, decision)
-    elif i in known.certain:
-        return known.surest, ()
+    elif i in known.alone:
+        return (LIKELY if known.doubts.get(i) else CERTAIN), ()
     elif i in decision.best or any(i in h.effects for h in known.rivals):
         rivals, is_best = _rivals_of(known, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         return (LIKELY if is_named else UNTOLD), rivals
     if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
         return REFUTED, (decision.forms[i],)
+    if i in judgment.as_good:
+        return UNTOLD, tuple(known.effects[k].name for k in sorted(judgment.as_good[i]))
     if p >= POSSIBLE:
         return UNTOLD, (NOISE,)
     added = about.added(decision.best | known.members, i)
     if added >= KEEP_NATS:  # sets of so many causes were not fitted
         return UNTOLD, (REST,)
-    visible = [s <= 1.5 * known.effects[i].typical for s in _smallest_visible(known, i).values()]
+    visible = [s <= SEEN * known.effects[i].typical for s in _smallest_visible(known, i).values()]
     return (REFUTED if added < -KEEP_NATS and any(visible) else HIDDEN), ()
+
+
+def _why_not_refuted(known: CauseEvidence, i: int) -> str:
+    """Why nothing refutes an effect: no fit with it converged, or none that would have shown it;
+    empty where one did."""
+    search, effect = known.judgment.search, known.effects[i]
+    assert search is not None  # statuses come of a search
+    fits = [fit for members, fit in search.fits.items() if i in members]
+    if not fits:
+        return "no set with it was fitted"
+    ended = [fit for fit in fits if fit.converged]
+    if not ended:
+        return "no fit of a set with it converged"
+    names = [ended[0].problem.names[c] for c in ended[0].problem.columns_of(effect)]
+    smallest = min(VISIBLE * fit.sd[name] for fit in ended for name in names)
+    if i in known.judgment.withdrawn or i in known.judgment.decision.forms:
+        return ""  # it was there, and made unseen runs worse or gave way
+    return "" if smallest <= SEEN * effect.typical else "no fit with it would have shown it"
 
 
 def _rivals_of(known: CauseEvidence, decision: Decision, i: int) -> tuple[str, ...]:
@@ -322,7 +277,8 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
         status, rivals = UNTOLD, _unknown_names(known, decision)
     else:
         half = HALF_90 * row.sd / row.prior_sd if row.prior_sd else 0.0
-        status = known.surest if abs(row.pull) - half > row.limit else LIKELY
+        is_sure = abs(row.pull) - half > row.limit and not known.doubts_of_names
+        status = CERTAIN if is_sure else LIKELY
         others = _sets_without_pull(known, about, row)
         if others:
             status, rivals = UNTOLD, others
@@ -336,6 +292,7 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
         size={"size": Interval(row.value, row.low, row.high)},
         unit=row.unit,
         rivals=rivals,
+        doubts=known.doubts_of_names if status == LIKELY else (),
         note=f"data sheet: {read.prior_value:.4g} +- {read.prior_sd:.2g} (one standard deviation)",
         shown_unit=read.unit,
     )
@@ -375,10 +332,11 @@ def _unknown_rows(known: CauseEvidence) -> list[CauseRow]:
         p = about.unknown_probability(u)
         if u in shown or (p >= PROBABLE and u not in known.judgment.refuted):
             is_verdict = decision.unknown is not None and decision.unknown.unknown == u
-            status = CERTAIN if is_verdict and p >= SURE else LIKELY if p >= PROBABLE else UNTOLD
+            is_sure = is_verdict and p >= SURE and not known.doubts_of_fit
+            status = CERTAIN if is_sure else LIKELY if p >= PROBABLE else UNTOLD
             named = tuple(known.effects[i].name for i in sorted(decision.best))
             rivals = named if status == UNTOLD else ()
-            rows.append(
-                CauseRow(cause.name, cause.name, UNKNOWN, status, p, {}, "-", rivals=rivals)
-            )
+            row = CauseRow(cause.name, cause.name, UNKNOWN, status, p, {}, "-", rivals=rivals)
+            why = known.doubts_of_fit if is_verdict and status == LIKELY else ()
+            rows.append(replace(row, doubts=why))
     return rows

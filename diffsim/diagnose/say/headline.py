@@ -9,6 +9,7 @@ import numpy as np
 
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -52,6 +53,7 @@ def headline(
     """
     said = _say_findings(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
+    changed = changed or answer.before_test is not None  # what was taken back made a change
     named = [row for row in effects_of(answer) if row.name in answer.named]
     said_of = [row for row in named if row.status == CERTAIN] or named  # as `_missing` says them
     subject = "They take" if _are_several(said_of) else "It takes"
@@ -161,9 +163,17 @@ def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
     sure = "" if all(row.status == CERTAIN for row in effects) else " probably"
     ending = f"{verb or ('are' if _are_several(effects) else 'is') + sure} missing"
     out = [*_with_sizes(effects, ending), *_without_sizes(effects, ending)]
+    if why := "" if verb else _why_not_certain(effects):
+        out = [*(f"{said}, as {why}" for said in out), *out]
     if sheet:
         out = [*(f"{said}, {sheet[0].words} is off its data sheet" for said in out), *out]
     return out
+
+
+def _why_not_certain(effects: Sequence[CauseRow]) -> str:
+    """The first reason; that an answer is a first one is said elsewhere."""
+    doubts = (why for row in effects for why in row.doubts if why != FIRST_ANSWER)
+    return next(doubts, "")
 
 
 def _with_sizes(effects: Sequence[CauseRow], ending: str) -> list[str]:

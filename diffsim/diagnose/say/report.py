@@ -123,14 +123,14 @@ class Report(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fits' matrices and the recordings, in types that JSON has."""
-        left_out = {"decision", "floor", "best_names", "beside", "far_pulls", "left"}
+        left_out = {"decision", "floor", "best_names", "beside"}
         left_out |= {"screened", "num_spikes"}
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
         for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
             plain[name] = [asdict(row) for row in plain[name]]
-        for name in ("next_run", "force_map", "gain"):
+        for name in ("next_run", "force_map", "gain", "before_test"):
             value = getattr(self, name)
             plain[name] = None if value is None else asdict(value)
         plain["study"], plain["model"] = self.study.name, self.model.name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -13,6 +13,7 @@ from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -29,6 +30,19 @@ from diffsim.identify.effect import is_of_run
 VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
 MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 _RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
+
+
+@dataclass(frozen=True)
+class BeforeTest:
+    """What an answer was before the test runs took something back.
+
+    Attributes:
+        verdict: The verdict.
+        statuses: Status of the causes that have another one now, by name.
+    """
+
+    verdict: str
+    statuses: Mapping[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +62,7 @@ class Answer:
         beside: Name of an unknown cause that leads beside the named set; empty if none.
         chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
             after the other", "leaving out blocks of 2.5 s".
-        far_pulls: Parameters that the set takes further off their data sheets than even wrong ones
-            lie while something unknown acts, in words, each with its distance [prior sd].
-        left: What the set leaves, if that is much and an unknown cause explains it [noise sd].
+        before_test: What the test runs changed; None: nothing.
     """
 
     verdict: str
@@ -63,8 +75,7 @@ class Answer:
     best_names: tuple[str, ...] = ()
     beside: str = ""
     chosen_by: str = ""
-    far_pulls: Mapping[str, float] = field(default_factory=dict)
-    left: float | None = None
+    before_test: BeforeTest | None = None
 
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
         """Causes with one of these statuses, unknown ones left out."""
@@ -159,7 +170,8 @@ def sentences(
         unseen: Errors on test runs.
         failed: Runs that could not be simulated, by name, with why.
     """
-    out = [_first(answer), *_say_doubts(answer), *_data_sheets(answer), *_rest(answer)]
+    out = [_first(answer), *_say_taken_back(answer), *_say_doubts(answer)]
+    out += [*_data_sheets(answer), *_rest(answer), *_say_unchecked(answer)]
     if gained is not None:
         out.append(gained.words)
     elif failed:
@@ -207,6 +219,11 @@ def _first(answer: Answer) -> str:
             "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
         )
         return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
+    if answer.verdict == "unknown" and answer.before_test is not None:
+        return (
+            "Something is missing, and what was named for it does not hold: with "
+            f"{_sizes(_members(answer))} the error on test runs is larger."
+        )
     if answer.verdict == "unknown":
         text = "Something real and repeatable is missing that the library does not hold"
         if helping:
@@ -226,20 +243,43 @@ def _first(answer: Answer) -> str:
 
 
 def _say_doubts(answer: Answer) -> list[str]:
-    """Why a set is not certain that left data sheets far behind, or leaves much."""
-    if answer.verdict != "named":
-        return []
-    out = [
-        f"{opened(words)} is {abs(pull):.0f} standard deviations off its data sheet, and something "
-        "unknown acts: what is named may stand in for that."
-        for words, pull in answer.far_pulls.items()
-    ]
-    if answer.left is not None:
-        out.append(
-            f"What the fit leaves is {answer.left:.2g} times the noise, and something unknown "
-            "acts: what is named may stand in for that."
-        )
+    """Why causes are not certain, those of one reason together; what is said elsewhere left out."""
+    named: dict[str, list[str]] = {}
+    for row in answer.causes:
+        if row.status == LIKELY and row.origin != UNKNOWN:
+            why = "; ".join(d for d in row.doubts if d != ONLY_FIRST)
+            named.setdefault(why, []).append(row.words.partition(",")[0])
+    out = []
+    for why, words in named.items():
+        if why:
+            verb = "are" if len(words) > 1 else "is"
+            out.append(f"{opened(_listed(words))} {verb} likely, not certain: {why}.")
     return out
+
+
+def _say_taken_back(answer: Answer) -> list[str]:
+    """What the answer was before the test runs were looked at."""
+    before = answer.before_test
+    if before is None:
+        return []
+    words = [plain_name(answer, n).partition(",")[0] for n, s in before.statuses.items()]
+    statuses = " or ".join(dict.fromkeys(before.statuses.values()))
+    of_causes = f", {_listed(words)} {statuses}" if words else ""
+    return [f"Before the test runs were looked at, the verdict was {before.verdict}{of_causes}."]
+
+
+def _say_unchecked(answer: Answer) -> list[str]:
+    """Certain causes whose gradients were left out of the check for its budget."""
+    checked = {g.name for g in answer.gates}
+    certain = [row for row in effects_of(answer) if row.status == CERTAIN]
+    words = [row.words for row in certain if f"gradient:{row.name}" not in checked]
+    if "gradient:not checked" not in checked or not words:
+        return []
+    return [f"The gradient of {_listed(words)} was not checked."]
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def _data_sheets(answer: Answer) -> list[str]:

@@ -73,9 +73,8 @@ class _Iterate:
 
     @property
     def has_exact_slopes(self) -> bool:
-        """Whether the error of the slopes is below tolerance, relative and for this misfit."""
-        error = self.at.slope_error
-        return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
+        """Whether the error of the slopes is below tolerance."""
+        return has_exact_slopes(self.at, self.misfit)
 
     def refreshed(self) -> _Iterate:
         """The iterate with slopes simulated here."""
@@ -132,6 +131,16 @@ class _Iterate:
         )
         jacobian = self.jacobian + np.outer(white_off, along)
         return replace(self, at=at, residual=residual, jacobian=jacobian)
+
+
+def has_exact_slopes(at: Linearization, misfit: float) -> bool:
+    """Whether the error of slopes is below tolerance, relative and for a misfit.
+
+    Args:
+        at: Where a fit ended.
+        misfit: chi2 above what noise alone leaves.
+    """
+    return at.slope_error < SLOPE_RTOL and at.slope_error * np.sqrt(misfit) < SLOPE_ATOL
 
 
 def gauss_newton(

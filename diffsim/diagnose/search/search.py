@@ -26,6 +26,7 @@ from diffsim.diagnose.search.from_prior import (
     cooled,
     promising_sets,
 )
+from diffsim.diagnose.search.gauss_newton import has_exact_slopes
 from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -156,6 +157,17 @@ def refit(
         return replace(search, failed={**search.failed, key: message})
     made = search.simulations.kept(members, best[1])
     return replace(search, simulations=made).with_fit(members, best[0])
+
+
+def fitted_exactly(search: Search, members: Members) -> Search:
+    """The search with a set fitted on from its end, where slopes there are not exact: of a set that
+    was far behind another one they need not be."""
+    made, fit = search.simulations, search.fit_of(members)
+    at = made.fitted[members]
+    if has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0)):
+        return search
+    fit, at = made.fitted_from(members, at, np.inf)
+    return replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
 
 
 def _starts(search: Search, members: Members, near: Center) -> list[Center]:

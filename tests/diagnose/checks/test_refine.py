@@ -136,7 +136,7 @@ def test_a_diagnosis_goes_on_with_refined_settings():
 
 
 def test_what_a_budget_cut_short_is_likely_and_a_full_answer_makes_certain():
-    study = noisy({"bias": 0.3})
+    study = noisy({"bias": 0.6})
     for steps, status, word in ((1.0, LIKELY, " probably "), (np.inf, CERTAIN, "")):
         settings = replace(QUICK, search=replace(QUICK.search, refit_steps=steps))
         report = diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)

@@ -55,6 +55,26 @@ def test_hidden_causes_are_named_and_nothing_else(judged):
     assert not wrong
 
 
+def test_what_labels_of_other_groups_add_stands_apart(judged):
+    """Of two explanations the odds by labels are those that the runs alone do not give."""
+    verdicts, true, _ = judged
+    added = {}
+    for label in true:
+        v = verdicts[label]
+        lacking = [s for s in v.sets if not set(v.causes) <= set(s.causes)]
+        if not v.causes or not lacking or lacking[0].probability_alone == 0.0:
+            continue
+        rival = lacking[0]  # sets come by probability
+        whole = np.log(v.sets[0].probability / rival.probability)
+        alone = np.log(v.sets[0].probability_alone / rival.probability_alone)
+        assert v.lead_by_runs == pytest.approx(alone, abs=1e-6)
+        assert v.lead_by_runs + v.lead_by_labels == pytest.approx(whole, abs=1e-6)
+        added.setdefault(v.causes, []).append(v.lead_by_labels)
+    # the known days had the first fault: labels speak for it, and against what was never seen
+    assert min(added["first",]) > 0.5 > 0.0 > max(added["rear",])
+    assert all(verdicts[f"null{k}"].lead_by_runs == 0.0 for k in range(8))
+
+
 def test_sound_days_stay_silent_although_days_differ(judged):
     verdicts, _, _ = judged
     assert all(verdicts[f"null{k}"].status == SILENT for k in range(8))

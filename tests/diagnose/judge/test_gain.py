@@ -42,6 +42,42 @@ def test_a_single_reading_confirms_nothing():
         assert ("too few for an interval" in found.words) == (count < 4)
 
 
+def quieter(rng, left_sd, null_error):
+    """Blocks whose noise is less than was stated, and nothing else is left."""
+    table = blocks(rng, null_error=null_error, left=0.0, num_blocks=200)
+    noise = table[:, 2].copy()
+    table[:, 2] *= left_sd**2
+    table[:, 1] += table[:, 2] - noise
+    return table
+
+
+def test_more_than_all_of_the_error_says_that_the_noise_is_not_what_was_stated():
+    """218 % removed was "confirmed": a third of the stated noise was left."""
+    found = share_removed(quieter(np.random.default_rng(4), 0.4, 1.3), seed=0)
+    assert found.value > 1.2 and found.low > 1.0
+    assert found.status == "not confirmed"
+    assert found.words.endswith("not confirmed; the noise is not what was stated.")
+
+
+def test_noise_that_is_hardly_less_than_stated_is_confirmed():
+    found = share_removed(quieter(np.random.default_rng(4), 0.95, 1.0), seed=0)
+    assert 1.0 < found.value < 1.2 and found.status == "confirmed"
+    small = share_removed(quieter(np.random.default_rng(4), 0.95, 0.45), seed=0)
+    assert small.value > 1.2 and not small.is_below_noise  # a small excess says little
+    assert "stated" not in small.words
+
+
+def test_an_error_falls_for_sure_though_its_share_says_little():
+    """The excess of a weak cause is lost in the scatter of the noise, its removal is not."""
+    rng = np.random.default_rng(5)
+    found = share_removed(blocks(rng, null_error=0.15, left=0.0, num_blocks=60), seed=0)
+    assert found.low < 0.005 and found.status != "confirmed" and found.has_fallen
+    same = share_removed(blocks(rng, null_error=0.15, left=1.0, num_blocks=60), seed=0)
+    assert not same.has_fallen
+    few = share_removed(blocks(rng, null_error=0.15, left=0.0, num_blocks=3), seed=0)
+    assert not few.has_fallen
+
+
 def test_no_excess_gives_no_gain():
     table = blocks(np.random.default_rng(2), null_error=0.0, left=1.0)
     table[:, 1:] *= 0.8

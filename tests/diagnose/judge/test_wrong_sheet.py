@@ -152,5 +152,5 @@ def test_nothing_is_certain_that_leaves_much_while_something_unknown_acts(noise,
     report = diagnose(study, linear.model(), (push,), seed=0, unknowns=unknowns, settings=QUICK)
     assert (report.verdict, report.named) == ("named", ("push",))
     assert causes(report)["push"].status == status
-    doubts = [s for s in report.sentences if "times the noise, and something unknown" in s]
+    doubts = [s for s in report.sentences if "what the fit leaves is" in s]
     assert len(doubts) == (status == "likely")

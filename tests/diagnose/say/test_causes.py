@@ -14,9 +14,9 @@ from diffsim.diagnose.judge.data_sheet import _pulled_together, base_rows, pull_
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision
 from diffsim.diagnose.judge.left_out import folds_of
+from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
-from diffsim.diagnose.say.causes import certain_of
 from diffsim.diagnose.say.headline import _on_unseen, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
@@ -339,19 +339,20 @@ def test_what_stands_in_for_a_withdrawn_cause_is_not_certain():
 def test_a_size_whose_widened_interval_holds_zero_is_not_certain(monkeypatch):
     seen = []
 
-    def keeping(*args):
-        seen.append(args)
-        return certain_of(*args)
+    def keeping(grounds):
+        seen.append(grounds)
+        return singled_out(grounds)
 
-    monkeypatch.setattr(assemble, "certain_of", keeping)
+    monkeypatch.setattr(assemble, "singled_out", keeping)
     assert diagnosed({PUSH: 1.0}, (PUSH,)).named == ("push",)
-    ((decision, about, judgment),) = seen
-    wide = about.search.wide
-    vague = replace(about, factors={wide.names[wide.columns_of(PUSH)[0]]: 100.0})
-    assert vague.size(0)["size"].low < 0.0
-    assert certain_of(decision, vague, judgment) == frozenset()
-    useless = replace(judgment, gains={0: Gain(-0.2, -0.3, 0.0, 1.0, 5)})
-    assert certain_of(decision, about, useless) == frozenset()
+    (grounds,) = seen
+    wide = grounds.search.wide
+    factors = {wide.names[wide.columns_of(PUSH)[0]]: 100.0}
+    vague = replace(grounds, about=replace(grounds.about, factors=factors))
+    assert vague.about.size(0)["size"].low < 0.0
+    assert singled_out(vague) == frozenset()
+    useless = replace(grounds.judgment, gains={0: Gain(-0.2, -0.3, 0.0, 1.0, 5)})
+    assert singled_out(replace(grounds, judgment=useless)) == frozenset()
 
 
 def _row(run, pull):

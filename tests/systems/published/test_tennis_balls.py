@@ -54,10 +54,11 @@ def test_lens_explains_the_clicks(setup):
 
 
 @pytest.mark.slow
-def test_sliding_is_certain_and_predicts_the_last_frames(setup):
+def test_sliding_is_likely_and_predicts_the_last_frames(setup):
     report = diagnose(setup.study, setup.model, setup.effects, seed=0, settings=setup.settings)
     cause = {c.name: c for c in report.causes}["sliding_friction"]
-    assert cause.status == "certain"
+    assert cause.status == "likely"  # the camera's noise is a quarter of what is left
+    assert any("times the noise" in why for why in cause.doubts)
     assert 0.1 < cause.size["size"].value < 0.2
     (row,) = report.errors
     assert (row.run, row.unit) == ("later", "px")
