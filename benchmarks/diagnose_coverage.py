@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -161,11 +161,11 @@ def parts_of(study: Study, count: int = 2) -> tuple[str, tuple[Study, ...]]:
     return f"{len(keys)} {'commands' if by_group else 'runs'}", tuple(parts)
 
 
-def sizes_of(part: str, inputs: Inputs, chosen: Sequence[str]) -> Iterator[Size]:
+def sizes_of(part: str, inputs: Inputs, chosen: Chosen) -> Iterator[Size]:
     """Sizes and base parameters that one part determines."""
     null = fit_null(inputs)
-    effects = [e for e in inputs.setup.effects if e.name in chosen]
-    found = refit(null, effects, inputs, {})
+    effects = [e for e in inputs.setup.effects if e.name in chosen.effects]
+    found = refit(null, effects, inputs, chosen.values)
     wider = widening(found)
     units = {c: e.unit for e in effects for c in effect_coordinates([e])}
     causes = set(units)
@@ -184,8 +184,16 @@ def _size(part: str, found: Fit, name: str, unit: str, factor: float, is_cause: 
     return Size(part, name, unit, value, half, HALF_90 * float(np.hypot(sd, form)), is_cause)
 
 
-def named_by(inputs: Inputs) -> tuple[str, ...]:
-    """Effects that the extended model of a first answer to all runs holds."""
+@dataclass(frozen=True)
+class Chosen:
+    """Effects that are fitted to every part, and values to start from."""
+
+    effects: Sequence[str]
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+def chosen_by(inputs: Inputs) -> Chosen:
+    """What the extended model of a first answer to all runs holds; a fit to a part starts there."""
     setup = inputs.setup
     report = diagnose(
         inputs.study,
@@ -195,10 +203,10 @@ def named_by(inputs: Inputs) -> tuple[str, ...]:
         unknowns=setup.unknowns,
         settings=setup.settings,
     )
-    return tuple(e.name for e in report.best.problem.effects)
+    return Chosen([e.name for e in report.best.problem.effects], report.best.values)
 
 
-def compared(name: str, cut: str, parts: Sequence[Study], chosen: Sequence[str]) -> Outcome:
+def compared(name: str, cut: str, parts: Sequence[Study], chosen: Chosen) -> Outcome:
     """The same effects fitted to every part, size by size."""
     sizes = [
         size
@@ -222,11 +230,10 @@ def outcome_of(name: str, effects: Sequence[str] = ()) -> Outcome:
         if study.faults is not None:
             raise ValueError("its groups have faults that differ")
         cut, parts = parts_of(study)
-        found = compared(
-            name, cut, parts, effects or named_by(inputs_of(study, seed=0, quick=True))
-        )
+        whole = inputs_of(study, seed=0, quick=True)
+        found = compared(name, cut, parts, Chosen(effects) if effects else chosen_by(whole))
     except (DiffsimError, ValueError, FileNotFoundError) as error:
-        found = Outcome(name, f"not cut: {' '.join(str(error).split())}")
+        found = Outcome(name, f"left out: {' '.join(str(error).split())}")
     return replace(found, cpu_s=time.process_time() - start)
 
 
@@ -234,7 +241,8 @@ def outcome_of_campaigns(names: Sequence[str], effects: Sequence[str] = ()) -> O
     """Studies of one rig, all runs but those for a test of each; arguments as of ``outcome_of``."""
     start = time.process_time()
     studies = [read_study(name) for name in names]
-    chosen = effects or named_by(inputs_of(studies[0], seed=0, quick=True))
+    whole = inputs_of(studies[0], seed=0, quick=True)
+    chosen = Chosen(effects) if effects else chosen_by(whole)
     found = compared(" against ".join(names), "campaigns", studies, chosen)
     return replace(found, cpu_s=time.process_time() - start)
 

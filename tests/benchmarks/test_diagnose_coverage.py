@@ -48,7 +48,7 @@ def test_one_run_is_not_cut():
 
 def test_a_set_that_cannot_be_cut_is_named_with_the_reason():
     found = outcome_of("no_such_data_set")
-    assert found.row.startswith("| no_such_data_set | not cut: ") and not found.pairs
+    assert found.row.startswith("| no_such_data_set | left out: ") and not found.pairs
     assert total_of([found]) == "No size was told by two parts."
 
 

@@ -143,19 +143,42 @@ def band_of(
     Returns:
         None where there is neither a part to leave out nor a select run.
     """
-    parts = [*_left_out_parts(fit, validation), *_select_parts(fit, select)]
+    parts = unfitted_parts(fit, select, validation)
     if not parts:
         return None
-    rest = _rest_variance(parts, noise)
+    rest, factor = factor_of(parts, noise)
     shared = [i for i, n in enumerate(fit.problem.names) if "@" not in n and n not in fit.at_bound]
     return Band(
-        factor=_factor([np.abs(left) / np.sqrt(noise**2 + rest) for left in parts]),
+        factor=factor,
         num_parts=len(parts),
         noise={c.name: float(v) for c, v in zip(channels, noise, strict=True)},
-        rest={c.name: float(v) for c, v in zip(channels, np.sqrt(rest), strict=True) if v >= 0.0},
+        rest={c.name: float(v) for c, v in zip(channels, rest, strict=True) if v >= 0.0},
         names=tuple(fit.problem.names[i] for i in shared),
         correlation=fit.correlation[np.ix_(shared, shared)],
     )
+
+
+def unfitted_parts(
+    fit: Fit, select: Sequence[Run], validation: Validation | None = None
+) -> list[Array]:
+    """Measured minus predicted of parts that were not fitted; arguments as of ``band_of``.
+
+    Returns:
+        (num_readings, num_channels) each [unit of the channel]; NaN: not measured, or of another
+        part.
+    """
+    return [*_left_out_parts(fit, validation), *_select_parts(fit, select)]
+
+
+def factor_of(parts: Sequence[Array], noise: Array) -> tuple[Array, float]:
+    """Standard deviation of what parts leave beyond the noise, by channel, and the band's factor.
+
+    Args:
+        parts: As ``unfitted_parts`` returns them, one or more.
+        noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
+    """
+    rest = np.sqrt(_rest_variance(parts, noise))
+    return rest, _factor([np.abs(left) / np.hypot(noise, rest) for left in parts])
 
 
 def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Array]:
