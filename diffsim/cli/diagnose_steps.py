@@ -32,7 +32,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.records import OutsideRow
+from diffsim.diagnose.judge.records import OutsideRow, band_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
@@ -258,6 +258,8 @@ def _judge(args: argparse.Namespace) -> None:
         print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     if saved.components and found.gain is not None:
         print(found.gain.words)
+    if held := band_words(found.errors):
+        print(held)
     for name in found.runs:
         _tell_outside(name, [far for far in found.outside if far.run == name])
     said = judged_headline(found.errors, found.gain, extended=bool(saved.components))

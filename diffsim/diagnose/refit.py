@@ -16,6 +16,7 @@ from diffsim.core.threads import one_thread
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.band import Band, band_of
 from diffsim.diagnose.judge.gain import Gain, gain
 from diffsim.diagnose.judge.records import CERTAIN, EFFECT
 from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
@@ -97,6 +98,7 @@ class Extension:
         null, fit: Fits without and with the effects, to the same runs with the same noise.
         gain: Gain on test runs; None without any.
         verdict: Verdict of the diagnosis that made the model.
+        band: What bands of unseen runs are made from; None: nothing tells of them.
     """
 
     study: Study
@@ -104,6 +106,7 @@ class Extension:
     fit: Fit
     gain: Gain | None
     verdict: str
+    band: Band | None = None
 
     def model(self) -> ExtendedModel:
         """The extended model at the refitted values."""
@@ -119,7 +122,14 @@ class Extension:
             "extended": fit_to_dict(self.fit),
         }
         write_json_atomic(folder / "extend.json", content)
-        return save_model(self.fit, self.null, folder, study=self.study, verdict=self.verdict)
+        return save_model(
+            self.fit,
+            self.null,
+            folder,
+            study=self.study,
+            verdict=self.verdict,
+            band=self.band,
+        )
 
 
 @one_thread
@@ -136,7 +146,8 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     refitted = refit(null, effects, inputs, saved.values)
     runs = inputs.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
-    return Extension(null.study, null.fit, refitted, gained, saved.verdict)
+    band = band_of(refitted, null.study.channels, null.noise.sd, null.study.select_runs)
+    return Extension(null.study, null.fit, refitted, gained, saved.verdict, band)
 
 
 def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:

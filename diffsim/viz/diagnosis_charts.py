@@ -27,6 +27,7 @@ from diffsim.viz.figures import INK, LINE, SOFT
 
 Array = NDArray[np.float64]
 _KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
+BAND_LABEL = "90 % band"
 MAX_LABEL = 40  # characters beside a matrix
 _LABEL_PX = 18
 MAX_PANELS = 24  # channels in one chart; more are drawn by their misfit, and said
@@ -75,7 +76,9 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
 def points_drawn(runs: Sequence[PredictedRun]) -> int:
     """Largest number of samples that ``runs_over_time`` draws of a line."""
     panels = min(len(seen_channels(runs)), MAX_PANELS)
-    return charts.points_per_line(5 * panels * len(runs))  # three signals, two that are left
+    # three signals, two that are left, and both edges of a band in either panel
+    lines = 5 + 4 * any(run.band is not None for run in runs)
+    return charts.points_per_line(lines * panels * len(runs))
 
 
 def seen_channels(runs: Sequence[PredictedRun]) -> list[int]:
@@ -96,18 +99,35 @@ def _scale(channel: Channel) -> float:
 def _signals(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
     """Lines of one channel in one run, in the unit of the recordings' files."""
     t, scale = run.time_s, _scale(channel)
+    last = run.null if run.extended is None else run.extended
+    lines = _draw_band(run, i, scale * last[:, i], scale, most)
     before = {"color": NULL, "width": 1.4, "dash": "dash"}
-    lines = [charts.line(t, scale * run.null[:, i], "model before", NULL, line=before, most=most)]
+    lines.append(
+        charts.line(t, scale * run.null[:, i], "model before", NULL, line=before, most=most)
+    )
     if run.extended is not None:
         after = scale * run.extended[:, i]
         lines.append(charts.line(t, after, "extended model", EXTENDED, most=most))
     error = None
-    if channel.sd is not None:
+    if channel.sd is not None and run.band is None:  # which holds the noise
         error = {"type": "constant", "value": scale * channel.sd, "thickness": 0.7, "width": 0}
     measured = scale * run.measured[:, i]
     look = {"error_y": error, **charts.dots(INK, 3.5)}
-    lines.append(charts.line(t, measured, "measured ± noise", INK, most=most, **look))
+    name = "measured" if error is None else "measured ± noise"
+    lines.append(charts.line(t, measured, name, INK, most=most, **look))
     return lines
+
+
+def _draw_band(run: PredictedRun, i: int, middle: Array, scale: float, most: int) -> list[Any]:
+    """Where readings of one channel are expected in one run; nothing where it has no band."""
+    if run.band is None or not np.isfinite(half := scale * run.band[:, i]).any():
+        return []
+    keep = charts.thinned(len(run.time_s), most)
+    around = np.concatenate([keep, keep[::-1]])
+    edge = np.concatenate([(middle + half)[keep], (middle - half)[keep[::-1]]])
+    look = {"fill": "toself", "fillcolor": LINE, "line": {"width": 0}, "hoverinfo": "skip"}
+    area = charts.line(run.time_s[around], edge, BAND_LABEL, LINE, most=2 * most, **look)
+    return [area]
 
 
 def _draw_misfits(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
@@ -115,7 +135,8 @@ def _draw_misfits(run: PredictedRun, i: int, channel: Channel, most: int) -> lis
     kinds = [("model before", NULL, run.null)]
     if run.extended is not None:
         kinds.append(("extended model", EXTENDED, run.extended))
-    return [
+    band = _draw_band(run, i, np.zeros(len(run.time_s)), _scale(channel), most)
+    return band + [
         charts.line(
             run.time_s,
             _scale(channel) * (run.measured[:, i] - predicted[:, i]),

@@ -8,13 +8,14 @@ import numpy as np
 
 from diffsim.data.study import Channel
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.records import ErrorRow
+from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_share
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_series import PredictedRun
 from diffsim.viz.moving import MovingChoice
 from diffsim.viz.numbers import figure, unit_of
 
+NEAR_LEVEL = 0.05  # share of the readings by which a band may be off
 _TONES = {"confirmed": "good", "not confirmed": "fair", "withdrawn": "bad"}
 
 
@@ -55,6 +56,21 @@ def _beyond_all(gain: Gain) -> str:
     return "; the noise is not as stated" if is_off else "; beyond 100: below the noise as stated"
 
 
+def band_numbers(errors: Sequence[ErrorRow]) -> list[page.Number]:
+    """Share of the readings of test runs inside their band, as a key figure; none where unknown."""
+    if (share := band_share(errors)) is None:
+        return []
+    return [
+        page.Number(
+            label=f"readings of test runs inside the {100 * LEVEL:.0f} % band",
+            value=f"{100 * share:.0f}",
+            unit="%",
+            note="of noise, parameters and what was left on runs that were not fitted",
+            tone="good" if abs(share - LEVEL) <= NEAR_LEVEL else "fair",
+        )
+    ]
+
+
 def runs_section(
     title: str,
     runs: Sequence[PredictedRun],
@@ -69,9 +85,13 @@ def runs_section(
         channels: Channels of the study with their noise.
         view: What moved in these runs; None: nothing to see.
     """
-    caption = "Dots: measured, with the noise. Dashed: the fitted model before. "
+    has_band = any(run.band is not None for run in runs)
+    what = "measured" if has_band else "measured, with the noise"
+    caption = f"Dots: {what}. Dashed: the fitted model before. "
     if any(run.extended is not None for run in runs):
         caption += "Line: the extended model. "
+    if has_band:
+        caption += f"Grey: where {100 * LEVEL:.0f} % of the readings are expected. "
     caption += "The menu chooses the run; drag" if len(runs) > 1 else "Drag"
     caption += " to zoom, double-click to zoom out."
     text, seen = [], len(draw.seen_channels(runs))

@@ -20,7 +20,7 @@ from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_motion import moving_runs
-from diffsim.viz.diagnosis_parts import error_numbers, gain_number, runs_section
+from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_number, runs_section
 from diffsim.viz.diagnosis_series import (
     CONFOUNDED,
     PredictedRun,
@@ -72,7 +72,7 @@ def diagnosis_page(report: Report) -> page.Report:
     """
     channels = with_noise(report.study.channels, report.noise["sd"])
     extended = report.best if report.best is not report.null else None
-    runs = predicted_runs(report.study, report.null, extended)
+    runs = predicted_runs(report.study, report.null, extended, bands=report.bands)
     return page.Report(
         title=f"Diagnosis of {report.study.name}",
         subtitle=f"Recorded runs against the model “{report.model.name}”",
@@ -134,7 +134,7 @@ def _numbers(r: Report) -> list[page.Number]:
         tone="fair" if is_likely_only else TONES[r.verdict],
     )
     gained = [] if r.gain is None else [gain_number(r.gain)]
-    return [verdict, *error_numbers(r.errors), *gained]
+    return [verdict, *error_numbers(r.errors), *gained, *band_numbers(r.errors)]
 
 
 def _errors(r: Report) -> page.Section:

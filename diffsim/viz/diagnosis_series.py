@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -25,12 +26,14 @@ class PredictedRun(Run):
     Attributes:
         null: Prediction of the fitted model without effects, (num_samples, num_channels).
         extended: Prediction with the named effects, same shape; None where nothing was named.
+        band: Half of the width of the band around the last of these, same shape; None: no band.
         null_at, extended_at: Coordinates of the fits in this run, its own nuisances fitted to it;
             None: unknown.
     """
 
     null: Array
     extended: Array | None = None
+    band: Array | None = None
     null_at: Array | None = None
     extended_at: Array | None = None
 
@@ -40,6 +43,7 @@ def predicted_runs(
     null: Fit,
     extended: Fit | None = None,
     uses: Sequence[str] = ("fit", "select", "test"),
+    bands: Mapping[str, Array] = MappingProxyType({}),
 ) -> list[PredictedRun]:
     """Measured and predicted, runs for fitting first.
 
@@ -48,17 +52,23 @@ def predicted_runs(
         null: Fit without effects.
         extended: Fit with effects; None where nothing was named.
         uses: Uses of the runs to predict.
+        bands: Half of the width of the band by run.
     """
-    return [_predicted_run(run, null, extended) for use in uses for run in study.runs_for(use)]
+    return [
+        _predicted_run(run, null, extended, bands.get(run.name))
+        for use in uses
+        for run in study.runs_for(use)
+    ]
 
 
-def _predicted_run(run: Run, null: Fit, extended: Fit | None) -> PredictedRun:
+def _predicted_run(run: Run, null: Fit, extended: Fit | None, band: Array | None) -> PredictedRun:
     at = point_of(null, run)
     further = None if extended is None else point_of(extended, run)
     return PredictedRun(
         **vars(run),
         null=_at(null, run, at),
         extended=None if extended is None or further is None else _at(extended, run, further),
+        band=band,
         null_at=at,
         extended_at=further,
     )

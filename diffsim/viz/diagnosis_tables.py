@@ -34,6 +34,8 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
             "before",
             "after",
             "noise",
+            "90 % band ±",
+            "inside",
             "unit",
             "values fitted to it",
             "use",
@@ -45,6 +47,8 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
                 figure(e.before),
                 figure(e.after),
                 figure(e.noise),
+                "–" if e.band is None else figure(e.band),
+                "–" if e.band is None else f"{100 * e.num_inside / e.num_samples:.0f} %",
                 unit_of(e.unit) or "–",
                 str(e.num_fitted),
                 e.use,
@@ -53,7 +57,8 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
         ],
         caption="Root mean square over the samples. Before: the plain model at its own fit. After: "
         "the extended model. Nothing is fitted to these runs but what the study declares unknown "
-        "per run; the table says how many values these are.",
+        "per run; the table says how many values these are. Inside: share of the samples in the "
+        "band around the extended model.",
     )
 
 

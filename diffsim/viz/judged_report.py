@@ -12,7 +12,7 @@ from diffsim.identify.model_file import SavedModel
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
-from diffsim.viz.diagnosis_parts import error_numbers, gain_number, runs_section
+from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_number, runs_section
 from diffsim.viz.diagnosis_series import PredictedRun, with_noise
 from diffsim.viz.numbers import figure, unit_of, with_sd
 
@@ -49,7 +49,7 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
         subtitle=f"Recorded runs against the saved model {saved.path.name}; nothing was fitted to "
         "them but what the study declares unknown per run",
         verdict=[judged_headline(found.errors, found.gain, extended=bool(saved.components))],
-        numbers=[*error_numbers(found.errors), *gained],
+        numbers=[*error_numbers(found.errors), *gained, *band_numbers(found.errors)],
         sections=[*sections, _sizes(saved)],
         held_fixed=[
             ("saved model", str(saved.path)),
@@ -63,7 +63,12 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
 def _collect_predictions(found: Unseen, study: Study, *, extended: bool) -> list[PredictedRun]:
     by_name = {run.name: run for run in study.runs}
     return [
-        PredictedRun(**vars(by_name[name]), null=before, extended=after if extended else None)
+        PredictedRun(
+            **vars(by_name[name]),
+            null=before,
+            extended=after if extended else None,
+            band=found.bands.get(name),
+        )
         for name, (before, after) in found.predicted.items()
     ]
 

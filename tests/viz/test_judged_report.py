@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.judge.gain import Gain
@@ -90,6 +91,24 @@ def test_all_judged_runs_are_drawn_with_errors_gain_and_distance(tmp_path):
     assert [row[0] for row in sizes.rows] == ["drag", "mass"]  # arm is the same in both
     text = write_judgment(found(), STUDY, SAVED, tmp_path / "judge.html").read_text("utf-8")
     assert page.verdict[0] in text and "http" not in text.partition("<script")[0]
+
+
+def test_the_band_is_drawn_around_the_extended_model_and_its_share_said():
+    held = ErrorRow("slow", "position", "mm", 2.5, 1.1, 1.0, 40, 1, "test", 2.0, 37)
+    bands = {"slow": np.full((40, 1), 2e-3), "fast": np.full((40, 1), np.nan)}
+    page = judgment_page(found(errors=(held, error("fast")), bands=bands), STUDY, SAVED)
+    number = page.numbers[-1]
+    assert (number.value, number.unit, number.tone) == ("92", "%", "good")
+    errors = sections(page)["Error on these runs"].content[0]
+    assert errors.rows[0][5:7] == ["2", "92 %"] and errors.rows[1][5:7] == ["–", "–"]
+    (chart,) = sections(page)["Measured and predicted"].content
+    assert "90 %" in chart.caption
+    areas = [trace for trace in chart.figure.data if trace.name == "90 % band"]
+    assert len(areas) == 2  # around the model and around zero, where it is known
+    middle = 1000.0 * np.sin(6.0 * TIME) + 0.1
+    expected = np.concatenate([middle + 2.0, (middle - 2.0)[::-1]])
+    np.testing.assert_allclose(areas[0].y, expected, rtol=1e-3, atol=1e-3)
+    assert np.ptp(areas[1].y) == pytest.approx(4.0)
 
 
 def test_a_run_that_fails_and_runs_inside_are_said():

@@ -5,16 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
 from diffsim.core.threads import one_thread
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.checks.gates import BLOCK_OF, require_separate, shared_with, stretches_of
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.band import Band, band_from
 from diffsim.diagnose.judge.unseen import At, Span, Unseen, on_unseen, spans_of
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
@@ -25,13 +28,16 @@ from diffsim.identify.model_file import (
     without_values_of,
 )
 
+Array = NDArray[np.float64]
 
-def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
+
+def facts_of(study: Study, noise: ArWhitener, band: Band | None) -> dict[str, Any]:
     """What judging new runs needs beside the model: noise floor, seen runs, and their range.
 
     Args:
         study: Study that was fitted; test runs are left out.
         noise: Noise under which it was fitted.
+        band: What bands of unseen runs are made from; None: nothing tells of them.
     """
     seen = (*study.fit_runs, *study.select_runs)
     return {
@@ -44,6 +50,7 @@ def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
             what: {**asdict(span), "labels": list(span.labels)}
             for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
         },
+        **({} if band is None else {"band": band.to_dict()}),
     }
 
 
@@ -80,7 +87,11 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
     }
     plain, extended = (_at(model, noise, inputs) for model in models)
-    unmet = [p.name for p in inputs.setup.model.base if "[" in p.name]
+    facts_named = [p.name for p in inputs.setup.model.base if "[" in p.name]
+    unmet = [name for name in facts_named if name not in saved.parameters]
+    half_widths = partial(
+        _half_widths, extended, facts.get("band"), channels=study.channels, unmet=unmet
+    )
     return on_unseen(
         plain,
         extended,
@@ -90,8 +101,25 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         spans,
         seed=inputs.seed,
         commands=study.commands,
-        unmet=[name for name in unmet if name not in saved.parameters],
+        unmet=unmet,
+        half_widths=half_widths,
     )
+
+
+def _half_widths(
+    extended: At,
+    band: Mapping[str, Any] | None,
+    run: Run,
+    *,
+    channels: Sequence[Channel],
+    unmet: Sequence[str],
+) -> Array | None:
+    """Half of the width of the band of a run, in a saved model; None in files of before."""
+    if band is None:
+        return None
+    # priors of the rebuilt model are posteriors of the fit
+    sd = np.ones(len(extended.x))
+    return band_from(band).half_widths(extended, sd, run, channels, unmet)
 
 
 def _choose_unseen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:

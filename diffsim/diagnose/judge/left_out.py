@@ -254,7 +254,7 @@ def _kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
         return tuple(r for i, r in enumerate(problem.runs) if i not in fold.runs)
     rows, out = _run_of_rows(problem), []
     for i, run in enumerate(problem.runs):
-        newest = _newest(problem, run)[fold.rows[rows == i]]
+        newest = newest_samples(problem, run)[fold.rows[rows == i]]
         measured = run.measured.copy()
         measured.ravel()[newest] = np.nan
         if np.isfinite(measured).any():
@@ -262,7 +262,7 @@ def _kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
     return tuple(out)
 
 
-def _newest(problem: Problem, run: Run) -> NDArray[np.int64]:
+def newest_samples(problem: Problem, run: Run) -> NDArray[np.int64]:
     """Sample that a whitened row belongs to: the newest that it uses, (num_valid,)."""
     matrix = problem.whitener.matrix(run)
     if not matrix.shape[0]:
@@ -279,7 +279,7 @@ def _run_of_rows(problem: Problem) -> NDArray[np.int64]:
 def _time_of_rows(problem: Problem) -> Array:
     """Time since its run began of every whitened row [s]."""
     times = [
-        run.time_s[_newest(problem, run) // run.measured.shape[1]] - run.time_s[0]
+        run.time_s[newest_samples(problem, run) // run.measured.shape[1]] - run.time_s[0]
         for run in problem.runs
     ]
     return np.concatenate(times)

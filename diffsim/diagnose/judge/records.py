@@ -6,7 +6,7 @@ Every interval is one of 90 %.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
@@ -21,6 +21,7 @@ SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1
 WRONG_DATA_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
+LEVEL = 0.9  # share of the readings of an unseen run that its band is to hold
 UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
 
 
@@ -185,6 +186,8 @@ class ErrorRow:
         num_fitted: Number of values that were fitted to this run for either model: what the study
             declares unknown per run.
         use: "test", or "select" where there is no test run.
+        band: Half of the width of the band for unseen runs, root mean square; None: no band.
+        num_inside: Number of samples inside the band.
     """
 
     run: str
@@ -196,6 +199,28 @@ class ErrorRow:
     num_samples: int
     num_fitted: int
     use: str = "test"
+    band: float | None = None
+    num_inside: int = 0
+
+
+def band_share(errors: Sequence[ErrorRow]) -> float | None:
+    """Share of the readings of test runs that lie inside the band; None where there is none."""
+    rows = _with_band(errors)
+    return sum(row.num_inside for row in rows) / sum(r.num_samples for r in rows) if rows else None
+
+
+def band_words(errors: Sequence[ErrorRow]) -> str:
+    """The same in a sentence; empty where there is none."""
+    if (share := band_share(errors)) is None:
+        return ""
+    count = sum(row.num_samples for row in _with_band(errors))
+    ends = f"{100 * share:.0f} % of {count} readings of unseen runs."
+    return f"The {100 * LEVEL:.0f} % band holds {ends}"
+
+
+def _with_band(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    # what chose between causes, and told the band, proves none
+    return [row for row in errors if row.use == "test" and row.band is not None]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ range of the fitted runs: levels, strokes, rates and frequencies, facts of the s
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -22,9 +22,10 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
 from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.checks.noise import without_spikes
+from diffsim.diagnose.judge.band import no_band
 from diffsim.diagnose.judge.gain import Gain, compared
 from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names
-from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow
+from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words
 
 Array = NDArray[np.float64]
 TAIL = 0.01  # share of samples on either side that a range leaves out: spikes are none
@@ -186,6 +187,8 @@ class Unseen:
         failed: Runs that a model cannot simulate, with why; nothing is known of a gain then.
         predicted: By run, what plain and extended model say of it, with the run's own values
             fitted, each (num_samples, num_channels) [unit of the channel].
+        bands: Half of the width of the band around the extended model by run, of the same shape;
+            NaN in channels without one.
     """
 
     runs: tuple[str, ...]
@@ -196,12 +199,14 @@ class Unseen:
     num_spikes: int = 0
     failed: Mapping[str, str] = field(default_factory=dict)
     predicted: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    bands: Mapping[str, Array] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``judge.json``."""
         return {
             "runs": list(self.runs),
             "errors": [asdict(row) for row in self.errors],
+            "band": band_words(self.errors),
             "gain": None if self.gain is None else gain_to_dict(self.gain),
             "gains": {name: gain_to_dict(g) for name, g in self.gains.items()},
             "outside": [asdict(row) for row in self.outside],
@@ -227,6 +232,7 @@ def on_unseen(
     use: str = "test",
     commands: Sequence[Command] = (),
     unmet: Collection[str] = (),
+    half_widths: Callable[[Run], Array | None] = no_band,
 ) -> Unseen:
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
 
@@ -241,10 +247,12 @@ def on_unseen(
         use: What the runs are for, as the rows say it.
         commands: What is known of commands: their units.
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.
+        half_widths: Half of the width of the band around the extended model; None: there is none.
     """
     errors: list[ErrorRow] = []
     failed: dict[str, str] = {}
     predicted: dict[str, tuple[Array, Array]] = {}
+    bands: dict[str, Array] = {}
     cleaned, before, after, num_spikes = [], [], [], 0
     for given in runs:
         try:
@@ -264,7 +272,9 @@ def on_unseen(
         num_own = len(own_names(extended.problem.names, run, unmet))
         if callable(inside := getattr(extended.problem.model, "num_fitted_inside", None)):
             num_own += int(inside(run))
-        errors += _error_rows(run, left, channels, sd, num_own, use)
+        if (half := half_widths(run)) is not None:
+            bands[run.name] = half
+        errors += _error_rows(run, left, half, channels, sd, num_own, use)
         predicted[run.name] = said
         before.append(whitened[0])
         after.append(whitened[1])
@@ -283,6 +293,7 @@ def on_unseen(
         num_spikes=num_spikes,
         failed=failed,
         predicted=predicted,
+        bands=bands,
     )
 
 
@@ -321,6 +332,7 @@ def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
 def _error_rows(
     run: Run,
     left: Sequence[Array],
+    half: Array | None,
     channels: Sequence[Channel],
     sd: Array,
     num_fitted: int,
@@ -339,7 +351,11 @@ def _error_rows(
             continue
         before, after = (_rms((x[:, own] * scale)[valid]) for x in left)
         noise = _rms(np.broadcast_to(sd[own] * scale, valid.shape)[valid])
-        rows.append(ErrorRow(run.name, kind, unit, before, after, noise, count, num_fitted, use))
+        row = ErrorRow(run.name, kind, unit, before, after, noise, count, num_fitted, use)
+        if half is not None and np.isfinite(wide := half[:, own][valid]).all():
+            inside = int((np.abs(left[1][:, own][valid]) <= wide).sum())
+            row = replace(row, band=_rms((half[:, own] * scale)[valid]), num_inside=inside)
+        rows.append(row)
     return rows
 
 

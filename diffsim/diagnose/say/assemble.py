@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
+from diffsim.diagnose.judge.band import band_of, no_band, posterior_sd
 from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
@@ -171,6 +173,7 @@ def report_of(
         base=base,
         unknown_share=_unknown_share(null, best, judgment),
         interval_factor=_interval_factor(causes, about),
+        band=band_of(best, case.study.channels, null.noise.sd, case.study.select_runs, validation),
     )
 
 
@@ -230,6 +233,15 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         seed: Seed of the bootstrap.
     """
     seen, is_test = frozen.study, bool(study.test_runs)
+    unmet, half_widths = unmet_by(frozen.best.problem), no_band
+    if frozen.band is not None:
+        half_widths = partial(
+            frozen.band.half_widths,
+            frozen.best,
+            posterior_sd(frozen.best),
+            channels=seen.channels,
+            unmet=unmet,
+        )
     found = on_unseen(
         frozen.null,
         frozen.best,
@@ -240,7 +252,8 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         seed=seed,
         use="test" if is_test else "select",
         commands=seen.commands,
-        unmet=unmet_by(frozen.best.problem),
+        unmet=unmet,
+        half_widths=half_widths,
     )
     gain = found.gain if frozen.best.problem.effects else None
     gained = gain if is_test else None  # runs that chose between causes prove none
@@ -250,6 +263,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         study=replace(study, runs=(*seen.runs, *study.test_runs)),
         errors=found.errors,
         outside=found.outside,
+        bands=found.bands,
         gain=gained,
         headline=headline(answer, found.errors, found.failed, gain),
         sentences=sentences(answer, gained, found.errors, found.failed),

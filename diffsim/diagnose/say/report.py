@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
+from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
@@ -53,6 +54,9 @@ class Report(Answer):
         outside: Where test runs lie outside of what was fitted.
         unknown_share: Share of the misfit above the noise that no named cause explains.
         interval_factor: How many times wider the widest interval is than noise alone makes it.
+        band: What bands of unseen runs are made from; None: nothing tells of them.
+        bands: Half of the width of the band by unseen run, (num_samples, num_channels) [unit of the
+            channel].
     """
 
     hypotheses: tuple[HypothesisRow, ...]
@@ -75,6 +79,8 @@ class Report(Answer):
     outside: tuple[OutsideRow, ...] = ()
     unknown_share: float | None = None
     interval_factor: float = 1.0
+    band: Band | None = None
+    bands: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def chi2_null(self) -> float:
@@ -124,7 +130,7 @@ class Report(Answer):
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fits' matrices and the recordings, in types that JSON has."""
         left_out = {"decision", "floor", "best_names", "beside"}
-        left_out |= {"screened", "num_spikes"}
+        left_out |= {"screened", "num_spikes", "bands"}
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
@@ -133,6 +139,7 @@ class Report(Answer):
         for name in ("next_run", "force_map", "gain", "before_test"):
             value = getattr(self, name)
             plain[name] = None if value is None else asdict(value)
+        plain["band"] = None if self.band is None else self.band.to_dict()
         plain["study"], plain["model"] = self.study.name, self.model.name
         for name in ("null", "best"):
             plain[name] = fit_to_dict(getattr(self, name))
@@ -146,11 +153,20 @@ class Report(Answer):
         """
         folder = Path(folder)
         write_json_atomic(folder / "report.json", self.to_dict())
-        save_model(self.best, self.null, folder, study=self.study, verdict=self.verdict)
+        save_model(
+            self.best,
+            self.null,
+            folder,
+            study=self.study,
+            verdict=self.verdict,
+            band=self.band,
+        )
         return folder
 
 
-def save_model(best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str) -> Path:
+def save_model(
+    best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str, band: Band | None
+) -> Path:
     """Write extended_model.yaml with all that judging new runs needs.
 
     Args:
@@ -159,9 +175,10 @@ def save_model(best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str
         folder: Folder of the file.
         study: Study that was fitted.
         verdict: Verdict of the diagnosis.
+        band: What bands of unseen runs are made from.
     """
     noise = null.problem.whitener
-    facts = facts_of(study, noise) if isinstance(noise, ArWhitener) else None
+    facts = facts_of(study, noise, band) if isinstance(noise, ArWhitener) else None
     return save_extended(
         best, folder / MODEL_FILE, study=study, verdict=verdict, plain=null, facts=facts
     )

@@ -24,6 +24,7 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     ErrorRow,
     Interval,
+    band_words,
 )
 from diffsim.identify.effect import is_of_run
 
@@ -181,6 +182,8 @@ def sentences(
         ]
     elif not any(row.use == "test" for row in unseen):
         out.append("No gain is known: no run is kept for a test (use: test).")
+    if held := band_words(unseen):
+        out.append(held)
     if answer.chosen_by and answer.verdict not in ("numerical", "unrepeatable"):
         out.append(f"Names were held against the evidence and against {answer.chosen_by}.")
     if np.isnan(answer.floor.scatter_ratio).all():

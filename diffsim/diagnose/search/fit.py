@@ -119,6 +119,8 @@ def _through(
     """Fits to growing parts of the runs; None where they fail, or promise nothing better."""
     for k, share in enumerate(windows):
         part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
+        if not any(np.isfinite(run.measured).any() for run in part.runs):
+            continue  # a run-up, of which nothing was measured
         try:
             short, _ = gauss_newton(part, linearization_at(part, x))
         except (DiffsimError, ValueError):  # too hard still, or a model of whole runs only

@@ -26,7 +26,6 @@ from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
 from diffsim.identify import DiagnosisSettings
-from diffsim.identify.effort import FIT_RTOL
 from diffsim.identify.linearization import record_at
 from tests.diagnose import linear
 from tests.diagnose.say.test_causes import OTHER, PUSH, QUICK, causes, diagnosed, recorded
@@ -110,7 +109,7 @@ BROKEN = {
         g, gates=[*g.gates, GateResult("time_step", False, 13.5, 2.0)]
     ),
     "were not checked with it": lambda g: with_settings(g, accept_numerics=True),
-    "first answer": lambda g: with_settings(g, fit_rtol=10.0 * FIT_RTOL),
+    "first answer": lambda g: with_search(g, num_late=1),
     "is 4 times the noise": lambda g: replace(g, fit=replace(g.fit, chi2=16.0 * g.fit.num_samples)),
     "24 standard deviations off": lambda g: replace(g, base=[own_value(24.0)]),
     "no gain is confirmed": lambda g: with_judgment(g, gain=gained(0.3, -0.1, 0.6)),
@@ -326,7 +325,7 @@ def test_errors_of_all_unseen_runs_are_taken_together():
 def test_a_first_answer_says_its_reason_once():
     runs = [recorded(f"r{k}", k, {PUSH: 1.0}) for k in range(6)]
     study = Study("first", "copter", linear.CHANNELS, tuple(runs))
-    settings = DiagnosisSettings(search=QUICK.search, fit_rtol=0.01)
+    settings = DiagnosisSettings(search=replace(QUICK.search, refit_steps=1.0))
     report = diagnose(study, linear.model(), (PUSH,), seed=0, settings=settings)
     assert causes(report)["push"].status == "likely"
     assert not any("not certain" in s for s in report.sentences)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from diffsim.diagnose.search import gauss_newton as gauss_newton_module
+from diffsim.diagnose.search.fit import first_fit
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise, fit
@@ -183,3 +184,20 @@ def test_a_linear_answer_beyond_a_bound_starts_at_the_bound():
     np.testing.assert_allclose(start.record, record_at(wide, start.x))
     found, _ = made.fitted_from(swapped, start, 0.0)
     assert found.converged and found.values["mass"] <= 0.4 + 1e-12
+
+
+def test_windows_in_which_nothing_was_measured_are_skipped():
+    """A run-up is simulated, but not measured: a fit to it would be one to no sample."""
+
+    def build(values, run, numerics):
+        time = torch.from_numpy(run.time_s)
+        return linear.LinearScene(values["slope"] * time[:, None].expand(-1, 2))
+
+    run = linear.run("late", 1)
+    measured = 200.0 + run.measured  # far from any line through zero: windows are tried
+    measured[:12] = np.nan
+    model = SimModel(build, [Parameter("slope", 1.0, 1.0)], "line")
+    problem = Problem(model, (replace(run, measured=measured),), WhiteNoise(linear.CHANNELS))
+    found, _ = first_fit(problem, (0.25, 0.95))
+    alone, _ = first_fit(problem, ())
+    assert found.chi2 + found.prior == pytest.approx(alone.chi2 + alone.prior, rel=1e-6)

@@ -1,0 +1,140 @@
+"""The band for unseen runs: its coverage where the model is wrong, and what it is made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.band import Band, _factor, band_from, band_of, posterior_sd
+from diffsim.diagnose.judge.frozen import judge_saved
+from diffsim.diagnose.judge.records import ErrorRow, band_words
+from diffsim.identify import DiagnosisSetup, Fit, WhiteNoise, fit
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.model_file import read_extended
+from tests.diagnose import linear, toy
+
+SD = np.array([c.sd for c in linear.CHANNELS])
+QUICK = DiagnosisSettings(search=SearchSettings(num_refits=2))
+
+
+def with_error(name, rng, scatter=0.5):
+    """A run of the linear model, and beside it shapes that no model has, of its own strength."""
+    made = linear.run(name, int(rng.integers(2**31)))
+    strength = 2.0 * np.exp(scatter * rng.normal())
+    time = made.time_s / made.time_s[-1]
+    unknown = np.stack([np.sin(3.0 * time), np.cos(2.0 * time)], axis=1) * SD
+    known = linear.shapes("mass", made).numpy()[..., 0] * 0.5
+    return replace(made, measured=made.measured + known + strength * unknown)
+
+
+def fitted(runs) -> Fit:
+    return fit(linear.model(), runs, linear.CHANNELS, whitener=WhiteNoise(linear.CHANNELS))
+
+
+def widths(band: Band, found: Fit, run):
+    return band.half_widths(found, posterior_sd(found), run, linear.CHANNELS, ())
+
+
+def share_inside(found: Fit, half, run) -> float:
+    said = found.problem.predict(run, torch.from_numpy(found.x)).numpy()
+    return float(np.mean(np.abs(run.measured - said) <= half))
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("count", [4, 8])
+def test_coverage_where_the_model_is_wrong(count):
+    rng = np.random.default_rng(count)
+    shares, by_noise = [], []
+    for draw in range(60):
+        *seen, unseen = (with_error(f"r{draw}_{k}", rng) for k in range(count + 1))
+        found = fitted(seen)
+        band = band_of(found, linear.CHANNELS, SD, ())
+        assert band.num_parts == count
+        shares.append(share_inside(found, widths(band, found, unseen), unseen))
+        by_noise.append(share_inside(found, 1.645 * SD, unseen))
+    assert 0.85 <= np.mean(shares) <= 0.95
+    assert np.mean(by_noise) < 0.7  # what the noise alone would promise
+
+
+def test_select_runs_tell_the_band_too():
+    rng = np.random.default_rng(3)
+    seen = [with_error(f"s{k}", rng) for k in range(3)]
+    found = fitted(seen)
+    far = replace(with_error("far", rng), use="select")
+    far = replace(far, measured=far.measured + 40.0 * SD)
+    alone, both = (band_of(found, linear.CHANNELS, SD, select) for select in ((), (far,)))
+    assert (alone.num_parts, both.num_parts) == (3, 4)
+    assert widths(both, found, far).min() > 2.0 * widths(alone, found, far).max()
+
+
+@pytest.mark.reference
+def test_half_of_the_width_is_the_sum_of_three_variances():
+    rng = np.random.default_rng(5)
+    found = fitted([with_error(f"w{k}", rng) for k in range(3)])
+    band = band_of(found, linear.CHANNELS, SD, ())
+    new = linear.run("new", 8)
+    slopes = np.stack([linear.shapes(n, new).numpy()[..., 0] for n in ("mass", "gain")], -1)
+    slopes = slopes * [0.7, 1.5]  # by standardized coordinates
+    spread = np.einsum("tci,ij,tcj->tc", slopes, found.covariance, slopes)
+    rest = np.array([band.rest[c.name] for c in linear.CHANNELS])
+    expected = band.factor * np.sqrt(spread + SD**2 + rest**2)
+    np.testing.assert_allclose(widths(band, found, new), expected, rtol=1e-8)
+
+
+def test_few_parts_make_a_wide_band():
+    scores = np.linspace(0.0, 1.0, 101)[:, None]
+    factors = [_factor([scores] * count) for count in (1, 2, 8, 1000)]
+    assert factors == sorted(factors, reverse=True)
+    assert factors[0] == pytest.approx(0.9 * 2.920 / 1.645, rel=0.02)
+    assert factors[-1] == pytest.approx(0.9, rel=0.02)
+
+
+def test_every_part_weighs_the_same():
+    calm, wild = np.full((1000, 1), 0.1), np.full((10, 1), 3.0)
+    assert _factor([calm, wild]) > 3.0
+
+
+def test_of_a_channel_that_no_part_measured_nothing_is_said():
+    rng = np.random.default_rng(6)
+    blind = np.array([0.0, np.nan])
+    runs = [with_error(f"b{k}", rng) for k in range(4)]
+    runs = [replace(r, measured=r.measured + blind) for r in runs]
+    found = fitted(runs)
+    band = band_of(found, linear.CHANNELS, SD, ())
+    half = widths(band, found, linear.run("new", 8))
+    assert np.isfinite(half[:, 0]).all() and np.isnan(half[:, 1]).all()
+
+
+def test_a_saved_model_states_the_same_band_as_its_report(tmp_path):
+    study = toy.generate(2, {"drag": 0.2})
+    model = toy.model(study.runs)
+    report = diagnose(study, model, (toy.DRAG,), seed=0, settings=QUICK)
+    report.save(tmp_path)
+    saved = read_extended(tmp_path)
+    setup = DiagnosisSetup(model=model, effects=(toy.DRAG,))
+    found = judge_saved(Inputs(study, setup, 0, {}), saved)
+    told = {(row.run, row.kind): row for row in found.errors}
+    assert report.errors and report.bands.keys() == found.bands.keys()
+    for row in report.errors:
+        same = told[row.run, row.kind]
+        assert row.band == pytest.approx(same.band, rel=1e-3)
+        assert row.num_inside == same.num_inside
+        assert row.band > 1.645 * row.noise * 0.9
+    for name, half in report.bands.items():
+        np.testing.assert_allclose(half, found.bands[name], rtol=5e-3)
+    said = band_words(found.errors)
+    assert said in report.sentences and said.startswith("The 90 % band holds ")
+    again = band_from(saved.facts["band"])
+    np.testing.assert_allclose(again.correlation, report.band.correlation, atol=1e-5)
+
+
+def test_runs_that_chose_prove_no_band():
+    row = ErrorRow("a", "position", "m", 2.0, 1.0, 1.0, 100, 0, "test", 1.7, 91)
+    assert band_words([row]) == "The 90 % band holds 91 % of 100 readings of unseen runs."
+    assert not band_words([replace(row, use="select")])
+    assert not band_words([replace(row, band=None)])
