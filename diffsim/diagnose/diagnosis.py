@@ -16,6 +16,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     GateResult,
     budget_gates,
+    cuts_gate,
     data_gate,
     effort_gate,
     repeatability_gate,
@@ -95,7 +96,11 @@ def diagnose(
         ValueError: the study cannot be judged at all, or effects share a name.
     """
     started = process_time()
-    gates = (*data_gate(study), *effort_gate(settings or DiagnosisSettings()))
+    gates = (
+        *data_gate(study),
+        *cuts_gate(model),
+        *effort_gate(settings or DiagnosisSettings()),
+    )
     # from here to the end of the search nothing can look at a test run: there is none
     case = _make_case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))

@@ -38,7 +38,7 @@ class ExtendedModel(SimModel):
         suffix = "".join(f" + {e.name}" for e in effects)
         super().__init__(self._build, base, inner.name + suffix, batched=inner.batched)
         self.inner, self.effects, self.refined = inner, tuple(effects), numerics
-        self.simulations, self.frame = inner.simulations, inner.frame
+        self.simulations, self.frame, self.cuts = inner.simulations, inner.frame, inner.cuts
         self._components = [effect_coordinates([e]) for e in effects]
 
     def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:

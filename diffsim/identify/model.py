@@ -199,10 +199,13 @@ class SimModel:
         frame: What its setup takes from the runs of the study, such as labels and the magnitudes
             that sizes of effects mean by, in types that JSON has; a study with this ``frame`` makes
             causes that mean the same. Extended models are saved with it.
+        cuts: Where runs are cut because two starts part, and how these part, by name of the run:
+            time [s] and words for each place.
     """
 
     prepared_q: Tensor | None = None
     frame: Mapping[str, Any] = MappingProxyType({})
+    cuts: Mapping[str, tuple[tuple[float, str], ...]] = MappingProxyType({})
 
     def __init__(
         self,

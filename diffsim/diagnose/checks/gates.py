@@ -22,6 +22,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.identify import Fit
 from diffsim.identify.effort import FIT_RTOL, DiagnosisSettings, SearchSettings
+from diffsim.identify.model import SimModel
 
 Array = NDArray[np.float64]
 Place = tuple[int, int]  # run and sample
@@ -223,6 +224,7 @@ def _goes_on(first: Run, second: Run) -> bool:
     return True
 
 
+CUTS = "start_states"
 FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
 REPEATS = "repeats:"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
@@ -295,6 +297,27 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
         GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0),
         GateResult("repeats", repeats >= 1, repeats, 1, scatter, applies=repeats > 0),
     )
+
+
+def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
+    """Where runs are cut because their start states stop telling; nothing where none is.
+
+    Args:
+        model: The plain model.
+    """
+    if not model.cuts:
+        return ()
+    times = ", ".join(
+        f"{run} at {', '.join(f'{time:.4g}' for time, _ in places)} s"
+        for run, places in model.cuts.items()
+    )
+    _, parting = next(iter(model.cuts.values()))[0]
+    note = (
+        f"runs were cut where start states stop telling, {times}; each piece begins with a start "
+        f"of its own. In the first, {parting}"
+    )
+    number = sum(map(len, model.cuts.values()))
+    return (GateResult(CUTS, True, number, number, note),)
 
 
 def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:

@@ -18,7 +18,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression
 from diffsim.data.steps import looks_held, moves_on
 from diffsim.data.study import Run, Study
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.applying import labels_of
@@ -35,6 +35,7 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
+from diffsim.systems.ode.pieces import Piece, pieces_of
 from diffsim.systems.ode.scene import OdeScene
 from diffsim.systems.quantities import START_IN_PLAY
 
@@ -109,7 +110,11 @@ class FormulaSystem:
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._parse_definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
+        self.pieces: dict[str, tuple[Piece, ...]] = {}
         self.parts = self._count_parts()
+        self.pieces = self._cut_runs()
+        if self.pieces:
+            self.base = self.base.with_further(self._list_starts_of_pieces())
 
     def _parse_formulas(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
@@ -330,6 +335,23 @@ class FormulaSystem:
             )
         return parts
 
+    def _cut_runs(self) -> dict[str, tuple[Piece, ...]]:
+        """Pieces of the runs in which start states stop telling, by name of the run."""
+        if self._reader.has_errors or not self.motion.states:
+            return {}
+        formulas, model = repr((self.keys, self._given, self.motion, self.parts)), self.model()
+        found = {run.name: pieces_of(run, model, formulas) for run in self.study.runs}
+        return {name: pieces for name, pieces in found.items() if pieces}
+
+    def _list_starts_of_pieces(self) -> list[Parameter]:
+        """What states begin with where a run is cut: values of that run alone."""
+        return [
+            Parameter(_start_name(state, piece, run), value, piece.sd[state])
+            for run, pieces in self.pieces.items()
+            for piece in pieces
+            for state, value in piece.start.items()
+        ]
+
     @property
     def step(self) -> float:
         """Longest step of the integrator [s]."""
@@ -338,7 +360,11 @@ class FormulaSystem:
 
     def model(self) -> SimModel:
         """The model without effects."""
-        return SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
+        made = SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
+        made.cuts = {
+            run: tuple((p.time, p.parting) for p in pieces) for run, pieces in self.pieces.items()
+        }
+        return made
 
     def _build_scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
         if PLAY_START in self.quantities:
@@ -361,6 +387,10 @@ class FormulaSystem:
             inputs={name: self._evaluate_input(name, run, grid, known) for name in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
             ranges=self.keys.ranges,
+            restarts=tuple(
+                (p.time, {s: values[_start_name(s, p, run.name)] for s in p.start})
+                for p in self.pieces.get(run.name, ())
+            ),
         )
         for name, channels in self.clocks.items():
             places = tuple(scene.channels.index(c) for c in channels)
@@ -380,6 +410,11 @@ class FormulaSystem:
         if (late := known.get(f"{name}_delay")) is not None:
             u = (held_delayed if held else delayed)(u, grid, late)
         return u
+
+
+def _start_name(state: str, piece: Piece, run: str) -> str:
+    """Name of the base parameter that a state begins a piece with."""
+    return f"{state}_from_{1e3 * piece.time:.6g}_ms@{run}"
 
 
 class _Times:
