@@ -81,7 +81,7 @@ def lever_study(
         torque = command(rng.uniform(0.45, 0.8) if wild else 0.06, rng.uniform(0.0, 6.0), time)
 
         def rate(t, y, torque=torque):
-            rest = friction * np.tanh(y[1] / 0.02)
+            rest = friction * np.tanh(y[1] / 0.1)
             drive = np.interp(t, time, torque)
             k = TRUE["k"]
             return [y[1], (drive - TRUE["c"] * y[1] - k * np.sin(y[0]) - rest) / TRUE["J"]]

@@ -22,6 +22,7 @@ from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.applying import labels_of
+from diffsim.systems.ode.gaps import Gap, find_gaps
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
@@ -110,6 +111,8 @@ class FormulaSystem:
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._parse_definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
+        self.gaps = self._find_gaps()
+        self.base = self.base.with_further([g.parameter for gs in self.gaps.values() for g in gs])
         self.pieces: dict[str, tuple[Piece, ...]] = {}
         self.parts = self._count_parts()
         self.pieces = self._cut_runs()
@@ -335,11 +338,21 @@ class FormulaSystem:
             )
         return parts
 
+    def _find_gaps(self) -> dict[str, tuple[Gap, ...]]:
+        """Gaps of the runs in which held commands changed, by name of the run."""
+        if self._reader.has_errors or not self.motion.states:
+            return {}
+        given = [i for i in self._given if self.input_held[i.name]]
+        held = sorted({c for i in given for c in self._list_commands_of(i)})
+        found = {run.name: find_gaps(run, held) for run in self.study.runs}
+        return {name: gaps for name, gaps in found.items() if gaps}
+
     def _cut_runs(self) -> dict[str, tuple[Piece, ...]]:
         """Pieces of the runs in which start states stop telling, by name of the run."""
         if self._reader.has_errors or not self.motion.states:
             return {}
-        formulas, model = repr((self.keys, self._given, self.motion, self.parts)), self.model()
+        formulas = repr((self.keys, self._given, self.motion, self.parts, self.input_held))
+        model = self.model()
         found = {run.name: pieces_of(run, model, formulas) for run in self.study.runs}
         return {name: pieces for name, pieces in found.items() if pieces}
 
@@ -384,7 +397,7 @@ class FormulaSystem:
             grid=grid,
             values=known,
             starts=self.starts,
-            inputs={name: self._evaluate_input(name, run, grid, known) for name in self.inputs},
+            inputs={n: self._evaluate_input(n, run, grid, known, values) for n in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
             ranges=self.keys.ranges,
             restarts=tuple(
@@ -398,12 +411,19 @@ class FormulaSystem:
         return scene
 
     def _evaluate_input(
-        self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]
+        self,
+        name: str,
+        run: Run,
+        grid: Grid,
+        known: Mapping[str, Tensor],
+        values: Mapping[str, Tensor],
     ) -> Tensor:
         formula, held = self.inputs[name], self.input_held[name]
         columns = {
             c: grid.resampled(run.command[c], held=held) for c in formula.names if c in run.command
         }
+        for gap in self.gaps.get(run.name, ()) if held else ():
+            columns = {c: gap.change(u, grid, values[gap.name]) for c, u in columns.items()}
         numbers = {n: known[n][..., None] for n in formula.names if n in known}
         u = formula({**numbers, **columns, TIME: grid.times})
         u = u.expand(*u.shape[:-1], len(grid.times)) if u.ndim else u.expand(len(grid.times))

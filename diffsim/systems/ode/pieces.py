@@ -185,10 +185,9 @@ class _Parted:
 
 def _usual_motion(path: Array) -> Array:
     """Rms of each state's motion about its middle, (n,); of a state at rest its own size, or 1."""
-    moved = np.sqrt(np.mean((path - path.mean(0)) ** 2, axis=0))
-    size = np.sqrt(np.mean(path**2, axis=0))
-    moved = np.where(moved > _TINY * np.maximum(size, _TINY), moved, size)
-    return np.asarray(np.where(moved > _TINY, moved, 1.0))
+    moved, size = path.std(0), np.sqrt(np.mean(path**2, axis=0))
+    usual = np.where(moved > _TINY * size, moved, size)
+    return np.asarray(np.where(usual > _TINY, usual, 1.0))
 
 
 def _part(path: Path, start: Array, usual: Usual, first: int, last: int) -> _Parted:
