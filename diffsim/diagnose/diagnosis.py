@@ -20,6 +20,7 @@ from diffsim.diagnose.checks.gates import (
     data_gate,
     effort_gate,
     repeatability_gate,
+    windows_gate,
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
@@ -241,8 +242,8 @@ def _check_null(
         found = check_numerics(null)
         null = found.null
     changes = found.changes
-    gates = (*gates, *found.gates)
     case = null.case
+    gates = (*gates, *found.gates, *windows_gate(case.model, case.study.fit_runs))
     if case.settings.accept_numerics:
         case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
     if cache is not None:

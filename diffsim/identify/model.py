@@ -354,11 +354,13 @@ class SimModel:
         """
         return None
 
-    def prepared_at(self, q: Tensor) -> SimModel:
+    def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.
 
         Args:
             q: Standardized base parameters, (num_base,).
+            runs: Runs that were fitted, which may need no other preparation; (): a saved model
+                that was prepared is so again.
 
         Returns:
             The model itself where nothing is prepared.
@@ -375,6 +377,10 @@ class SimModel:
             None where windows are as short as they may be, or there are none.
         """
         return None
+
+    def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
+        """Length of the windows [s] by run, where the model's own windows had to be short."""
+        return {}
 
     def at_prior(self) -> Tensor:
         """Standardized coordinates of the best guess, (num_base,)."""

@@ -224,7 +224,7 @@ def _goes_on(first: Run, second: Run) -> bool:
     return True
 
 
-CUTS = "start_states"
+CUTS, WINDOWS = "start_states", "windows"
 FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
 REPEATS = "repeats:"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
@@ -318,6 +318,24 @@ def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
     )
     number = sum(map(len, model.cuts.values()))
     return (GateResult(CUTS, True, number, number, note),)
+
+
+def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]:
+    """In what windows runs were fitted, where the model's own ones had to be short; else nothing.
+
+    Args:
+        model: The plain model, as it was fitted.
+        runs: Runs that were fitted.
+    """
+    short = model.short_windows(runs)
+    if not short:
+        return ()
+    lengths = ", ".join(f"{run} {length:.3g} s" for run, length in short.items())
+    note = (
+        f"the plain model follows the record only over short windows, {lengths}; start states of "
+        "these take up what acts slowly, so that refuted and not visible hold for that length only"
+    )
+    return (GateResult(WINDOWS, True, min(short.values()), min(short.values()), note),)
 
 
 def effort_gate(settings: DiagnosisSettings) -> tuple[GateResult, ...]:

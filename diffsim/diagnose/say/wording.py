@@ -8,7 +8,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.diagnose.checks.gates import COARSE, CUTS, FIRST_ANSWER, LATE, REPEATS, GateResult
+from diffsim.diagnose.checks.gates import (
+    COARSE,
+    CUTS,
+    FIRST_ANSWER,
+    LATE,
+    REPEATS,
+    WINDOWS,
+    GateResult,
+)
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.gain import Gain
@@ -182,7 +190,7 @@ def sentences(
         and (g.name not in NUMERICS_GATES or answer.verdict != "numerical")
         and not g.name.startswith(REPEATS)
     ]
-    out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name == CUTS]
+    out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in (CUTS, WINDOWS)]
     first = (FIRST_ANSWER, COARSE, LATE)
     out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)
