@@ -31,7 +31,7 @@ def near_ground() -> Study:
     so that the plain model leaves the record within a second."""
     rng, runs = np.random.default_rng(1), []
     for order, (kind, use) in enumerate((("low", "fit"), ("lower", "fit"), ("low", "select"))):
-        f = small_copter.fly(kind, Causes(ground=1.0), seconds=3.0, fine=2)
+        f = small_copter.fly(kind, Causes(ground=1.0), seconds=2.4, fine=2)
         table = up(f)
         measured = np.stack([table[n][1] for n in NAMES], 1)
         measured = measured + SD * rng.standard_normal(measured.shape)
@@ -42,7 +42,7 @@ def near_ground() -> Study:
         "sensors": SENSORS,
         "thrust": {"coefficient": {"value": 1.4 * COEFFICIENT, "percent": 30}},
         "radius": RADIUS,
-        "effects": {"only": ["ground_effect", "inflow", "thrust_curvature"]},
+        "effects": {"only": ["ground_effect", "inflow"]},
     }
     shown = tuple(Channel(n, table[n][0], "any", float(s)) for n, s in zip(NAMES, SD, strict=True))
     return Study("near ground", "multicopter", shown, tuple(runs), model=model)

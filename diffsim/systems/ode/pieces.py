@@ -39,7 +39,7 @@ MOST = 64  # pieces of a run
 WIDE = 10.0  # times that a start may differ from what the samples say of it
 _STEPS = 4  # of the fit of a start state
 _TINY = 1e-9
-_MOST_RUNS = 1024  # whose pieces are remembered
+_MOST_RUNS = 256  # whose pieces are remembered
 _KNOWN: Memo[tuple[Piece, ...]] = Memo(_MOST_RUNS)
 
 
