@@ -15,8 +15,10 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     GateResult,
     budget_gates,
+    cuts_gate,
     data_gate,
     repeatability_gate,
+    windows_gate,
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
@@ -91,7 +93,7 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
-    gates = data_gate(study)
+    gates = (*data_gate(study), *cuts_gate(model))
     # from here to the end of the search nothing can look at a test run: there is none
     case = _make_case(study.without_tests(), model, effects, unknowns, settings, progress)
     case = replace(case, num_tests=len(study.test_runs))
@@ -231,8 +233,8 @@ def _check_null(
         found = check_numerics(null)
         null = found.null
     changes = found.changes
-    gates = (*gates, *found.gates)
     case = null.case
+    gates = (*gates, *found.gates, *windows_gate(case.model, case.study.fit_runs))
     if case.settings.accept_numerics:
         case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
     if cache is not None:

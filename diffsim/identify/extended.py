@@ -38,7 +38,7 @@ class ExtendedModel(SimModel):
         suffix = "".join(f" + {e.name}" for e in effects)
         super().__init__(self._build, base, inner.name + suffix, batched=inner.batched)
         self.inner, self.effects, self.refined = inner, tuple(effects), numerics
-        self.simulations, self.frame = inner.simulations, inner.frame
+        self.simulations, self.frame, self.cuts = inner.simulations, inner.frame, inner.cuts
         self._components = [effect_coordinates([e]) for e in effects]
 
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
@@ -102,9 +102,13 @@ class ExtendedModel(SimModel):
         inside = getattr(self.inner, "num_fitted_inside", None)
         return int(inside(run)) if callable(inside) else 0
 
-    def prepared_at(self, q: Tensor) -> SimModel:
+    def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
+        """Windows of the plain model that had to be short, by run [s]."""
+        return self.inner.short_windows(runs)
+
+    def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with the plain model prepared at the values of its own parameters at ``q``."""
-        inner = self.inner.prepared_at(self._inner_q(q))
+        inner = self.inner.prepared_at(self._inner_q(q), runs)
         return ExtendedModel(inner, self.effects, self.base, self.refined)
 
 

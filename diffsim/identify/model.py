@@ -233,6 +233,8 @@ class SimModel:
             count in these.
         step_cost: Weighted steps of one sample.
         mesh_power: By which power of a cell's size a sample gets cheaper; 0: there are no cells.
+        cuts: Where runs are cut because two starts part, and how these part, by name of the run:
+            time [s] and words for each place.
     """
 
     prepared_q: Tensor | None = None
@@ -240,6 +242,7 @@ class SimModel:
     run_cost: float = 250.0
     step_cost: float = 2.0
     mesh_power: float = 0.0
+    cuts: Mapping[str, tuple[tuple[float, str], ...]] = MappingProxyType({})
 
     def __init__(
         self,
@@ -408,11 +411,13 @@ class SimModel:
         """
         return None
 
-    def prepared_at(self, q: Tensor) -> SimModel:
+    def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.
 
         Args:
             q: Standardized base parameters, (num_base,).
+            runs: Runs that were fitted, which may need no other preparation; (): a saved model
+                that was prepared is so again.
 
         Returns:
             The model itself where nothing is prepared.
@@ -429,6 +434,10 @@ class SimModel:
             None where windows are as short as they may be, or there are none.
         """
         return None
+
+    def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
+        """Length of the windows [s] by run, where the model's own windows had to be short."""
+        return {}
 
     def at_prior(self) -> Tensor:
         """Standardized coordinates of the best guess, (num_base,)."""

@@ -232,6 +232,12 @@ class BaseParameters:
         )
         self.base = tuple(self.quantities[key].parameter(name) for key, name in names)
 
+    def with_further(self, more: Sequence[Parameter]) -> BaseParameters:
+        """The same with base parameters that no quantity states, such as starts of pieces."""
+        out = BaseParameters({}, ())
+        out.quantities, out.base = self.quantities, (*self.base, *more)
+        return out
+
     def name_of(self, key: str, run: Run) -> str:
         """Name of the base parameter that a quantity has in a run.
 

@@ -10,6 +10,7 @@ GRAVITY = 9.81
 MASS, ARM = 0.5, 0.12
 INERTIA = np.diag([3.6e-3, 3.7e-3, 6.5e-3])
 COEFFICIENT, TORQUE_RATIO = 5.57e-6, 0.0245  # N s^2, m
+RADIUS = 0.1  # of the propellers, m
 PLACES = np.array([[ARM, -ARM, 0.0], [-ARM, ARM, 0.0], [ARM, ARM, 0.0], [-ARM, -ARM, 0.0]])
 REACTION = np.array([1.0, 1.0, -1.0, -1.0])  # about +z: the propeller turns clockwise from above
 SPINS = ("cw", "cw", "ccw", "ccw")
@@ -29,6 +30,7 @@ class Causes:
     gust: tuple[float, float] = (0.0, 0.0)  # N along x, Hz
     extra_mass: float = 0.0
     load: tuple[float, float] = (0.0, 0.5)  # kg on a string of so many m
+    ground: float = 0.0  # thrust times 1 + ground (RADIUS / 4 height)^2
 
 
 @dataclass
@@ -55,6 +57,12 @@ def path(kind: str, t: float) -> np.ndarray:
     """Where the vehicle should be, and its yaw."""
     if kind == "circle":
         return np.array([np.cos(1.3 * t) - 1.0, np.sin(1.3 * t), 1.0 + 0.2 * np.sin(t), 0.3 * t])
+    if kind == "low":
+        return np.array([0.5 * np.sin(1.2 * t), 0.4 * np.sin(t), 0.2 + 0.08 * np.sin(2.0 * t), 0.0])
+    if kind == "lower":
+        return np.array(
+            [0.3 * np.sin(t), 0.5 * np.sin(1.6 * t), 0.17 + 0.06 * np.sin(2.7 * t), 0.0]
+        )
     if kind == "dash":
         return np.array([1.2 * np.sin(1.9 * t), 0.3 * np.sin(2.5 * t), 1.0, 0.4 * np.sin(t)])
     return np.array([0.5 * np.sin(t), 0.5 * np.sin(2.1 * t), 1.0 + 0.5 * np.sin(1.4 * t), 0.8])
@@ -129,6 +137,9 @@ def _rate(s: np.ndarray, command: np.ndarray, causes: Causes, t: float) -> np.nd
     turn, rates, speed = s[6:15].reshape(3, 3), s[15:18], s[18:22]
     thrusts = COEFFICIENT * speed**2 * np.array(causes.shares)
     arms = PLACES - np.array(causes.center_of_mass)
+    if causes.ground:
+        heights = np.maximum(s[2] + (PLACES @ turn.T)[:, 2], 0.5 * RADIUS)
+        thrusts = thrusts * (1.0 + causes.ground * (RADIUS / (4.0 * heights)) ** 2)
     forces = np.zeros((4, 3))
     axes = np.tile([0.0, 0.0, 1.0], (4, 1))
     east, north = causes.tilt

@@ -21,6 +21,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.identify import Fit
 from diffsim.identify.effort import SearchSettings
+from diffsim.identify.model import SimModel
 
 Array = NDArray[np.float64]
 Place = tuple[int, int]  # run and sample
@@ -222,6 +223,7 @@ def _goes_on(first: Run, second: Run) -> bool:
     return True
 
 
+CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE = "coarse", "scan_budget", "refit_budget"
 REPEATS = "repeats:"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
@@ -294,6 +296,45 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
         GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0),
         GateResult("repeats", repeats >= 1, repeats, 1, scatter, applies=repeats > 0),
     )
+
+
+def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
+    """Where runs are cut because their start states stop telling; nothing where none is.
+
+    Args:
+        model: The plain model.
+    """
+    if not model.cuts:
+        return ()
+    times = ", ".join(
+        f"{run} at {', '.join(f'{time:.4g}' for time, _ in places)} s"
+        for run, places in model.cuts.items()
+    )
+    _, parting = next(iter(model.cuts.values()))[0]
+    note = (
+        f"runs were cut where start states stop telling, {times}; each piece begins with a start "
+        f"of its own. In the first, {parting}"
+    )
+    number = sum(map(len, model.cuts.values()))
+    return (GateResult(CUTS, True, number, number, note),)
+
+
+def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]:
+    """In what windows runs were fitted, where the model's own ones had to be short; else nothing.
+
+    Args:
+        model: The plain model, as it was fitted.
+        runs: Runs that were fitted.
+    """
+    short = model.short_windows(runs)
+    if not short:
+        return ()
+    lengths = ", ".join(f"{run} {length:.3g} s" for run, length in short.items())
+    note = (
+        f"the plain model follows the record only over short windows, {lengths}; start states of "
+        "these take up what acts slowly, so that refuted and not visible hold for that length only"
+    )
+    return (GateResult(WINDOWS, True, min(short.values()), min(short.values()), note),)
 
 
 def budget_gates(

@@ -8,7 +8,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.diagnose.checks.gates import COARSE, LATE, REPEATS, SCANS, GateResult
+from diffsim.diagnose.checks.gates import (
+    COARSE,
+    CUTS,
+    LATE,
+    REPEATS,
+    SCANS,
+    WINDOWS,
+    GateResult,
+)
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.gain import Gain
@@ -197,6 +205,7 @@ def sentences(
         and (g.name not in NUMERICS_GATES or answer.verdict != "numerical")
         and not g.name.startswith(REPEATS)
     ]
+    out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in (CUTS, WINDOWS)]
     first = (COARSE, SCANS, LATE)
     out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)

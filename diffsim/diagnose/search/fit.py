@@ -292,13 +292,7 @@ def null_fit(case: Case) -> Null:
     problem = case.problem(WhiteNoise(channels))
     fit, at = first_fit(problem, case.settings.windows)
     case = replace(case, model=fit.problem.model)
-    prepared = case.model.prepared_at(torch.from_numpy(fit.x))
-    if prepared is not case.model:
-        prepared.prepared_q = torch.from_numpy(fit.x)
-        prepared.simulations = case.model.simulations  # goes on counting
-        case = replace(case, model=prepared)
-        problem = case.problem(WhiteNoise(channels))
-        fit, at = gauss_newton(problem, linearization_at(problem, fit.x))
+    case, (fit, at) = _prepare(case, WhiteNoise(channels), (fit, at))
     cleaned = [without_spikes(r, residual_of(fit, r)) for r in study.runs]
     num_spikes = sum(count for _, count in cleaned)
     study = replace(study, runs=tuple(run for run, _ in cleaned))
@@ -309,6 +303,30 @@ def null_fit(case: Case) -> Null:
     if num_spikes:  # a model that fits initial states to the record predicts otherwise without them
         at = linearization_at(problem, fit.x)
     return Null(case, noise, *gauss_newton(problem, at), num_spikes)
+
+
+def _prepare(case: Case, whitener: Whitener, ended: Ended) -> tuple[Case, Ended]:
+    """The case with its model prepared where the plain model's fit ended, fitted again there.
+
+    Windows that are longer than those of the prior are kept where the fit converges in them.
+    """
+    fit, _ = ended
+    q = torch.from_numpy(fit.x)
+    prepared = case.model.prepared_at(q, case.study.fit_runs)
+    if prepared is case.model:
+        return case, ended
+    prepared.prepared_q = q
+    prepared.simulations = case.model.simulations  # goes on counting
+    has_windows = bool(case.model.short_windows(case.study.fit_runs))
+    new = replace(case, model=prepared)
+    problem = new.problem(whitener)
+    try:
+        again = gauss_newton(problem, linearization_at(problem, fit.x))
+    except DiffsimError:
+        if not has_windows:
+            raise
+        return case, ended
+    return (case, ended) if has_windows and not again[0].converged else (new, again)
 
 
 def residual_of(fit: Fit, run: Run) -> Array:

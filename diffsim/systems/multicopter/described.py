@@ -45,6 +45,8 @@ class DescribedFlights:
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
         lags_speed: Whether it is the speed, not the thrust, that lags.
         clocks: Indices of the channels that are late together, by the quantity that says how much.
+        cut_at: Values of base parameters at which runs are cut; those left out, as known
+            beforehand.
         known: Windows of the runs that were cut.
     """
 
@@ -60,6 +62,7 @@ class DescribedFlights:
     thrust_coefficient: float
     lags_speed: bool
     clocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    cut_at: Mapping[str, Tensor] = field(default_factory=dict)
     known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
@@ -70,7 +73,7 @@ class DescribedFlights:
         return self.known(run, lambda: self._cut_run(run))
 
     def _cut_run(self, run: Run) -> Windows:
-        nominal = self.nominal()
+        nominal = {**self.nominal(), **self.cut_at}
         past = self.asked(run, self.in_run(nominal, run)).mean(1)
         return self.cutter.cut(
             run, past, partial(self._build_scene, nominal, run, Numerics()), self.nominal_fleet()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,14 @@ from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, MOST_RUNS, Cutter, spacing
+from diffsim.systems.multicopter.cutting import (
+    FEWEST,
+    LONGEST,
+    LONGEST_S,
+    MOST_RUNS,
+    Cutter,
+    spacing,
+)
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
@@ -113,6 +120,37 @@ class CopterModel(SimModel):
             shorter_scales = replace(scales, facts={**scales.facts, LONGEST: longest_s})
             made.frame = {SCALES: shorter_scales.saved()}
         return made
+
+    def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
+        """The model with windows as long as it settles in at these coordinates, up to a second.
+
+        Windows of the prior may be short because a gain of the data sheet is off.
+
+        Args:
+            q: Standardized base parameters, (num_base,).
+            runs: Runs that were fitted; the model itself where their windows are long already.
+        """
+        cutter = self.flights.cutter
+        if cutter.window_s is not None or (runs and not self.short_windows(runs)):
+            return self
+        values = {name: v.detach() for name, v in self.values.at(q).items()}
+        longer = replace(cutter, longest_s=LONGEST_S)
+        made = CopterModel(replace(self.flights, cutter=longer, cut_at=values), self.base)
+        made.frame = self.frame
+        before, after = (
+            [m.flights.windows(r).measured.shape[1] for r in runs] for m in (self, made)
+        )
+        return made if not runs or sum(after) > sum(before) else self
+
+    def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
+        """Length of the windows [s] by run, where it is shorter than what was wished for."""
+        wished = self.flights.cutter.window_s or LONGEST_S
+        lengths = {r: (self.flights.windows(r).measured.shape[1], spacing(r)) for r in runs}
+        return {
+            run.name: count * dt
+            for run, (count, dt) in lengths.items()
+            if count < min(max(FEWEST, round(wished / dt)), len(run.time_s))
+        }
 
     def num_fitted_inside(self, run: Run) -> int:
         """Number of values that are fitted to a run whatever it is used for: start states."""
@@ -239,6 +277,8 @@ class Flights:
         base: Base parameters with their priors.
         substeps: Integration steps per sample.
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
+        cut_at: Values of base parameters at which runs are cut; those left out, as known
+            beforehand.
         known: Windows of the runs that were cut.
     """
 
@@ -248,6 +288,7 @@ class Flights:
     base: tuple[Parameter, ...]
     substeps: int
     thrust_coefficient: float
+    cut_at: Mapping[str, Tensor] = field(default_factory=dict)
     known: Memo[Windows] = memo_field(MOST_RUNS)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
@@ -260,6 +301,7 @@ class Flights:
     def _cut_run(self, run: Run) -> Windows:
         past = _stack_columns(run, self.commands).mean(1)
         nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
+        nominal |= self.cut_at
         return self.cutter.cut(
             run, past, partial(self._build_scene, nominal, run, Numerics()), self.vehicle
         )

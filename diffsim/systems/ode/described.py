@@ -18,10 +18,11 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression
 from diffsim.data.steps import looks_held, moves_on
 from diffsim.data.study import Run, Study
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.applying import labels_of
+from diffsim.systems.ode.gaps import Gap, find_gaps
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
@@ -35,6 +36,7 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
+from diffsim.systems.ode.pieces import Piece, pieces_of
 from diffsim.systems.ode.scene import OdeScene
 from diffsim.systems.quantities import START_IN_PLAY
 
@@ -109,7 +111,13 @@ class FormulaSystem:
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._parse_definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
+        self.gaps = self._find_gaps()
+        self.base = self.base.with_further([g.parameter for gs in self.gaps.values() for g in gs])
+        self.pieces: dict[str, tuple[Piece, ...]] = {}
         self.parts = self._count_parts()
+        self.pieces = self._cut_runs()
+        if self.pieces:
+            self.base = self.base.with_further(self._list_starts_of_pieces())
 
     def _parse_formulas(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
@@ -330,6 +338,33 @@ class FormulaSystem:
             )
         return parts
 
+    def _find_gaps(self) -> dict[str, tuple[Gap, ...]]:
+        """Gaps of the runs in which held commands changed, by name of the run."""
+        if self._reader.has_errors or not self.motion.states:
+            return {}
+        given = [i for i in self._given if self.input_held[i.name]]
+        held = sorted({c for i in given for c in self._list_commands_of(i)})
+        found = {run.name: find_gaps(run, held) for run in self.study.runs}
+        return {name: gaps for name, gaps in found.items() if gaps}
+
+    def _cut_runs(self) -> dict[str, tuple[Piece, ...]]:
+        """Pieces of the runs in which start states stop telling, by name of the run."""
+        if self._reader.has_errors or not self.motion.states:
+            return {}
+        formulas = repr((self.keys, self._given, self.motion, self.parts, self.input_held))
+        model = self.model()
+        found = {run.name: pieces_of(run, model, formulas) for run in self.study.runs}
+        return {name: pieces for name, pieces in found.items() if pieces}
+
+    def _list_starts_of_pieces(self) -> list[Parameter]:
+        """What states begin with where a run is cut: values of that run alone."""
+        return [
+            Parameter(_start_name(state, piece, run), value, piece.sd[state])
+            for run, pieces in self.pieces.items()
+            for piece in pieces
+            for state, value in piece.start.items()
+        ]
+
     @property
     def step(self) -> float:
         """Longest step of the integrator [s]."""
@@ -340,6 +375,9 @@ class FormulaSystem:
         """The model without effects."""
         made = SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
         made.step_cost *= self.parts
+        made.cuts = {
+            run: tuple((p.time, p.parting) for p in pieces) for run, pieces in self.pieces.items()
+        }
         return made
 
     def _build_scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
@@ -360,9 +398,13 @@ class FormulaSystem:
             grid=grid,
             values=known,
             starts=self.starts,
-            inputs={name: self._evaluate_input(name, run, grid, known) for name in self.inputs},
+            inputs={n: self._evaluate_input(n, run, grid, known, values) for n in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
             ranges=self.keys.ranges,
+            restarts=tuple(
+                (p.time, {s: values[_start_name(s, p, run.name)] for s in p.start})
+                for p in self.pieces.get(run.name, ())
+            ),
         )
         for name, channels in self.clocks.items():
             places = tuple(scene.channels.index(c) for c in channels)
@@ -370,18 +412,30 @@ class FormulaSystem:
         return scene
 
     def _evaluate_input(
-        self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]
+        self,
+        name: str,
+        run: Run,
+        grid: Grid,
+        known: Mapping[str, Tensor],
+        values: Mapping[str, Tensor],
     ) -> Tensor:
         formula, held = self.inputs[name], self.input_held[name]
         columns = {
             c: grid.resampled(run.command[c], held=held) for c in formula.names if c in run.command
         }
+        for gap in self.gaps.get(run.name, ()) if held else ():
+            columns = {c: gap.change(u, grid, values[gap.name]) for c, u in columns.items()}
         numbers = {n: known[n][..., None] for n in formula.names if n in known}
         u = formula({**numbers, **columns, TIME: grid.times})
         u = u.expand(*u.shape[:-1], len(grid.times)) if u.ndim else u.expand(len(grid.times))
         if (late := known.get(f"{name}_delay")) is not None:
             u = (held_delayed if held else delayed)(u, grid, late)
         return u
+
+
+def _start_name(state: str, piece: Piece, run: str) -> str:
+    """Name of the base parameter that a state begins a piece with."""
+    return f"{state}_from_{1e3 * piece.time:.6g}_ms@{run}"
 
 
 class _Times:

@@ -14,6 +14,7 @@ from diffsim.causes.readings import PLAY_START
 from diffsim.causes.signals import Grid, change_rows, smoothly_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
+from diffsim.ode import Ode
 from diffsim.systems.ode.network import TIME, Change, Network
 
 
@@ -32,6 +33,8 @@ class OdeScene:
         readers: What effects do to channels, by their indices.
         channels: Names of the channels in order.
         ranges: Least and largest value that the sensor of a channel can show, by channel.
+        restarts: Times at which the system's states begin anew, with their values; states that
+            effects have added go on.
     """
 
     run: Run
@@ -44,6 +47,7 @@ class OdeScene:
     readers: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    restarts: tuple[tuple[float, Mapping[str, Tensor]], ...] = ()
 
     def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
         """A copy with other formulas; ``sizes`` are values of the symbols in them."""
@@ -89,17 +93,10 @@ class OdeScene:
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""
-        readings, _ = self.solved()
-        order = [list(self.network.readings).index(c) for c in self.channels]
-        if order != list(range(readings.shape[-1])):
-            readings = readings[..., order]
+        readings = self._order_channels(self.solved()[0])
         for channels, change in self.readers:
             readings = change_rows(readings.mT, channels, change, self.grid).mT.contiguous()
-        for channel, (low, high) in self.ranges.items():
-            # the sensor ends after all that happens before it
-            own = torch.zeros(len(self.channels), dtype=torch.bool)
-            own[self.channels.index(channel)] = True
-            readings = torch.where(own, readings.clamp(low, high), readings)
+        readings = self._end_sensors(readings)
         if readings.shape[-2] == len(self.grid.samples):
             return readings
         return readings.index_select(-2, self.grid.samples)
@@ -110,23 +107,88 @@ class OdeScene:
         Args:
             network: The same system, read otherwise; None: the scene's own.
         """
-        solver = (network or self.network).solver(self.changes)
+        flow = self._prepare_flow(network or self.network)
+        begins = self._list_restarts()
+        start, parts = flow.start, list[tuple[Tensor, Tensor]]()
+        for first, last, values in begins:
+            if values:
+                ended = dict(zip(flow.states, parts[-1][1][..., -1, :].unbind(-1), strict=True))
+                start = _stack_values([{**ended, **values}[s] for s in flow.states], flow.lead)
+            parts.append(flow.solve(start, first, last))
+        if len(parts) == 1:
+            return parts[0]
+        readings, states = (
+            torch.cat([*(part[..., :-1, :] for part in found[:-1]), found[-1]], -2)
+            for found in zip(*parts, strict=True)
+        )
+        return readings, states
+
+    def solved_from(self, starts: Tensor, first: int, last: int) -> tuple[Tensor, Tensor]:
+        """Channels and states of a part of the run from other starts, its clocks set aside.
+
+        Args:
+            starts: Start states, (K, num_states).
+            first, last: First and last time of the part, indices of the grid.
+
+        Returns:
+            (K, last - first + 1, num_channels) and (K, last - first + 1, num_states).
+        """
+        readings, states = self._prepare_flow(self.network).solve(starts, first, last)
+        return self._end_sensors(self._order_channels(readings)), states
+
+    def begin(self) -> tuple[tuple[str, ...], Tensor]:
+        """Names of the states and their start, (num_states,) or (K, num_states)."""
+        flow = self._prepare_flow(self.network)
+        return tuple(flow.states), flow.start
+
+    def _prepare_flow(self, network: Network) -> _Flow:
+        solver = network.solver(self.changes)
         states = list(solver.ode.rates)
         starts = self._stack_starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
         inputs = [self.inputs[n] for n in solver.inputs]
+        restarts = [v for _, values in self.restarts for v in values.values()]
         lead = np.broadcast_shapes(
-            *(v.shape for v in (*starts, *parameters)), *(u.shape[:-1] for u in inputs)
+            *(v.shape for v in (*starts, *restarts, *parameters)), *(u.shape[:-1] for u in inputs)
         )
         steps = len(self.grid.times)
         # inputs that no point changes are stored once
         own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
-        return solver.ode.solve(
-            self.grid.times,
+        return _Flow(
+            solver.ode,
+            states,
+            lead,
             _stack_values(starts, lead),
+            self.grid.times,
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
             _stack_values(parameters, lead),
         )
+
+    def _order_channels(self, readings: Tensor) -> Tensor:
+        """Readings as the study has its channels."""
+        order = [list(self.network.readings).index(c) for c in self.channels]
+        if order == list(range(readings.shape[-1])):
+            return readings
+        return readings[..., order]
+
+    def _end_sensors(self, readings: Tensor) -> Tensor:
+        """Channels within what their sensors can show."""
+        for channel, (low, high) in self.ranges.items():
+            # the sensor ends after all that happens before it
+            own = torch.zeros(len(self.channels), dtype=torch.bool)
+            own[self.channels.index(channel)] = True
+            readings = torch.where(own, readings.clamp(low, high), readings)
+        return readings
+
+    def _list_restarts(self) -> list[tuple[int, int, Mapping[str, Tensor]]]:
+        """First and last time of every piece of the run by index, with what begins anew there. The
+        first part of a run that is cut later is one piece."""
+        last = len(self.grid.times) - 1
+        places = np.searchsorted(self.grid.times.numpy(), [t for t, _ in self.restarts])
+        begins = [(int(i), v) for i, (_, v) in zip(places, self.restarts, strict=True) if i < last]
+        firsts: list[tuple[int, Mapping[str, Tensor]]] = [(0, {}), *begins]
+        ends = [*(i for i, _ in begins), last]
+        return [(i, end, v) for (i, v), end in zip(firsts, ends, strict=True)]
 
     def _stack_starts(
         self, states: Sequence[str], further: Mapping[str, Expression]
@@ -138,6 +200,37 @@ class OdeScene:
         known |= {at_start(s): value for s, value in out.items()}
         zero = torch.zeros((), dtype=torch.float64)
         return [out[s] if s in out else further[s](known) if s in further else zero for s in states]
+
+
+@dataclass(frozen=True, eq=False)
+class _Flow:
+    """A scene as the integrator takes it.
+
+    Attributes:
+        ode: The integrator.
+        states: Names of the states.
+        lead: Leading axes of the points.
+        start: States in the beginning, (..., num_states).
+        times: Of the grid.
+        inputs: (..., num_times, num_inputs); None: there are none.
+        parameters: (..., num_parameters).
+    """
+
+    ode: Ode
+    states: list[str]
+    lead: tuple[int, ...]
+    start: Tensor
+    times: Tensor
+    inputs: Tensor | None
+    parameters: Tensor
+
+    def solve(self, start: Tensor, first: int, last: int) -> tuple[Tensor, Tensor]:
+        """Readings and states from one time of the grid to another, both included."""
+        if (first, last) == (0, len(self.times) - 1):
+            return self.ode.solve(self.times, start, self.inputs, self.parameters)
+        piece = slice(first, last + 1)
+        inputs = None if self.inputs is None else self.inputs[..., piece, :]
+        return self.ode.solve(self.times[piece], start, inputs, self.parameters)
 
 
 def at_start(state: str) -> str:

@@ -197,7 +197,7 @@ class TossModel(SimModel):
         """Numbers that are fitted to each run inside: its start state."""
         return 12
 
-    def prepared_at(self, q: Tensor) -> SimModel:
+    def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """Start states linearized at the values of these coordinates."""
         values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
         made = TossModel(self.runs, self.channels, self.thrown, values)

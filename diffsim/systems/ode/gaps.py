@@ -1,0 +1,83 @@
+"""Rows that a recorder dropped while a command was held: it changed somewhere inside the gap.
+
+When is not recorded, so it is a nuisance of the run with the gap as its bounds, and no cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.causes.signals import Grid
+from diffsim.data.study import Run
+from diffsim.identify.model import Parameter
+
+LONG = 1.5  # usual steps: a longer one lacks a row
+JUMP = 3.0  # usual changes from row to row, which are none of a command that rests
+EVEN_SD = 1.0 / np.sqrt(12.0)  # of a share that may be anything from 0 to 1
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A gap in the rows across which a held command changed.
+
+    Attributes:
+        name: Base parameter that says when: the share of the gap that was over.
+        start, end: Times of the rows beside it [s].
+    """
+
+    name: str
+    start: float
+    end: float
+
+    @property
+    def parameter(self) -> Parameter:
+        """The nuisance: anything from the start to the end of the gap."""
+        return Parameter(self.name, 0.5, EVEN_SD, lower=0.0, upper=1.0)
+
+    def change(self, column: Tensor, grid: Grid, share: Tensor) -> Tensor:
+        """A held command that changes inside the gap; steps that it cuts have the mean.
+
+        Args:
+            column: The command at the times of the integrator, (..., num_times); until the end of
+                the gap as before it.
+            grid: Times of the integrator.
+            share: Of the gap that was over, () or (K,).
+        """
+        times = grid.times
+        first, last = (int(torch.searchsorted(times, t)) for t in (self.start, self.end))
+        if last >= len(times):  # the first part of a run
+            return column
+        inside = times[first : last + 1]
+        at = self.start + share[..., None] * (self.end - self.start)
+        over = ((inside[1:] - at) / inside.diff()).clamp(0.0, 1.0)
+        rise = column[..., last : last + 1] - column[..., first : first + 1]
+        more = torch.nn.functional.pad(rise * over, (first, len(times) - last))
+        return column + more
+
+
+def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
+    """Gaps of a run across which one of these commands jumped.
+
+    Args:
+        run: Recorded run.
+        commands: Names of commands that are held from row to row.
+    """
+    steps = np.diff(run.time_s)
+    columns = [np.asarray(run.command[c], dtype=np.float64) for c in commands if c in run.command]
+    if not len(steps) or not columns:
+        return ()
+    changes = np.abs(np.diff(np.stack(columns), axis=1))
+    jumps = (changes > JUMP * np.median(changes, axis=1, keepdims=True)).any(0)
+    return tuple(
+        Gap(
+            f"change_in_gap_at_{1e3 * run.time_s[k]:.6g}_ms@{run.name}",
+            float(run.time_s[k]),
+            float(run.time_s[k + 1]),
+        )
+        for k in np.flatnonzero(jumps & (steps > LONG * np.median(steps)))
+    )

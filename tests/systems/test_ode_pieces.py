@@ -1,0 +1,83 @@
+"""Runs of formulas are cut where two starts part, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.diagnose import diagnose
+from diffsim.systems.registry import setup_of
+from tests.systems.turning_lever import TRUE, lever_study
+
+
+@lru_cache
+def wild():
+    return setup_of(lever_study(seed=0))
+
+
+def test_constants_of_a_lever_that_turns_over_are_inside_their_intervals():
+    study, setup = lever_study(seed=0), wild()
+    report = diagnose(
+        study, setup.model, setup.effects, seed=0, unknowns=setup.unknowns, settings=setup.settings
+    )
+    friction = next(c for c in report.causes if c.name == "dry_friction_at_axis")
+    assert friction.status == "certain"
+    assert friction.size["size"].low < TRUE["friction"] < friction.size["size"].high
+    for row in report.base:
+        if row.name in TRUE:
+            assert row.low <= TRUE[row.name] <= row.high, row
+    gate = next(g for g in report.gates if g.name == "start_states")
+    assert gate.value == sum(map(len, setup.model.cuts.values()))
+    assert any("two starts 0.15 apart in speed" in text for text in report.sentences)
+
+
+def test_a_lever_that_swings_is_not_cut():
+    study = lever_study(wild=False, seed=0)
+    model = setup_of(study).model
+    assert not model.cuts
+    assert not any("_from_" in p.name for p in model.base)
+
+
+def test_cuts_of_a_run_are_its_own():
+    """Neither other runs nor their use decide where a run is cut: a test run tells nothing."""
+    study, cuts = lever_study(seed=0), wild().model.cuts
+    assert cuts
+    run = next(r for r in study.runs if r.name in cuts)
+    alone = setup_of(lever_study(seed=0, only=run.name)).model.cuts
+    assert alone == {run.name: cuts[run.name]}
+
+
+def test_a_piece_begins_where_its_start_says():
+    study, model = lever_study(seed=0), wild().model
+    run = next(r for r in study.fit_runs if r.name in model.cuts)
+    time, _ = model.cuts[run.name][0]
+    at = int(np.searchsorted(run.time_s, time))
+    moved = next(i for i, p in enumerate(model.base) if p.name.startswith("angle_from_"))
+    q = model.at_prior()
+    before = model.predict(run, q)
+    q[moved] += 1.0
+    after = model.predict(run, q)
+    sd = model.base[moved].sd
+    assert torch.equal(after[:at], before[:at])
+    assert float(after[at, 0] - before[at, 0]) == pytest.approx(sd, rel=1e-9)
+    # the plain model at its prior follows the record for a while from there
+    near = slice(at, at + 8)
+    assert np.abs(before[near, 0].numpy() - run.measured[near, 0]).max() < 0.1
+
+
+def test_pieces_that_begin_where_the_one_before_ends_change_nothing():
+    study, model = lever_study(seed=0), wild().model
+    run = next(r for r in study.fit_runs if r.name in model.cuts)
+    scene = model.scene(run, model.at_prior())
+    whole = replace(scene, restarts=())
+    path = dict(zip(scene.begin()[0], whole.solved()[1].unbind(-1), strict=True))
+    places = np.searchsorted(scene.grid.times.numpy(), [t for t, _ in scene.restarts])
+    going_on = tuple(
+        (float(scene.grid.times[i]), {s: path[s][i] for s in path}) for i in places.tolist()
+    )
+    cut = replace(scene, restarts=going_on)
+    torch.testing.assert_close(cut.simulate(), whole.simulate(), rtol=0.0, atol=1e-9)
