@@ -21,6 +21,7 @@ from labs.rates.rig import Cause, Recorded, Size
 from labs.rates.troubles import TROUBLES, sample_times, with_noise
 
 Array = NDArray[np.float64]
+Course = Callable[[Array], Array]  # between -1 and 1
 Force = Callable[[int, float, float], float]  # place, position, velocity -> force
 #: Time, state, input, numbers, what acts besides -> rates.
 Rates = Callable[[Array, float, Mapping[str, float], Force], list[float]]
@@ -98,17 +99,15 @@ class EquationRig:
         )
         base = {name: _drawn(truth, said) for name, said in self.model["parameters"].items()}
         duration = self.step_s * (self.count - 1)
-        runs, clean = [], []
-        for order, (group, tail, use, course) in enumerate(_plan(paces, duration)):
+        planned = []
+        for group, tail, use, course in _plan(paces, duration):
             time = sample_times(noise, self.count, self.step_s, disturbance)
-            ramp = np.minimum(time / (0.05 * duration), 1.0)
-            command = self.reach * (0.5 + 0.45 * course(time) if self.lifted else course(time))
-            command = (
-                self.reach * 0.5 + (command - self.reach * 0.5) * ramp
-                if self.lifted
-                else (command * ramp)
-            )
-            seen = self._seen(time, command, base, hidden)
+            planned.append((group, tail, use, time, self._command(course, time)))
+        # shares of the largest command are those of the runs that a diagnosis fits
+        reach = max(float(np.abs(u).max()) for _, _, use, _, u in planned if use == "fit")
+        runs, clean = [], []
+        for order, (group, tail, use, time, command) in enumerate(planned):
+            seen = self._seen(time, command, base, hidden, reach)
             run = Run(group + tail, time, seen, {self._input: command}, group, order, use)
             noisy, exact = with_noise(noise, run, self.channels, disturbance)
             runs.append(noisy)
@@ -117,12 +116,24 @@ class EquationRig:
         whole = Study(self.name, "ode", self.channels, tuple(clean), model=self.model)
         return Recorded(study, whole, base)
 
+    def _command(self, course: Course, time: Array) -> Array:
+        """A course as a command, which begins at rest."""
+        middle = 0.5 * self.reach if self.lifted else 0.0
+        share = 0.45 if self.lifted else 1.0
+        ramp = np.minimum(time / (0.05 * self.step_s * (self.count - 1)), 1.0)
+        return middle + share * self.reach * ramp * course(time)
+
     @property
     def _input(self) -> str:
         return str(self.model["inputs"][0])
 
     def _seen(
-        self, time: Array, command: Array, base: Mapping[str, float], hidden: Mapping[str, Size]
+        self,
+        time: Array,
+        command: Array,
+        base: Mapping[str, float],
+        hidden: Mapping[str, Size],
+        reach: float,
     ) -> Array:
         """What the channels show, (num_samples, num_channels)."""
         acts = [(self.acts[name], size[0]) for name, size in hidden.items()]
@@ -130,7 +141,7 @@ class EquationRig:
         drive = np.interp(fine, time, command)
         for act, size in acts:
             if act.on == DRIVE:
-                drive = DRIVES[act.form](fine, drive, size, self.reach)
+                drive = DRIVES[act.form](fine, drive, size, reach)
         forces = [(a.at, FORCES[a.form], size) for a, size in acts if a.on == FORCE]
 
         def push(place: int, x: float, v: float) -> float:
@@ -198,9 +209,6 @@ def _drawn(rng: np.random.Generator, said: Mapping[str, Any]) -> float:
         if "percent" in said
         else (value + z * float(said["sd"]))
     )
-
-
-Course = Callable[[Array], Array]
 
 
 def _plan(rng: np.random.Generator, duration: float) -> list[tuple[str, str, str, Course]]:

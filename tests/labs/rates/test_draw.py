@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+import torch
 
 from diffsim.data import load_study
 from diffsim.systems.registry import setup_of
@@ -100,6 +101,50 @@ def test_only_what_is_hidden_differs(domain, rig):
         not np.allclose(a.measured, c.measured, rtol=1e-12)
         for a, c in zip(plain.clean.runs, changed.clean.runs, strict=True)
     )
+
+
+def at_truth(model, base):
+    """Coordinates of the true base parameters, as far as they are known."""
+    q = model.at_prior()
+    for i, p in enumerate(model.base):
+        if p.name in base:
+            true = base[p.name]
+            q[i] = np.log(true / p.value) / p.sd if p.log else (true - p.value) / p.sd
+    return q
+
+
+FAST = ("propeller", "load_cell", "rod")
+
+
+@pytest.mark.parametrize(
+    ("domain", "rig"),
+    [pytest.param(*d, marks=() if d[1].name in FAST else pytest.mark.slow) for d in DESCRIBED],
+    ids=[r.name for _, r in DESCRIBED],
+)
+def test_what_is_hidden_is_the_librarys_cause_at_its_size(domain, rig):
+    """A tenth of what a cause does is left by the model with it, at the true numbers."""
+    plain = rig.record(3, {}, "")
+    made = setup_of(plain.study)
+    effects = {e.name: e for e in made.effects}
+    q, sd = at_truth(made.model, plain.base), np.array([c.sd for c in plain.study.channels])
+
+    def left(runs, sizes=None):
+        with torch.no_grad():
+            return [(made.model.predict(r, q, sizes).numpy() - r.measured) / sd for r in runs]
+
+    for name, cause in rig.causes.items():
+        if not (cause.known and cause.sized):
+            continue
+        size = (cause.typical,) * cause.components
+        runs = rig.record(3, {name: size}, "").clean.fit_runs[:3]
+        effect = effects[(cause.names or (name,))[0]]
+        off = left(runs, {effect: torch.tensor(size, dtype=torch.float64)})
+        change = [
+            (h.measured - p.measured) / sd for h, p in zip(runs, plain.clean.runs, strict=False)
+        ]
+        before = left(plain.clean.fit_runs[:3])
+        rest = np.concatenate([(a - b).ravel() for a, b in zip(off, before, strict=True)])
+        assert np.linalg.norm(rest) <= 0.1 * np.linalg.norm(np.concatenate(change)), name
 
 
 def toy(kind, hidden, denies="row"):
