@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -65,10 +66,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         plan = planned(args)
         print(f"master seed {plan['master']}, commit {plan['commit'][:10]}, {_sealed(plan)}")
         with open_executor(args.executor) as executor:
-            rows = run_kept(
+            run_kept(
                 solve, wanted(args, plan), args.out / "cases", executor, done=lambda _, r: say(r)
             )
-        print(f"wrote {write_pages(list(rows.values()), plan, args)}")
+        print(f"wrote {write_pages(finished(args.out, plan), plan, args)}")
         return 0
     except KeyboardInterrupt:
         print("\ninterrupted; finished cases are kept", file=sys.stderr)
@@ -98,6 +99,21 @@ def wanted(args: argparse.Namespace, plan: Mapping[str, Any]) -> dict[str, dict[
         domain, _, index = name.rpartition("_")
         numbers.setdefault(require_choice("--only", domain, DOMAINS), []).append(int(index))
     return items(plan, numbers)
+
+
+def finished(out: Path, plan: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """All cases of the run that have ended, whichever call asked for them.
+
+    Args:
+        out: Folder of the run.
+        plan: Of the run.
+    """
+    rows = [
+        json.loads(path.read_text(encoding="utf-8"))["result"]
+        for path in (out / "cases").glob("*.json")
+    ]
+    of_run = [r for r in rows if all(r[k] == plan[k] for k in ("master", "commit", "effort"))]
+    return sorted(of_run, key=lambda r: (list(DOMAINS).index(r["domain"]), r["index"]))
 
 
 def say(row: Mapping[str, Any]) -> None:

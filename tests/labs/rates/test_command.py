@@ -48,9 +48,9 @@ def test_cases_are_diagnosed_counted_and_never_twice(tmp_path, clean, monkeypatc
     assert row["outcome"] != "no answer" and row["truth"]["sizes"] and row["simulations"] > 0
     page = (tmp_path / "rates.md").read_text()
     assert "master seed 5" in page and "2 cases (2 bench)" in page
-    # a case can be asked for alone
+    # a case can be asked for alone; the page counts all that have ended
     assert call(tmp_path, "--only", "bench_0001") == 0
-    assert done == [1]
+    assert done == [1] and (tmp_path / "rates.md").read_text() == page
 
 
 def test_a_run_is_sealed_only_by_a_fresh_seed_from_a_clean_tree(tmp_path, monkeypatch, capsys):
