@@ -4,7 +4,8 @@ They stand beside the package, which knows nothing of them, and are read from a 
 
 - ``labs.virtual``: laboratories that compute recordings with causes hidden in them;
 - ``labs.systems``: their setups, given to ``diffsim diagnose`` as anybody's: ``--setup FILE.py``;
-- ``labs.blind``: sealed cases, diagnosed unseen and counted (``python -m labs.blind``);
+- ``labs.rates``: sealed cases of every kind of system, counted (``python -m labs.rates``);
+- ``labs.calibration``: their answers with other thresholds (``python -m labs.calibration``);
 - ``labs.cases``: chosen cases of each laboratory, with their verdicts;
 - ``labs.outside``: cases that other people's simulators made (``python -m labs.outside``).
 """

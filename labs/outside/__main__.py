@@ -23,7 +23,7 @@ from diffsim.diagnose.diagnosis import diagnose
 from diffsim.identify import fit
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.registry import setup_of
-from labs.blind.case import answer_of
+from labs.answers import answer_of, failure
 from labs.outside.case import Case
 from labs.outside.catalog import CASES
 
@@ -55,8 +55,7 @@ def judged(name: str, seed: int) -> dict[str, Any]:
         cpu = time.process_time() - start
         strength = _strength(case, setup)
     except (DiffsimError, ValueError) as error:
-        message = " ".join(str(error).split())
-        answer = {"verdict": "failed", "error": f"{type(error).__name__}: {message}"}
+        answer = failure(error)
         cpu, strength = time.process_time() - start, float("nan")
     return {
         "case": name,
@@ -75,7 +74,7 @@ def held_against(case: Case, answer: Mapping[str, Any]) -> dict[str, Any]:
 
     Args:
         case: What was hidden.
-        answer: What was said, as of ``blind.case.answer_of``.
+        answer: What was said, as of ``answers.answer_of``.
     """
     verdict, truth = answer["verdict"], sorted(case.hidden)
     sets = [sorted(s) for s in (answer.get("named", []), *answer.get("rivals", [])) if s]

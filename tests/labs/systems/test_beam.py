@@ -9,9 +9,6 @@ import torch
 from diffsim.data.study import Run
 from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics
-from labs.blind.sealed import BENCHES, seal
-from labs.blind.sessions import Blind
-from labs.cases.beam import labels
 from labs.systems import setup_of
 from labs.virtual import SoftBeamLab
 from labs.virtual.common import Plan
@@ -136,12 +133,12 @@ def test_few_runs_and_causes_end_to_end(lab):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", [0, 1])
-def test_sealed_cases(index, tmp_path):
-    """Nothing hidden, and a drag, with all candidates."""
-    out, vault = tmp_path / "out", tmp_path / "vault"
-    blind = Blind(BENCHES["beam"], "beam", 0, out, vault, with_lambda=False)
-    label = list(labels())[index]
-    seal(blind.bench, label, blind.data, blind.vault, "case")
-    score = blind.score("case")
-    assert score["right"], score
+@pytest.mark.parametrize("hidden", [(), ("volume_drag",)])
+def test_all_candidates_on_whole_recordings(lab, hidden):
+    """Nothing hidden, and a drag."""
+    study = lab.case(100 + len(hidden), dict.fromkeys(hidden)).study
+    s = setup_of(study)
+    report = diagnose(
+        study, s.model, s.effects, seed=0, unknowns=s.unknowns, bank=s.bank, settings=s.settings
+    )
+    assert report.named == hidden, report.sentences

@@ -1,1 +1,0 @@
-"""Blind diagnosis: effects hidden in virtual laboratories, diagnosed unseen, and counted."""

@@ -1,0 +1,1 @@
+"""What thresholds of a diagnosis do: each halved and doubled, answers made again and counted."""

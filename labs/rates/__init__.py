@@ -1,0 +1,1 @@
+"""Rates of right and wrong answers: sealed cases of many systems, diagnosed and counted."""
