@@ -224,7 +224,7 @@ def _goes_on(first: Run, second: Run) -> bool:
 
 
 FIRST_ANSWER, COARSE, LATE = "first_answer", "coarse", "refit_budget"
-REPEATS = "repeats:"
+REPEATS, REPEATED = "repeats:", "swap"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
 

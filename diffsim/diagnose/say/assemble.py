@@ -13,10 +13,11 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
+from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.data_sheet import base_rows, far_off
 from diffsim.diagnose.judge.gain import Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
@@ -130,6 +131,8 @@ def report_of(
     refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
     is_off = any(row.finding for row in base)
     verdict, named = _verdict(judgment, certain, is_off=is_off, stands_in=bool(refused))
+    if verdict == "unknown" and not any(gate.name == REPEATED for gate in checks.gates):
+        checks = checks.joined(repeated_gate(best, seed))
     # of a verdict that names what all sets share, the sets are all given
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
     rows = effect_rows(effects, judgment, screened, checks.changes)

@@ -8,7 +8,14 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.diagnose.checks.gates import COARSE, FIRST_ANSWER, LATE, REPEATS, GateResult
+from diffsim.diagnose.checks.gates import (
+    COARSE,
+    FIRST_ANSWER,
+    LATE,
+    REPEATED,
+    REPEATS,
+    GateResult,
+)
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.gain import Gain
@@ -208,7 +215,7 @@ def _first(answer: Answer) -> str:
         )
         return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
     if answer.verdict == "unknown":
-        text = "Something real and repeatable is missing that the library does not hold"
+        text = _say_unknown(answer)
         if helping:
             verbs = "help, but are" if len(helping) > 1 else "helps, but is"
             return f"{text}; {_sizes(helping)} {verbs} not named."
@@ -223,6 +230,19 @@ def _first(answer: Answer) -> str:
         + ", ".join(f"{g.value:.1f} noise sd ({g.name})" for g in failed)
         + ": state finer ones in the model, or go on as they are with --accept-numerics."
     )
+
+
+def _say_unknown(answer: Answer) -> str:
+    """That something is missing, and whether repeats show it."""
+    tested = [gate for gate in answer.gates if gate.name == REPEATED]
+    if tested and tested[-1].passed:
+        return "Something real and repeatable is missing that the library does not hold"
+    text = "Something is missing that the library does not hold"
+    if tested:
+        return f"{text}, though repeats do not show it"
+    has_repeats = any(gate.name == "repeats" and gate.passed for gate in answer.gates)
+    why = "repeats are too short, or differ in length" if has_repeats else "no repeated run"
+    return f"{text}, and whether it repeats cannot be checked: {why}"
 
 
 def _say_doubts(answer: Answer) -> list[str]:
