@@ -31,7 +31,7 @@ from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.say.wording import sentences
+from diffsim.diagnose.say.wording import MUCH_LEFT, sentences
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search
@@ -41,7 +41,6 @@ from diffsim.identify import Fit
 from diffsim.identify.unknown import UnknownForce
 
 Array = NDArray[np.float64]
-MUCH_LEFT = 3.0  # noise sd, root mean square: nothing is certain that leaves more to the unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +115,8 @@ def report_of(
         why = f"of the extended model: its sizes are not to be trusted ({best.message})"
         checks = checks.joined([GateResult("fit_converged", False, 0.0, 1.0, why)])
     far_pulls = {} if decision.beside is None else far_off(best)
-    rest = float(np.sqrt(best.chi2 / best.num_samples))
-    left = None if decision.beside is None or rest <= MUCH_LEFT else rest
-    may_stand_in = bool(far_pulls) or left is not None
+    left = float(np.sqrt(best.chi2 / best.num_samples))
+    may_stand_in = bool(far_pulls) or left > MUCH_LEFT
     surest = LIKELY if may_stand_in or case.settings.is_first_answer else CERTAIN
     about = None if search is None else averaged(search, judgment, best, checks.changes)
     certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
@@ -149,6 +147,7 @@ def report_of(
         beside=_beside(judgment),
         far_pulls=far_pulls,
         left=left,
+        with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by="" if validation is None else validation.words,
         hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
@@ -268,6 +267,21 @@ def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
         rivals = [h for h in judgment.decision.rivals if h.unknown is None]
         fits += [search.fit_of(h.effects) for h in rivals if h in search.posteriors]
     return next_run(fits, bank) if bank and len(fits) > 1 else None
+
+
+def _with_unknown(search: Search | None, members: frozenset[int], count: int) -> dict[str, float]:
+    """What the unknown cause with the best evidence beside a set would leave, by its name [noise
+    sd]; empty where none was weighed there."""
+    if search is None:
+        return {}
+    beside = [Hypothesis(members, u) for u in range(len(search.unknowns))]
+    weighed = [h for h in beside if h in search.posteriors]
+    if not weighed:
+        return {}
+    best = max(weighed, key=search.nats)
+    assert best.unknown is not None
+    chi2 = search.posteriors[best].chi2
+    return {search.unknowns[best.unknown].name: float(np.sqrt(max(chi2, 0.0) / count))}
 
 
 def _unknown_share(null: Null, best: Fit, judgment: Judgment) -> float | None:

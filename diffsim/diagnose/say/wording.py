@@ -34,6 +34,7 @@ from diffsim.diagnose.judge.records import (
 from diffsim.identify.effect import is_of_run
 
 VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
+MUCH_LEFT = 3.0  # noise sd, root mean square: nothing is certain that leaves more
 MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 _RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
 
@@ -57,7 +58,9 @@ class Answer:
             after the other", "leaving out blocks of 2.5 s".
         far_pulls: Parameters that the set takes further off their data sheets than even wrong ones
             lie while something unknown acts, in words, each with its distance [prior sd].
-        left: What the set leaves, if that is much and an unknown cause explains it [noise sd].
+        left: What the fit leaves, root mean square of the whitened residual [noise sd].
+        with_unknown: What it would leave with the best unknown cause beside, by its name [noise
+            sd]; empty where none was weighed.
     """
 
     verdict: str
@@ -71,7 +74,8 @@ class Answer:
     beside: str = ""
     chosen_by: str = ""
     far_pulls: Mapping[str, float] = field(default_factory=dict)
-    left: float | None = None
+    left: float = 1.0
+    with_unknown: Mapping[str, float] = field(default_factory=dict)
 
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
         """Causes with one of these statuses, unknown ones left out."""
@@ -254,12 +258,18 @@ def _say_doubts(answer: Answer) -> list[str]:
         "unknown acts: what is named may stand in for that."
         for words, pull in answer.far_pulls.items()
     ]
-    if answer.left is not None:
+    if answer.left > MUCH_LEFT:
         out.append(
-            f"What the fit leaves is {answer.left:.2g} times the noise, and something unknown "
-            "acts: what is named may stand in for that."
+            f"What the fit leaves is {_say_left(answer)}: what is named may stand in for something "
+            "unknown."
         )
     return out
+
+
+def _say_left(answer: Answer) -> str:
+    """What the fit leaves, and what it would leave with something unknown beside."""
+    beside = (f", {left:.2g} with an {name} beside" for name, left in answer.with_unknown.items())
+    return f"{answer.left:.2g} times the noise{''.join(beside)}"
 
 
 def _data_sheets(answer: Answer) -> list[str]:
@@ -280,6 +290,10 @@ def _data_sheets(answer: Answer) -> list[str]:
 def _rest(answer: Answer) -> list[str]:
     """What the names leave open."""
     decision, out = answer.decision, []
+    if answer.verdict in ("ambiguous", "unknown") or (
+        answer.verdict == "named" and answer.left <= MUCH_LEFT
+    ):
+        out.append(f"The fit leaves {_say_left(answer)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))
