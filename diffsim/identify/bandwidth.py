@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from diffsim.identify.problem import Problem
+
 Array = NDArray[np.float64]
 FIRST = 4  # cosines of the narrowest band; each further one is twice as wide
 RISES = 4.0  # nats by which a wider band must be better: odds of 55 to 1
@@ -25,6 +27,22 @@ def octaves_of(series: Array, stretch: float = 1.0) -> tuple[Array, Array]:
     place = (np.arange(len(series)) + 1.0) * stretch
     octave = np.ceil(np.log2(np.maximum(place / FIRST, 1.0))).astype(np.int64)
     return np.bincount(octave, energy), np.bincount(octave) * float(series.shape[1])
+
+
+def num_cosines_of(problem: Problem, residual: Array) -> int:
+    """Cosines over the longest run that what a fit leaves asks for: doubled until the evidence
+    stops rising.
+
+    Args:
+        problem: Problem whose runs were fitted.
+        residual: Whitened residual, (num_valid,).
+    """
+    spans = [float(np.ptp(run.time_s)) for run in problem.runs]
+    octaves = []
+    for run, own, span in zip(problem.runs, problem.by_run(residual), spans, strict=True):
+        if span > 0.0:
+            octaves.append(octaves_of(problem.on_grid(run, own), max(spans) / span))
+    return num_cosines(band_nats(octaves)) if octaves else FIRST
 
 
 def band_nats(octaves: Sequence[tuple[Array, Array]]) -> Array:

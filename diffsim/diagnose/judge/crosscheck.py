@@ -58,7 +58,8 @@ def swap_probability(problem: Problem, residual: Array, *, seed: int) -> float |
     labels = [_blocks(problem.runs[a]) for a, _ in pairs]
     if sum(int(label.max()) + 1 for label in labels) < MIN_BLOCKS:
         return None
-    grids = _on_grid(problem, residual)
+    rows = zip(problem.runs, problem.by_run(residual), strict=True)
+    grids = [problem.on_grid(run, own) for run, own in rows]
     # of two repeats, scaled to the noise of one
     mean = [np.sqrt(0.5) * (grids[a] + grids[b]) for a, b in pairs]
     half = [np.sqrt(0.5) * (grids[a] - grids[b]) for a, b in pairs]
@@ -105,17 +106,6 @@ def _pairs(runs: tuple[Run, ...]) -> list[tuple[int, int]]:
         for g in groups.values()
         if len(g) > 1 and len(runs[g[0]].time_s) == len(runs[g[1]].time_s)
     ]
-
-
-def _on_grid(problem: Problem, residual: Array) -> list[Array]:
-    """(num_samples, num_channels) by run: a whitened row stands at its newest sample."""
-    out = []
-    for run, own in zip(problem.runs, problem.by_run(residual), strict=True):
-        matrix = problem.whitener.matrix(run)
-        grid = np.zeros(run.measured.size)
-        grid[np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])] = own
-        out.append(grid.reshape(run.measured.shape))
-    return out
 
 
 def _blocks(run: Run) -> NDArray[np.int64]:

@@ -361,7 +361,7 @@ class Simulations:
         return at
 
     def _slopes_of(self, unknown: Unknown, members: Members, at: Linearization) -> Array:
-        label = f"{unknown.name} at {self._label(members)}"
+        label = f"{unknown.label} at {self._label(members)}"
         if self.store is not None and (kept := self.store.load_array(label)) is not None:
             return kept
         slopes = unknown.slopes(self.narrow(members), at.x[self.coordinates(members)])
