@@ -26,7 +26,8 @@ def octaves_of(series: Array, stretch: float = 1.0) -> tuple[Array, Array]:
     energy = np.sum(fft.dct(series, axis=0, norm="ortho") ** 2, axis=1)
     place = (np.arange(len(series)) + 1.0) * stretch
     octave = np.ceil(np.log2(np.maximum(place / FIRST, 1.0))).astype(np.int64)
-    return np.bincount(octave, energy), np.bincount(octave) * float(series.shape[1])
+    count = float(series.shape[1]) * np.bincount(octave).astype(np.float64)
+    return np.asarray(np.bincount(octave, energy), dtype=np.float64), count
 
 
 def num_cosines_of(problem: Problem, residual: Array) -> int:
