@@ -376,6 +376,14 @@ class Problem:
         counts = [int(np.isfinite(run.measured).sum()) for run in self.runs]
         return np.split(rows, np.cumsum(counts)[:-1])
 
+    def on_grid(self, run: Run, rows: Array) -> Array:
+        """(num_samples, num_channels) of whitened rows of a run, (num_valid,): each stands at its
+        newest sample, the largest column that it uses; 0 where nothing was measured."""
+        matrix = self.whitener.matrix(run)
+        grid = np.zeros(run.measured.size)
+        grid[np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])] = rows
+        return grid.reshape(run.measured.shape)
+
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         return np.asarray(self.whitener.matrix(run) @ record)

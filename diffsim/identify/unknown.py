@@ -7,7 +7,7 @@ common amplitude is averaged over in ``evidence``, so only their shape matters h
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,15 @@ class Unknown(ABC):
         """(N, m) of (N, k): from components to independent coefficients."""
         return slopes
 
+    def suited(self, num_cosines: int) -> Unknown:
+        """The cause as fast as that many cosines over the longest run; itself if it is as it is."""
+        return self
+
+    @property
+    def label(self) -> str:
+        """Name under which what was simulated for it is kept."""
+        return self.name
+
     def responses(self, problem: Problem, x: Array) -> Array:
         """(num_valid, m * num_groups) whitened responses at x, rows in the order of
         ``problem.runs``; one block of columns per command."""
@@ -58,16 +67,39 @@ class UnknownForce(Unknown):
         covariance: (num_components, num_components) of the coefficients, such as
             ``smooth_covariance`` of the knots; scale free.
         name: Name in the report.
+        make: The same force with a number of knots; None: those of ``effect`` are all there are.
+        most_knots: Largest number of them.
     """
 
-    def __init__(self, effect: Effect, covariance: Array, name: str = "unknown force"):
+    def __init__(
+        self,
+        effect: Effect,
+        covariance: Array,
+        name: str = "unknown force",
+        make: Callable[[int], UnknownForce] | None = None,
+        most_knots: int = 0,
+    ):
         m = len(effect.components)
         if covariance.shape != (m, m):
             raise ValueError(f"covariance must have shape ({m}, {m}), got {covariance.shape}")
         self.effect, self.name = effect, name
         self._root = _root(covariance)
+        self._make, self._most_knots = make, most_knots
         # by a secant, one simulation each, where slopes need simulations: only the shape matters
         self._secant = replace(effect, smooth=False)
+
+    def suited(self, num_cosines: int) -> Unknown:
+        """With three knots for each cosine, of which a correlation over two leaves a tenth of the
+        power of the fastest."""
+        if self._make is None:
+            return self
+        made = self._make(min(3 * num_cosines + 1, self._most_knots))
+        return self if made.label == self.label else made
+
+    @property
+    def label(self) -> str:
+        """Its name and the number of its components."""
+        return f"{self.name} of {len(self.effect.components)}"
 
     def mix(self, slopes: Array) -> Array:
         """Components drawn from their covariance."""

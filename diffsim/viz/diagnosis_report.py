@@ -47,7 +47,7 @@ MEANINGS = {
     "data_sheet": "no cause is missing; a number of the data sheet is off",
     "named": "one or more causes are certain",
     "ambiguous": "causes that these recordings cannot tell apart",
-    "unknown": "real and repeatable, not in the library",
+    "unknown": "something is missing that is not in the library",
     "unrepeatable": "repeats scatter far beyond the sensor's noise",
     "numerical": "time step, mesh or tolerance still move the record",
 }

@@ -117,7 +117,7 @@ def case_inputs(made: Mapping[str, Any], folder: Path, effort: str) -> Inputs:
         seed=0,
         setup_file=None if made["setup_file"] is None else Path(made["setup_file"]),
         without=made["without"],
-        quick=effort == QUICK,
+        budget=effort,
     )
 
 

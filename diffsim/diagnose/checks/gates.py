@@ -225,7 +225,7 @@ def _goes_on(first: Run, second: Run) -> bool:
 
 CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE = "coarse", "scan_budget", "refit_budget"
-REPEATS = "repeats:"
+REPEATS, REPEATED = "repeats:", "swap"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
 

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
@@ -26,10 +27,11 @@ from diffsim.identify import Fit, Problem
 
 Array = NDArray[np.float64]
 _MOST_KEPT = 256  # fits
-MIN_BLOCKS = 4  # per run; fewer in all say nothing: equal models win three in a row by chance
+MIN_BLOCKS = 4  # fewer say nothing: equal models win three in a row by chance
+MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
+DRAWS = 1000  # resamples of the bootstrap
 LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 MOST = 1.2  # share that can be removed, and stated over left noise, where the noise is known
-BLOCK_S = 0.3  # longer than the memory of what the models leave
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,10 @@ class Gain:
 
     Attributes:
         value: The share; 1: down to the noise, 0: no better, below 0: worse.
-        low, high: 90 % block-bootstrap interval.
+        low, high: 90 % block-bootstrap interval; both ``value`` for a single block.
         excess: (e_null^2 - n^2) in noise variances per sample; where it is small the share means
             little.
-        num_blocks: Number of blocks of samples that the bootstrap resamples.
+        num_blocks: Number of blocks of samples, as long as what moves the share is correlated.
         fall: Lower end of the 90 % interval of e_null^2 - e_ext^2, in noise variances per sample:
             what is known of it where the excess, and with it every share, is uncertain.
     """
@@ -58,7 +60,7 @@ class Gain:
         """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
         or "nothing to gain": the plain model's error is noise alone. Too few blocks confirm
         nothing, and no share of a noise that is not what was stated."""
-        if self.high < 0.0:
+        if self.high < 0.0 and self.num_blocks > 1:
             return "withdrawn"
         if self.excess <= 0.0:
             return "nothing to gain"
@@ -104,9 +106,7 @@ def _percent(share: float) -> str:
     return f"{share:.0%}" if abs(share) >= 0.095 or share == 0.0 else f"{share:.1%}"
 
 
-def gain(
-    runs: Sequence[Run], null: Frozen, extended: Frozen, *, seed: int, block_s: float = BLOCK_S
-) -> Gain:
+def gain(runs: Sequence[Run], null: Frozen, extended: Frozen, *, seed: int) -> Gain:
     """Compare two fits on runs that neither has seen.
 
     What is a run's own ("offset@run") is fitted to it, for both alike; nothing else is.
@@ -116,12 +116,11 @@ def gain(
         null: Frozen without effects.
         extended: Frozen of the same model with effects.
         seed: Seed of the bootstrap.
-        block_s: Length of a resampled block [s].
     """
     if not runs:
         raise ValueError("runs is empty; the gain needs at least one run")
     before, after = held_out_residuals(null, runs), held_out_residuals(extended, runs)
-    return compared(runs, null, before, after, seed=seed, block_s=block_s)
+    return compared(runs, null, before, after, seed=seed)
 
 
 def compared(
@@ -131,10 +130,11 @@ def compared(
     after: Sequence[Array],
     *,
     seed: int,
-    block_s: float = BLOCK_S,
-    draws: int = 1000,
 ) -> Gain:
     """Gain from whitened residuals of runs that no fit has seen.
+
+    Blocks are doubled, up to whole runs, and those count by which the share is least sure: shorter
+    ones are not independent of each other, longer ones say no more.
 
     Args:
         runs: Runs that no fit has seen.
@@ -142,13 +142,20 @@ def compared(
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
         seed: Seed of the bootstrap.
-        block_s: Length of a resampled block [s].
-        draws: Number of resamples of the bootstrap.
     """
-    pairs = [
-        _blocks(run, block_s, a, b, null) for run, a, b in zip(runs, before, after, strict=True)
-    ]
-    return share_removed(np.concatenate(pairs), seed=seed, draws=draws)
+    times = [_time_of_rows(run, null) for run in runs]
+    squares = [(a**2, b**2) for a, b in zip(before, after, strict=True)]
+    spans = [float(np.ptp(time)) for time in times]
+    block_s = sum(spans) / MOST_BLOCKS
+    tables: list[Array] = []
+    while not tables or block_s < 2.0 * max(spans):
+        rows = [_blocks(t, block_s, *both) for t, both in zip(times, squares, strict=True)]
+        table = np.concatenate(rows)
+        if tables and len(table) < MIN_BLOCKS:
+            break
+        tables.append(table)
+        block_s *= 2.0
+    return share_removed(max(tables, key=_sure_sd), seed=seed)
 
 
 def held_out_residuals(fit: Frozen, runs: Sequence[Run]) -> list[Array]:
@@ -156,26 +163,51 @@ def held_out_residuals(fit: Frozen, runs: Sequence[Run]) -> list[Array]:
     return [held_out_residual(fit, run) for run in runs]
 
 
-def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
+def share_removed(blocks: Array, *, seed: int) -> Gain:
     """The share and its interval from blocks.
+
+    The bootstrap's quantiles are taken as far out as Student's interval is wider than the normal
+    one: a resample of few blocks varies less than they do (Hesterberg 2015, "What teachers should
+    know about the bootstrap").
 
     Args:
         blocks: Samples, sum of squares of the null model, and of the extended one, (num_blocks, 3)
             [noise variances].
+        seed: Seed of the bootstrap.
     """
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(len(blocks), size=(draws, len(blocks)))
-    count, null, extended = np.moveaxis(blocks[picks].sum(axis=1), -1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (null - extended) / (null - count)
-    # a resample whose null error is below the noise has no excess to remove: it says nothing
-    shares = np.where(null > count, shares, 0.0)
-    low, high = np.quantile(shares, [0.05, 0.95])
-    fall = float(np.quantile((null - extended) / count, 0.05))
-    total = blocks.sum(axis=0)
-    excess = (total[1] - total[0]) / total[0]
-    value = (total[1] - total[2]) / (total[1] - total[0]) if excess > 0.0 else 0.0
-    return Gain(float(value), float(low), float(high), float(excess), len(blocks), fall)
+    rng, num_blocks = np.random.default_rng(seed), len(blocks)
+    picks = rng.integers(num_blocks, size=(DRAWS, num_blocks))
+    drawn, total = blocks[picks].sum(axis=1), blocks.sum(axis=0)
+    excess = total[1] - total[0]
+    # a resample whose null error is below the noise has nothing to remove, but may get worse
+    worse = np.minimum(drawn[:, 1] - drawn[:, 2], 0.0) / (excess if excess > 0.0 else np.inf)
+    shares = np.where(drawn[:, 1] > drawn[:, 0], _share(drawn), worse)
+    few = max(num_blocks - 1, 1)
+    tail = special.ndtr(np.sqrt(num_blocks / few) * special.stdtrit(few, 0.05))
+    low, high = np.quantile(shares, [tail, 1.0 - tail])
+    fall = float(np.quantile((drawn[:, 1] - drawn[:, 2]) / drawn[:, 0], tail))
+    per_sample, value = float(excess / total[0]), float(_share(total))
+    return Gain(value, float(low), float(high), per_sample, num_blocks, fall)
+
+
+def _share(sums: Array) -> Array:
+    """The share from sums over blocks, (...,) of (..., 3); 0 where the null model's error is below
+    the noise."""
+    count, null, extended = np.moveaxis(sums, -1, 0)
+    return np.where(null > count, null - extended, 0.0) / np.where(null > count, null - count, 1.0)
+
+
+def _sure_sd(blocks: Array) -> float:
+    """Standard deviation of the share, from what leaving out each block changes, less what that of
+    few blocks may be off by; 0 of one block."""
+    num_blocks, value = len(blocks), _share(blocks.sum(axis=0))
+    count, null, extended = blocks.T
+    total = float((null - count).sum())
+    if num_blocks < 2 or total <= 0.0:
+        return 0.0
+    moved = (null - extended - value * (null - count)) / total
+    sure = 1.0 - 1.0 / np.sqrt(2.0 * (num_blocks - 1))
+    return float(sure * np.sqrt(num_blocks / (num_blocks - 1) * (moved @ moved)))
 
 
 def held_out_residual(fit: Frozen, run: Run) -> Array:
@@ -183,19 +215,26 @@ def held_out_residual(fit: Frozen, run: Run) -> Array:
     return replace(fit.problem, runs=(run,)).residual(held_out_point(fit, run))
 
 
-def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen) -> Array:
-    """(num_blocks, 3) sums over blocks of time."""
+def _time_of_rows(run: Run, fit: Frozen) -> Array:
+    """Time of every whitened row, (num_valid,) [s]: of the newest sample that it uses."""
     matrix = fit.problem.whitener.matrix(run)
-    # a short run has four blocks at least: one block would have an interval of no width
-    block_s = min(block_s, float(run.time_s[-1] - run.time_s[0]) / MIN_BLOCKS)
-    # a whitened row belongs to its newest sample: the largest column it uses
     newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
-    time = run.time_s[newest // run.measured.shape[1]]
-    since = time - run.time_s[0]  # a run of one sample is a block
-    label = (since / block_s).astype(int) if block_s > 0.0 else np.zeros(len(since), dtype=int)
-    size = label.max() + 1
-    rows = [np.bincount(label, w, size) for w in (np.ones_like(null), null**2, extended**2)]
-    table = np.column_stack(rows)
+    return run.time_s[newest // run.measured.shape[1]]
+
+
+def _blocks(time: Array, block_s: float, null: Array, extended: Array) -> Array:
+    """(num_blocks, 3) sums of squares over blocks of time of at least ``block_s``, the whole run if
+    that is shorter.
+
+    Args:
+        time: Of every whitened row, (num_valid,) [s].
+        block_s: Length of a block [s].
+        null, extended: Squares of the residuals, (num_valid,).
+    """
+    since, span = time - time.min(), float(np.ptp(time))
+    count = max(int(span / block_s), 1) if span > 0.0 else 1
+    label = np.minimum((since * (count / max(span, block_s, 1e-300))).astype(np.int64), count - 1)
+    table = np.column_stack([np.bincount(label, w) for w in (np.ones_like(null), null, extended)])
     return np.asarray(table[table[:, 0] > 0], dtype=np.float64)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.diagnose.checks.gates import GateResult
-from diffsim.diagnose.judge.crosscheck import swap_probability
+from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.gain import Gain, Validation, gain_over
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
@@ -22,9 +22,8 @@ from diffsim.identify.effect import is_of_run
 
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
-SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
-# between: repeats may be too few to decide (what two causes outside the library looked like,
-# 0.03 and 0.05 in six blocks); above, their scatter explains what the best set leaves
+# between the check's limit and this one repeats may be too few to decide (what two causes outside
+# the library looked like, 0.03 and 0.05 in six blocks); above, their scatter explains what is left
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
 MAX_HELPERS = 6  # sets that are tried beside an unknown cause
@@ -359,19 +358,12 @@ def confirmed(
     """
     if decision.unknown is None or decision.unknown.unknown is None:
         return decision, ()
-    best, u = search.fit_of(decision.best), decision.unknown.unknown
-    cause, made = search.unknowns[u], search.simulations
-    moved, _ = made.responses(cause, u, decision.best, made.fitted[decision.best])
-    p = swap_probability(best.problem, best.residual, moved, seed=seed)
-    if p is None:
-        return decision, ()
-    note = f"{cause.name}: repeats as noise scale"
-    gates = (GateResult("swap", p <= SWAP_LIMIT, p, SWAP_LIMIT, note),)
-    if p <= SWAP_LIMIT:
+    gates = repeated_gate(search.fit_of(decision.best), seed)
+    if all(gate.passed for gate in gates):
         return decision, gates
     if not decision.best:
         return replace(decision, verdict="none", unknown=None), gates
-    if p <= SWAP_OPEN:
+    if gates[0].value <= SWAP_OPEN:
         rivals = (decision.unknown,)
         return replace(decision, verdict="ambiguous", rivals=rivals, unknown=None), gates
     return replace(decision, verdict="named", unknown=None), gates

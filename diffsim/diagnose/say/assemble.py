@@ -14,11 +14,12 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
 from diffsim.diagnose.judge.band import band_of, no_band, posterior_sd
+from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
@@ -142,6 +143,8 @@ def report_of(
     refused = grounds is not None and bool(grounds.refused)
     is_off = any(row.finding for row in base)
     verdict, named = _verdict(judgment, known.alone, is_off=is_off, stands_in=refused)
+    if verdict == "unknown" and not any(gate.name == REPEATED for gate in checks.gates):
+        checks = checks.joined(repeated_gate(best, seed))
     # of a verdict that names what all sets share, the sets are all given
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
     rows = effect_rows(effects, judgment, screened, checks.changes)
@@ -156,6 +159,8 @@ def report_of(
         named=set_names(Hypothesis(named), effects, ()),
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside=_beside(judgment),
+        left=float(np.sqrt(best.chi2 / best.num_samples)),
+        with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by=chosen_by,
         hypotheses=hypothesis_rows(search, effects, case.unknowns, decision.instead),
         table=rows,
@@ -350,6 +355,21 @@ def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
         rivals = [h for h in judgment.decision.rivals if h.unknown is None]
         fits += [search.fit_of(h.effects) for h in rivals if h in search.posteriors]
     return next_run(fits, bank) if bank and len(fits) > 1 else None
+
+
+def _with_unknown(search: Search | None, members: frozenset[int], count: int) -> dict[str, float]:
+    """What the unknown cause with the best evidence beside a set would leave, by its name [noise
+    sd]; empty where none was weighed there."""
+    if search is None:
+        return {}
+    beside = [Hypothesis(members, u) for u in range(len(search.unknowns))]
+    weighed = [h for h in beside if h in search.posteriors]
+    if not weighed:
+        return {}
+    best = max(weighed, key=search.nats)
+    assert best.unknown is not None
+    chi2 = search.posteriors[best].chi2
+    return {search.unknowns[best.unknown].name: float(np.sqrt(max(chi2, 0.0) / count))}
 
 
 def _unknown_share(null: Null, best: Fit, judgment: Judgment) -> float | None:

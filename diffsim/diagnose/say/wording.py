@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -12,6 +12,7 @@ from diffsim.diagnose.checks.gates import (
     COARSE,
     CUTS,
     LATE,
+    REPEATED,
     REPEATS,
     SCANS,
     WINDOWS,
@@ -71,6 +72,9 @@ class Answer:
         beside: Name of an unknown cause that leads beside the named set; empty if none.
         chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
             after the other", "leaving out blocks of 2.5 s".
+        left: What the fit leaves, root mean square of the whitened residual [noise sd].
+        with_unknown: What it would leave with the best unknown cause beside, by its name [noise
+            sd]; empty where none was weighed.
         before_test: What the test runs changed; None: nothing.
     """
 
@@ -84,6 +88,8 @@ class Answer:
     best_names: tuple[str, ...] = ()
     beside: str = ""
     chosen_by: str = ""
+    left: float = 1.0
+    with_unknown: Mapping[str, float] = field(default_factory=dict)
     before_test: BeforeTest | None = None
 
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
@@ -237,7 +243,7 @@ def _first(answer: Answer) -> str:
             f"{_sizes(_members(answer))} the error on test runs is larger."
         )
     if answer.verdict == "unknown":
-        text = "Something real and repeatable is missing that the library does not hold"
+        text = _say_unknown(answer)
         if helping:
             verbs = "help, but are" if len(helping) > 1 else "helps, but is"
             return f"{text}; {_sizes(helping)} {verbs} not named."
@@ -252,6 +258,19 @@ def _first(answer: Answer) -> str:
         + ", ".join(f"{g.value:.1f} noise sd ({g.name})" for g in failed)
         + ": state finer ones in the model, or go on as they are with --accept-numerics."
     )
+
+
+def _say_unknown(answer: Answer) -> str:
+    """That something is missing, and whether repeats show it."""
+    tested = [gate for gate in answer.gates if gate.name == REPEATED]
+    if tested and tested[-1].passed:
+        return "Something real and repeatable is missing that the library does not hold"
+    text = "Something is missing that the library does not hold"
+    if tested:
+        return f"{text}, though repeats do not show it"
+    has_repeats = any(gate.name == "repeats" and gate.passed for gate in answer.gates)
+    why = "repeats are too short, or differ in length" if has_repeats else "no repeated run"
+    return f"{text}, and whether it repeats cannot be checked: {why}"
 
 
 def _say_doubts(answer: Answer) -> list[str]:
@@ -294,6 +313,12 @@ def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
+def _say_left(answer: Answer) -> str:
+    """What the fit leaves, and what it would leave with something unknown beside."""
+    beside = (f", {left:.2g} with an {name} beside" for name, left in answer.with_unknown.items())
+    return f"{answer.left:.2g} times the noise{''.join(beside)}"
+
+
 def _data_sheets(answer: Answer) -> list[str]:
     """One sentence per base parameter far off its data sheet."""
     out = []
@@ -312,6 +337,8 @@ def _data_sheets(answer: Answer) -> list[str]:
 def _rest(answer: Answer) -> list[str]:
     """What the names leave open."""
     decision, out = answer.decision, []
+    if answer.verdict in ("ambiguous", "named", "unknown"):
+        out.append(f"The fit leaves {_say_left(answer)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))

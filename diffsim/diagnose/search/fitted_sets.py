@@ -23,6 +23,7 @@ from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.scan import masking_pairs
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
+from diffsim.identify.bandwidth import num_cosines_of
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import (
     Linearization,
@@ -150,6 +151,8 @@ STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
 def weigh_unknowns(search: Search, center: Center) -> Search:
     """The best set and its subsets, each with every unknown cause, where the set was fitted."""
+    if all(h.unknown is None for h in search.posteriors):
+        search = _suit_unknowns(search, center)
     places = {search.plain: [NONE]}
     places[center] = [center.members, *(center.members - {i} for i in center.members)]
     lies: dict[Hypothesis, LaplaceEvidence] = {}
@@ -166,6 +169,23 @@ def weigh_unknowns(search: Search, center: Center) -> Search:
         if _could_decide(search, key, center.members):
             search = relinearized(search, key, lies[key])
     return search
+
+
+def _suit_unknowns(search: Search, center: Center) -> Search:
+    """Unknown causes as fast as what the plain model or the best set leaves, for all sets alike."""
+    wanted = max(
+        num_cosines_of(search.wide, place.evidence.residual) for place in (search.plain, center)
+    )
+    suited = tuple(unknown.suited(wanted) for unknown in search.unknowns)
+    made = search.simulations
+    kept = {
+        key: slopes
+        for key, slopes in made.unknown_slopes.items()
+        if suited[key[1]] is search.unknowns[key[1]]
+    }
+    case = replace(search.null.case, unknowns=suited)
+    null, made = replace(search.null, case=case), replace(made, unknown_slopes=kept)
+    return replace(search, null=null, simulations=made)
 
 
 def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:

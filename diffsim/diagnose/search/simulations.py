@@ -364,7 +364,7 @@ class Simulations:
             x = at.x[self.coordinates(members)]
             return {"slopes": unknown.slopes(self.narrow(members), x)}
 
-        label = f"{unknown.name} at {self._label(members)}"
+        label = f"{unknown.label} at {self._label(members)}"
         kept = make() if self.store is None else self.store.remembered(label, make)
         return kept["slopes"]
 

@@ -123,7 +123,10 @@ class Place(Part):
         "none: fitted, about 1 % of the usual velocity",
     )
     unknown_knots_per_s: float | None = Field(
-        None, gt=0, description="How fast an unknown force may change; none: 40 knots in all"
+        None,
+        gt=0,
+        description="How fast an unknown force may change; none: as fast as what is left, up to "
+        "200 knots",
     )
 
 

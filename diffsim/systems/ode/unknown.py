@@ -18,7 +18,8 @@ from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.place_effects import pushed
 from diffsim.systems.ode.scene import OdeScene
 
-KNOTS, MOST_KNOTS = 40, 120  # over the longest run
+KNOTS, LEAST_KNOTS = 40, 4  # over the longest run, before anything is fitted
+MOST_KNOTS = 200  # each costs about a simulation of every command; 4 Hz over 6 s asks for 193
 
 
 def unknown_forces(library: Library) -> tuple[Unknown, ...]:
@@ -59,8 +60,26 @@ def _make_smooth(
     knots_per_s: float | None = None,
 ) -> UnknownForce:
     longest = library.scales.longest_s
-    wanted = KNOTS if knots_per_s is None else round(longest * knots_per_s) + 1
-    count = min(max(wanted, 4), MOST_KNOTS)
+    if knots_per_s is not None:
+        count = min(max(round(longest * knots_per_s) + 1, LEAST_KNOTS), MOST_KNOTS)
+        return _make_of(longest, name, said, change, unit, typical, count)
+    make = partial(_make_of, longest, name, said, change, unit, typical)
+    samples = max(len(run.time_s) for run in library.study.runs)
+    most = max(min(MOST_KNOTS, samples // 2), LEAST_KNOTS)
+    return make(min(KNOTS, most), most)
+
+
+def _make_of(
+    longest: float,
+    name: str,
+    said: str,
+    change: Change,
+    unit: str,
+    typical: float,
+    count: int,
+    most: int = 0,
+) -> UnknownForce:
+    """The force with a number of knots; with as many as are asked for later, up to ``most``."""
     spacing = longest / (count - 1)
     effect = Effect(
         name=name,
@@ -74,7 +93,9 @@ def _make_smooth(
         apply=partial(_apply_knots, name=name, change=change, spacing=spacing),
     )
     knots = np.linspace(0.0, longest, count)
-    return UnknownForce(effect, smooth_covariance(knots, 2.0 * spacing), said)
+    make = partial(_make_of, longest, name, said, change, unit, typical, most=most)
+    smooth = smooth_covariance(knots, 2.0 * spacing)
+    return UnknownForce(effect, smooth, said, make if most else None, most)
 
 
 def _apply_knots(

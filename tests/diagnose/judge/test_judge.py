@@ -5,26 +5,20 @@ from typing import Any, cast
 
 import pytest
 
+from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.judge import judge
+from diffsim.diagnose.judge.crosscheck import SWAP_LIMIT
 from diffsim.diagnose.judge.judge import Decision
 from diffsim.diagnose.search.evidence import Hypothesis
 
 A, AU, U = frozenset({0}), Hypothesis(frozenset({0}), 0), Hypothesis(frozenset(), 0)
 FIT = SimpleNamespace(problem=None, residual=None)
-SEARCH = cast(
-    Any,
-    SimpleNamespace(
-        fit_of=lambda members: FIT,
-        unknowns=[SimpleNamespace(name="unknown force")],
-        simulations=SimpleNamespace(
-            responses=lambda *a: (None, None), fitted={A: None, frozenset(): None}
-        ),
-    ),
-)
+SEARCH = cast(Any, SimpleNamespace(fit_of=lambda members: FIT))
 
 
 def confirmed(decision: Decision, p: float | None, monkeypatch: pytest.MonkeyPatch) -> Decision:
-    monkeypatch.setattr(judge, "swap_probability", lambda *a, **k: p)
+    gates = () if p is None else (GateResult(REPEATED, p <= SWAP_LIMIT, p, SWAP_LIMIT),)
+    monkeypatch.setattr(judge, "repeated_gate", lambda fit, seed: gates)
     return judge.confirmed(decision, SEARCH, seed=0)[0]
 
 

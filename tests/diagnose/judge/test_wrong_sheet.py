@@ -7,6 +7,8 @@ import pytest
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
+from diffsim.diagnose.checks.gates import REPEATED, GateResult
+from diffsim.diagnose.judge import judge
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.stand_ins import wrong_data_sheet
@@ -136,15 +138,23 @@ def test_nothing_is_certain_that_takes_a_data_sheet_far_off_while_something_unkn
     assert len(doubts) == (status == "likely")
 
 
-@pytest.mark.parametrize(("noise", "status"), [(1.0, "certain"), (0.1, "likely")])
-def test_nothing_is_certain_that_leaves_much_while_something_unknown_acts(noise, status):
-    """A cable that pulls beyond 0.9 rad was a cubic stiffness, certain, with 16 noise sd left."""
+@pytest.mark.parametrize(
+    ("noise", "size", "status"), [(1.0, 0.8, "certain"), (0.1, 0.8, "likely"), (0.1, 8.0, "likely")]
+)
+def test_nothing_is_certain_that_leaves_much(noise, size, status, monkeypatch):
+    """A cable that pulls beyond 0.9 rad was a cubic stiffness, certain, with 16 noise sd left.
+
+    Of the third course the push explains so little that the unknown drift faces the repeats, which
+    withdraw it: no unknown cause stands beside, and as much is left.
+    """
+    failed = (GateResult(REPEATED, False, 0.5, 0.02),)
+    monkeypatch.setattr(judge, "repeated_gate", lambda fit, seed: failed)
     push, runs = linear.line("push"), []
     for k, use in enumerate(["fit"] * 6 + ["test"] * 2):
         run = linear.run(f"r{k}", k)
         run = replace(run, measured=noise * run.measured, use=use)
         clean = recorded(f"r{k}", k, {push: 6.0}).measured - linear.run(f"r{k}", k).measured
-        course = np.outer(np.sin(4.0 * run.time_s), [0.8, 0.0])
+        course = np.outer(np.sin(4.0 * run.time_s), [size, 0.0])
         runs.append(replace(run, measured=run.measured + clean + course))
     channels = tuple(replace(c, sd=noise * c.sd) for c in linear.CHANNELS)
     study = Study("left", "copter", channels, tuple(runs))
@@ -152,5 +162,12 @@ def test_nothing_is_certain_that_leaves_much_while_something_unknown_acts(noise,
     report = diagnose(study, linear.model(), (push,), seed=0, unknowns=unknowns, settings=QUICK)
     assert (report.verdict, report.named) == ("named", ("push",))
     assert causes(report)["push"].status == status
+    assert (report.beside == "") == (size > 1.0)
     doubts = [s for s in report.sentences if "what the fit leaves is" in s]
     assert len(doubts) == (status == "likely")
+    left = report.to_dict()["left"]
+    assert left == pytest.approx(np.sqrt(report.best.chi2 / report.num_samples))
+    ((name, beside),) = report.with_unknown.items()
+    assert beside < (0.8 if noise < 1.0 else 1.0) * left
+    said = f"{left:.2g} times the noise, {beside:.2g} with an {name} beside"
+    assert any(said in s for s in report.sentences)

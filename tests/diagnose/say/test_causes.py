@@ -265,7 +265,7 @@ def test_with_an_unknown_cause_the_extended_model_holds_what_helps():
     curve = np.sin(2.0 * np.pi * np.linspace(0.0, 1.0, linear.NUM_SAMPLES))
 
     def drifting(name, seed, amplitude, **changes):
-        run = recorded(name, seed, {PUSH: 0.9}, **changes)
+        run = recorded(name, seed, {PUSH: 1.2}, **changes)
         moved = run.measured.copy()
         moved[:, 0] += amplitude * curve
         return replace(run, measured=moved)

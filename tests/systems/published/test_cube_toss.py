@@ -16,7 +16,6 @@ from diffsim.systems.rigid_body.windows import CORNERS
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
-WHOLE = 10.0  # [s] blocks of a whole toss
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +53,7 @@ def test_lengths_are_named_and_gravity_is_not(setup):
 def test_lengths_are_two_per_cent_short(setup, plain):
     scaled = fitted(setup, "length_scale")
     assert scaled.values["length_scale"] == pytest.approx(-0.022, abs=0.001)
-    found = gain(setup.study.test_runs, plain, scaled, seed=0, block_s=WHOLE)
+    found = gain(setup.study.test_runs, plain, scaled, seed=0)
     assert found.low > 0.5
 
 
