@@ -489,7 +489,7 @@ class PreparedLines(SimModel):
     def predict(self, run, q, sizes=None, numerics=None):
         return super().predict(run, q, sizes, numerics) + 0.1 * self.at.sum()
 
-    def prepared_at(self, q):
+    def prepared_at(self, q, runs=()):
         return PreparedLines(q.clone())
 
 

@@ -326,7 +326,7 @@ def test_model_is_prepared_at_the_null_fit():
     study, seen = toy.generate(2, {"drag": 0.2}), []
 
     class Prepared(type(toy.model(study.runs))):
-        def prepared_at(self, q):
+        def prepared_at(self, q, runs=()):
             seen.append(q)
             return Prepared(self.build, self.base, "prepared", batched=True)
 

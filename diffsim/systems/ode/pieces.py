@@ -122,6 +122,8 @@ def find_pieces(
         found = _find_first_end(path, run, start, usual, first)
         if found is None or found.end + FEWEST > last:
             break
+        if not np.isfinite(found.state_at_end).all():  # nowhere to begin the next piece
+            break
         first = found.end
         start, sd = _fit_start(path, run, found.state_at_end, usual.states, first)
         apart = 2.0 * NEAR * usual.states[found.along]
@@ -232,6 +234,8 @@ def _find_first_end(path: Path, run: Run, start: Array, usual: Usual, first: int
         if ends and min(e.end for e in ends) <= following:
             break
         start = parted.states[following - here]
+        if not np.isfinite(start).all():  # the model runs away from here
+            break
     return min(ends, key=lambda end: end.end, default=None)
 
 
