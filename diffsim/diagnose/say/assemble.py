@@ -358,12 +358,11 @@ def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
 
 
 def _with_unknown(search: Search | None, members: frozenset[int], count: int) -> dict[str, float]:
-    """What the unknown cause with the best evidence beside a set would leave, by its name [noise
-    sd]; empty where none was weighed there."""
+    """What the unknown cause with the best evidence beside a set, or a part of it, would leave, by
+    its name [noise sd]; empty where none was weighed."""
     if search is None:
         return {}
-    beside = [Hypothesis(members, u) for u in range(len(search.unknowns))]
-    weighed = [h for h in beside if h in search.posteriors]
+    weighed = [h for h in search.posteriors if h.unknown is not None and h.effects <= members]
     if not weighed:
         return {}
     best = max(weighed, key=search.nats)

@@ -195,7 +195,7 @@ class LaplaceEvidence:
         signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
         for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
             gained[k] = log_tilt(mean[k], sd[k], precision[k], is_signed)
-        mean, lost = _within(mean, sd, gram, b, low, high, reach)
+        mean, lost = _within(mean, sd, gram, b, low, high, reach, count)
         chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
         u, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
         u[free] = (width * mean)[:count]
@@ -215,7 +215,14 @@ def _without(gram: Array, b: Array, count: int) -> tuple[Array, Array]:
 
 
 def _within(
-    mean: Array, sd: Array, gram: Array, b: Array, low: Array, high: Array, reach: Array
+    mean: Array,
+    sd: Array,
+    gram: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    reach: Array,
+    count: int,
 ) -> tuple[Array, float]:
     """The optimum within bounds and reach, and the nats lost beyond what each bound costs alone.
 
@@ -224,13 +231,18 @@ def _within(
         gram, b: Quadratic and linear part of the misfit; the prior is N(0, 1).
         low, high: Bounds of the coordinates, (n,).
         reach: Distance from zero up to which slopes are believed, (n,).
+        count: Coordinates that may have bounds, the first ones.
     """
     inside = np.clip(mean, low, high)
     near = np.maximum(low, -reach), np.minimum(high, reach)
     if (np.clip(mean, *near) == mean).all():
         return mean, 0.0
     hessian = gram + np.eye(len(b))
-    x = quadratic_optimum(hessian, b, *near)
+    # the others follow: many knots would make every step with bounds dear
+    reduced, right = _without(gram, b, count)
+    x = quadratic_optimum(reduced + np.eye(count), right, near[0][:count], near[1][:count])
+    rest = b[count:] - gram[count:, :count] @ x
+    x = np.concatenate([x, linalg.solve(hessian[count:, count:], rest, assume_a="pos")])
     # together the bounds cost what the optimum lost, not each one's share of it once more
     lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
     return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))
