@@ -113,7 +113,10 @@ def find_pieces(
     readings, moved = path(start[None], 0, last)
     if not len(states) or not (np.isfinite(readings).all() and np.isfinite(moved).all()):
         return ()
-    usual = Usual(_usual_motion(moved[0]), _usual_motion(readings[0]))
+    with np.errstate(over="ignore"):
+        usual = Usual(_usual_motion(moved[0]), _usual_motion(readings[0]))
+    if not (np.isfinite(usual.states).all() and np.isfinite(usual.channels).all()):
+        return ()  # so far away that its squares leave the range of numbers
     if _is_straight(path, start, usual, last):
         return ()
     out: list[Piece] = []

@@ -36,7 +36,7 @@ def test_no_threshold_is_listed_twice():
 
 
 def test_a_value_that_is_taken_at_import_is_told():
-    assert bound_early(Threshold("diagnose.judge.gain", "BLOCK_S", JUDGE, "x"))
+    assert bound_early(Threshold("diagnose.checks.noise", "MAX_ORDER", JUDGE, "x"))
     assert not bound_early(Threshold("diagnose.judge.gain", "LEAST", JUDGE, "x"))
 
 
