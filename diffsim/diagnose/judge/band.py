@@ -201,7 +201,7 @@ def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Array]:
     ):
         owner = np.full(run.measured.size, -1)
         owner[newest_samples(problem, run)] = label
-        left = _unwhitened(problem, run, rows[:, None])[:, 0]
+        left = _unwhiten(problem, run, rows[:, None])[:, 0]
         for k in np.unique(label[label >= 0]):
             pieces[k].append(np.where(owner == k, left, np.nan).reshape(run.measured.shape))
     return [np.concatenate(p) for p in pieces if p]
@@ -211,7 +211,7 @@ def _select_parts(fit: Fit, select: Sequence[Run]) -> list[Array]:
     """Measured minus predicted of select runs, those of one command together."""
     pieces: dict[str, list[Array]] = {}
     for run in select:
-        left = _unwhitened(fit.problem, run, held_out_residual(fit, run)[:, None])
+        left = _unwhiten(fit.problem, run, held_out_residual(fit, run)[:, None])
         pieces.setdefault(run.group, []).append(left.reshape(run.measured.shape))
     return [np.concatenate(p) for p in pieces.values()]
 
@@ -258,7 +258,7 @@ def _posterior_variance(
         slopes = replace(at.problem, runs=(run,)).linearize(x, only=own)[1][:, own]
         gram = slopes.T @ slopes + np.eye(len(own))
         taken = np.linalg.solve(gram, slopes.T @ at.problem.whiten(run, columns))
-        columns = columns - np.nan_to_num(_unwhitened(at.problem, run, slopes @ taken))
+        columns = columns - np.nan_to_num(_unwhiten(at.problem, run, slopes @ taken))
     correlation = band.correlation[np.ix_(moved, moved)]
     variance = np.einsum("ti,ij,tj->t", columns, correlation, columns)
     return np.asarray(np.maximum(variance, 0.0).reshape(run.measured.shape))
@@ -288,7 +288,7 @@ def _changes(at: Frozen, x: Array, sd: Array, run: Run, own: Sequence[int]) -> A
     return np.asarray((records[1:] - records[0]).T * scale)
 
 
-def _unwhitened(problem: Problem, run: Run, rows: Array) -> Array:
+def _unwhiten(problem: Problem, run: Run, rows: Array) -> Array:
     """Whitened rows of a run (num_valid, k) as readings, (num_samples * num_channels, k); NaN where
     nothing was measured."""
     seen = np.flatnonzero(np.isfinite(run.measured))

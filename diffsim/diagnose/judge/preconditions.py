@@ -332,12 +332,12 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
     """
     if gain is not None and (why := _is_unconfirmed(gain)):
         yield f"{why} on test runs"
-    left = max((r / n for r, n in _pooled(errors).values()), default=0.0)
+    left = max((r / n for r, n in _pool_errors(errors).values()), default=0.0)
     if left > MUCH_LEFT:
         yield f"the error on unseen runs is {left:.2g} times the noise"
 
 
-def _pooled(errors: Sequence[ErrorRow]) -> Mapping[tuple[str, str], tuple[float, float]]:
+def _pool_errors(errors: Sequence[ErrorRow]) -> Mapping[tuple[str, str], tuple[float, float]]:
     """Error of the extended model and noise over all runs, by kind and unit of the channels."""
     sums: dict[tuple[str, str], tuple[float, float]] = {}
     for row in errors:

@@ -284,7 +284,7 @@ def _say_doubts(answer: Answer) -> list[str]:
     for why, words in named.items():
         if why:
             verb = "are" if len(words) > 1 else "is"
-            out.append(f"{opened(_listed(words))} {verb} likely, not certain: {why}.")
+            out.append(f"{opened(_join_words(words))} {verb} likely, not certain: {why}.")
     return out
 
 
@@ -295,7 +295,7 @@ def _say_taken_back(answer: Answer) -> list[str]:
         return []
     words = [plain_name(answer, n).partition(",")[0] for n, s in before.statuses.items()]
     statuses = " or ".join(dict.fromkeys(before.statuses.values()))
-    of_causes = f", {_listed(words)} {statuses}" if words else ""
+    of_causes = f", {_join_words(words)} {statuses}" if words else ""
     return [f"Before the test runs were looked at, the verdict was {before.verdict}{of_causes}."]
 
 
@@ -306,10 +306,10 @@ def _say_unchecked(answer: Answer) -> list[str]:
     words = [row.words for row in certain if f"gradient:{row.name}" not in checked]
     if "gradient:not checked" not in checked or not words:
         return []
-    return [f"The gradient of {_listed(words)} was not checked."]
+    return [f"The gradient of {_join_words(words)} was not checked."]
 
 
-def _listed(words: Sequence[str]) -> str:
+def _join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 

@@ -172,7 +172,7 @@ class _End:
 
 
 @dataclass(frozen=True)
-class _Parted:
+class _Parting:
     """Paths beside a path, in usual motions.
 
     Attributes:
@@ -195,7 +195,7 @@ def _usual_motion(path: Array) -> Array:
     return np.asarray(np.where(usual > _TINY, usual, 1.0))
 
 
-def _part(path: Path, start: Array, usual: Usual, first: int, last: int) -> _Parted:
+def _part(path: Path, start: Array, usual: Usual, first: int, last: int) -> _Parting:
     """Starts moved along each state, to either side, and what becomes of them."""
     n = len(start)
     nudge = NEAR * np.diag(usual.states)
@@ -203,7 +203,7 @@ def _part(path: Path, start: Array, usual: Usual, first: int, last: int) -> _Par
     readings, states = path(points, first, last)
     scaled, shown = states / usual.states, readings / usual.channels
     above, below = scaled[1 : n + 1], scaled[n + 1 :]
-    return _Parted(
+    return _Parting(
         states[0],
         np.linalg.norm(above - below, axis=-1),
         np.linalg.norm(above + below - 2.0 * scaled[0], axis=-1),
@@ -242,7 +242,7 @@ def _find_first_end(path: Path, run: Run, start: Array, usual: Usual, first: int
     return min(ends, key=lambda end: end.end, default=None)
 
 
-def _find_end(parted: _Parted, usual: Usual, first: int) -> _End | None:
+def _find_end(parted: _Parting, usual: Usual, first: int) -> _End | None:
     """Where a piece must end by one path; None: nowhere."""
     is_far = parted.apart > GROWTH * 2.0 * NEAR
     is_bent = parted.bend > BENT * parted.apart
