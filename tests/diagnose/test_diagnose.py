@@ -8,6 +8,7 @@ import pytest
 import torch
 import yaml
 
+from diffsim.core.errors import FactorizationError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import diagnose, next_run
 from diffsim.diagnose.checks.gates import data_gate
@@ -24,6 +25,7 @@ from diffsim.identify import (
     extended_model,
     fit,
 )
+from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear, toy
 
 FEW = (toy.DRAG, toy.DELAY, toy.BIAS, toy.SCALE)
@@ -199,6 +201,25 @@ def test_next_run_distance_is_what_a_refit_leaves():
         np.testing.assert_allclose(advice.chi2_gain[run.name], left @ left, rtol=1e-6)
     with pytest.raises(ValueError, match="at least two fits"):
         next_run(fits[:1], bank)
+
+
+def test_a_run_that_no_rival_can_follow_is_no_advice(monkeypatch):
+    """A quadrotor's answer was lost at its last step: a set's forces did not settle in a run."""
+    effects = (linear.line("push"), linear.line("pull"))
+    runs = [linear.run("r1", 1)]
+    fits = [fit(linear.model(), runs, linear.CHANNELS, effects=(e,)) for e in effects]
+    bank = [linear.run("bank_1", 5), linear.run("wild", 6)]
+    plain = Problem.linearize
+
+    def unsettled(problem, *given, **more):
+        if any(run.name == "wild" for run in problem.runs):
+            raise FactorizationError("not definite", pivot=0, value=-1.0)
+        return plain(problem, *given, **more)
+
+    monkeypatch.setattr(Problem, "linearize", unsettled)
+    assert set(next_run(fits, bank).chi2_gain) == {"bank_1"}
+    with pytest.raises(PredictionError, match="none of the 1 runs"):
+        next_run(fits, bank[1:])
 
 
 @pytest.mark.reference

@@ -13,6 +13,7 @@ import scipy
 import torch
 from numpy.typing import NDArray
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
@@ -354,7 +355,12 @@ def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:
     if search is not None:
         rivals = [h for h in judgment.decision.rivals if h.unknown is None]
         fits += [search.fit_of(h.effects) for h in rivals if h in search.posteriors]
-    return next_run(fits, bank) if bank and len(fits) > 1 else None
+    if not bank or len(fits) < 2:
+        return None
+    try:
+        return next_run(fits, bank)
+    except DiffsimError:  # no run of the bank can be simulated with these sets: the answer stands
+        return None
 
 
 def _with_unknown(search: Search | None, members: frozenset[int], count: int) -> dict[str, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify import Fit
@@ -88,7 +89,8 @@ def narrowing(fit: Fit, bank: Sequence[Run], names: Sequence[str]) -> Narrowing:
         names: Parameters and sizes of the fit, one or more.
 
     Raises:
-        ValueError: no such parameters, or no run of the bank can be simulated.
+        ValueError: no such parameters.
+        PredictionError: no run of the bank can be simulated.
     """
     if not names:
         raise ValueError("names is empty; give at least one parameter of the fit")
@@ -98,13 +100,13 @@ def narrowing(fit: Fit, bank: Sequence[Run], names: Sequence[str]) -> Narrowing:
     for run in bank:
         try:
             _, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
-        except PredictionError:  # a run that the model cannot follow is no advice
+        except DiffsimError:  # a run that the model cannot follow is no advice
             continue
         then = posterior_covariance(np.vstack([fit.jacobian, jacobian]))
         left = np.sqrt(np.diagonal(then))[index] / now
         shares[run.name] = dict(zip(names, left.tolist(), strict=True))
     if not shares:
-        raise ValueError(f"none of the {len(bank)} runs of the bank can be simulated")
+        raise PredictionError(f"none of the {len(bank)} runs of the bank can be simulated")
     return Narrowing(min(shares, key=lambda name: _mean_width(shares[name])), shares)
 
 
@@ -130,10 +132,10 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
     for run in bank:
         try:
             gains[run.name] = _nearest_pair(rivals, run)
-        except PredictionError:  # a run that the model cannot follow is no advice
+        except DiffsimError:  # a run that the model cannot follow is no advice
             continue
     if not gains:
-        raise ValueError(f"none of the {len(bank)} runs of the bank can be simulated")
+        raise PredictionError(f"none of the {len(bank)} runs of the bank can be simulated")
     best = max(gains, key=lambda name: gains[name])
     median = float(np.median(list(gains.values())))
     return NextRun(best, gains, gains[best] / median if median > 0.0 else float("inf"))
