@@ -226,8 +226,13 @@ def _first(answer: Answer) -> str:
     if answer.verdict == "data_sheet":
         return "The misfit is noise once a data sheet is mended: no cause is missing."
     if answer.verdict == "named":
-        surely = "lacks" if any(row.status == CERTAIN for row in sure) else "probably lacks"
-        return f"The model {surely} {_sizes(sure)}."
+        certain = [row for row in sure if row.status == CERTAIN]
+        rest = [row for row in sure if row.status != CERTAIN]
+        if not certain:
+            return f"The model probably lacks {_sizes(sure)}."
+        return (
+            f"The model lacks {_sizes(certain)}{f', and probably {_sizes(rest)}' if rest else ''}."
+        )
     if answer.verdict == "ambiguous":
         asked = f"The data ask for {_sizes(_members(answer))}"
         if not answer.rivals:

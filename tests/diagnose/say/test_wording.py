@@ -53,6 +53,17 @@ def test_many_sizes_are_counted_not_listed():
     assert text.startswith("The model lacks low end loss (0.1 to 0.7 N in 7 sizes).")
 
 
+def test_what_is_only_likely_does_not_pass_for_certain():
+    """Three likely causes stood beside a certain one in "the model lacks"."""
+    names = ("square_drag", "slack")
+    causes = [
+        cause(name, status) for name, status in zip(names, ("certain", "likely"), strict=True)
+    ]
+    text = " ".join(sentences(replace(answer("named", causes), named=names), None, []))
+    size = "(0.1 to 0.5 N; 90 % interval)"
+    assert text.startswith(f"The model lacks square drag {size}, and probably slack {size}.")
+
+
 def test_several_that_help_are_a_plural():
     causes = [cause(name, "likely", helps=True) for name in ("lag", "drag")]
     assert "help, but are not named" in said("unknown", causes)
