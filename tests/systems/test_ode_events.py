@@ -120,8 +120,12 @@ def test_a_push_is_said_in_words(tmp_path):
     report = diagnose(study, made.model, made.effects, seed=0, settings=made.settings)
 
     assert report.verdict == "named"
-    found = {row.name: row for row in report.causes if row.status == "certain"}
+    # it acted once: no other recording confirms it
+    found = {row.name: row for row in report.causes if row.status == "likely"}
     assert list(found) == ["pulse_event_at_cart"]
+    assert found["pulse_event_at_cart"].doubts == (
+        "no gain is confirmed on parts that were left out",
+    )
     words = found["pulse_event_at_cart"].words
     assert words.startswith("a pulse of ") and " N at cart or " in words and " at u from " in words
     size = found["pulse_event_at_cart"].size["size"]

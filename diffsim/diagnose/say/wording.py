@@ -164,8 +164,9 @@ def capital(text: str) -> str:
 
 
 def opened(name: str) -> str:
-    """The name of a parameter at the begin of a sentence; m and M are two parameters."""
-    return name if len(name.partition(" ")[0]) <= 2 else capital(name)
+    """A name at the begin of a sentence; m and M are two parameters, "a pulse" is a cause."""
+    first = name.partition(" ")[0]
+    return name if len(first) <= 2 and first != "a" else capital(name)
 
 
 MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
