@@ -237,14 +237,18 @@ def _unknown_explains_more(g: Grounds, i: int) -> str:
     return f"an {name} explains more beside it, {decision.lead:.0f} nats against {own:.0f}"
 
 
+def wrong_gradients(gates: Sequence[GateResult]) -> frozenset[str]:
+    """Names of effects whose gradient check failed; what was left out of it is none."""
+    failed = (gate.name for gate in gates if gate.applies and not gate.passed)
+    return frozenset(n.partition(":")[2] for n in failed if n.startswith("gradient:"))
+
+
 def _gradients_are_wrong(g: Grounds, i: int) -> str:
-    failed = {x.name for x in g.gates if x.applies and not x.passed}
+    failed = wrong_gradients(g.gates)
     best, sets = g.judgment.decision.best, (*g.within, *g.judgment.decision.rivals)
     rivals = {k for h in sets if not h.effects >= best for k in h.effects - best}
     rivals |= set(g.judgment.as_good)
-    wrong = [
-        k for k in (i, *sorted(rivals)) if f"gradient:{g.search.wide.effects[k].name}" in failed
-    ]
+    wrong = [k for k in (i, *sorted(rivals)) if g.search.wide.effects[k].name in failed]
     if not wrong:
         return ""
     whose = "its gradient check" if wrong[0] == i else f"the gradient check of {g.name(wrong[0])}"

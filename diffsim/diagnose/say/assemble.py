@@ -32,6 +32,7 @@ from diffsim.diagnose.judge.preconditions import (
     doubts_of_names,
     doubts_of_unseen,
     singled_out,
+    wrong_gradients,
 )
 from diffsim.diagnose.judge.records import (
     CERTAIN,
@@ -206,6 +207,7 @@ def _evidence(
         doubts={i: doubts_of(grounds, i) for i in asked},
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),
+        wrong_gradients=wrong_gradients(grounds.gates),
     )
 
 

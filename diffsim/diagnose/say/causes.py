@@ -67,6 +67,7 @@ class CauseEvidence:
         doubts: Why members of the best set are not certain, by index; none: they are.
         doubts_of_names: Why no data sheet is, either.
         doubts_of_fit: Why no unknown cause is.
+        wrong_gradients: Names of effects whose gradient check failed.
     """
 
     judgment: Judgment
@@ -80,6 +81,7 @@ class CauseEvidence:
     doubts: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     doubts_of_names: tuple[str, ...] = ()
     doubts_of_fit: tuple[str, ...] = ()
+    wrong_gradients: frozenset[str] = frozenset()
 
 
 def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
@@ -134,7 +136,8 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
     p = about.probability(i)
     status, rivals = _status(known, about, i, p)
     if status == REFUTED and (why := _why_not_refuted(known, i)):
-        status = UNJUDGED if i in known.judgment.withdrawn else UNTOLD if rivals else HIDDEN
+        is_unknown = i in known.judgment.withdrawn or effect.name in known.wrong_gradients
+        status = UNJUDGED if is_unknown else UNTOLD if rivals else HIDDEN
         row = replace(row, note=why if status == UNJUDGED else f"{row.note} Not refuted: {why}.")
     helps = i in known.members and status not in (CERTAIN, LIKELY)
     sizes = about.size(i) or row.size
@@ -192,6 +195,8 @@ def _why_not_refuted(known: CauseEvidence, i: int) -> str:
     empty where one did."""
     search, effect = known.judgment.search, known.effects[i]
     assert search is not None  # statuses come of a search
+    if effect.name in known.wrong_gradients:
+        return "its gradient check failed"
     fits = [fit for members, fit in search.fits.items() if i in members]
     if not fits:
         return "no set with it was fitted"

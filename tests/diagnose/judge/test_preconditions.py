@@ -19,6 +19,7 @@ from diffsim.diagnose.judge.preconditions import (
     doubts_of_fit,
     doubts_of_unseen,
     singled_out,
+    wrong_gradients,
 )
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow
 from diffsim.diagnose.say import assemble
@@ -240,7 +241,22 @@ def known(fits=(), withdrawn=(), typical=0.4):
         withdrawn=frozenset(withdrawn),
         decision=SimpleNamespace(forms={}),
     )
-    return SimpleNamespace(effects=[effect], judgment=judgment)
+    return SimpleNamespace(effects=[effect], judgment=judgment, wrong_gradients=frozenset())
+
+
+def test_nothing_is_refuted_by_fits_along_a_wrong_gradient():
+    """The ends of the tentacle's tendons had gradients 0.9 off, and were refuted."""
+    given = known([(0.09, "converged")])
+    assert _why_not_refuted(given, 0) == ""
+    given.wrong_gradients = wrong_gradients(
+        [
+            GateResult("gradient:push", False, 0.9, 1e-4),
+            GateResult("gradient:pull", False, 1.0, 0.0, applies=False),
+            GateResult("time_step", False, 13.5, 2.0),
+        ]
+    )
+    assert given.wrong_gradients == {"push"}
+    assert _why_not_refuted(given, 0) == "its gradient check failed"
 
 
 def test_nothing_is_refuted_that_no_converged_fit_would_have_shown():
