@@ -217,10 +217,13 @@ def _gain_is_not_confirmed(g: Grounds, i: int) -> str:
 
 
 def _is_unconfirmed(total: Gain) -> str:
-    """Why the gain of a whole set is not confirmed; what has nothing to gain need not be."""
+    """Why the gain of a whole set is not confirmed; where the plain model's error is noise alone,
+    it must still fall for sure: what is told by one recording alone may be its noise."""
     if total.is_below_noise:
         return "the noise is not what was stated: less is left"
-    return "no gain is confirmed" if total.status in ("not confirmed", "withdrawn") else ""
+    if total.status == "nothing to gain":
+        return "" if total.has_fallen else "the plain model's error is noise alone"
+    return "" if total.status == "confirmed" else "no gain is confirmed"
 
 
 def _evidence_does_without(g: Grounds, i: int) -> str:
