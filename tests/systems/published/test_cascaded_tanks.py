@@ -36,7 +36,9 @@ def test_a_bent_sensor_scale_helps_and_something_is_left(study):
     causes = {row.name: row for row in report.causes}
     assert report.verdict == "unknown"
     curvature = causes["sensor_curvature"]
-    assert curvature.helps and curvature.size["size"].low > 0.0
+    # an unknown flow, with the knots that the residual asks for, may do as well: -0.2 to 14 %
+    assert curvature.helps and curvature.status == "cannot be told from"
+    assert curvature.size["size"].value > 0.0
     assert causes["lag"].status in ("refuted", "not visible below")
     after = [row.after for row in report.errors if row.use == "test"]
     assert max(after) < 0.8 * PUBLISHED
