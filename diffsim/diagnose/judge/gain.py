@@ -21,6 +21,7 @@ from diffsim.diagnose.judge.left_out import (
     Repeats,
     folds_of,
     left_out_residual,
+    newest_samples,
 )
 from diffsim.diagnose.judge.own_values import Frozen, held_out_point
 from diffsim.identify import Fit, Problem
@@ -217,9 +218,7 @@ def held_out_residual(fit: Frozen, run: Run) -> Array:
 
 def _time_of_rows(run: Run, fit: Frozen) -> Array:
     """Time of every whitened row, (num_valid,) [s]: of the newest sample that it uses."""
-    matrix = fit.problem.whitener.matrix(run)
-    newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
-    return run.time_s[newest // run.measured.shape[1]]
+    return run.time_s[newest_samples(fit.problem, run) // run.measured.shape[1]]
 
 
 def _blocks(time: Array, block_s: float, null: Array, extended: Array) -> Array:
