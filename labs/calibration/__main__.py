@@ -84,9 +84,10 @@ def answers(args: argparse.Namespace) -> tuple[dict[str, dict[str, Any]], dict[s
         for domain in args.domain
         for index in recordable(args.master, domain, args.n)
     }  # fmt: skip
-    whole = whole_items(cases, args)
     with open_executor(args.executor) as executor:
         first = run_kept(judged, cases, args.out / "judged", executor, done=say)
+        cases = {name: item for name, item in cases.items() if first[name]}
+        whole = whole_items(cases, args)
         again = run_kept(searched, whole, args.out / "searched", executor, done=say)
     found: dict[str, dict[str, Any]] = {}
     for case, by_variant in first.items():

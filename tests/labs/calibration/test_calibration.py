@@ -81,6 +81,14 @@ def test_a_stored_case_is_made_once(case, monkeypatch):
     assert case_inputs(made, made["study"], "quick").study.runs
 
 
+def test_a_case_that_cannot_be_recorded_has_no_answers(case, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("step size is less than spacing between numbers")
+
+    monkeypatch.setattr(answers, "make", fail)
+    assert judged({**case, "index": 5}) == {}
+
+
 def brief(outcome, verdict="named", named=("lag",)):
     return {"outcome": outcome, "verdict": verdict, "named": list(named), "rivals": [],
             "is_certain": []}  # fmt: skip
@@ -105,14 +113,17 @@ def test_changes_are_counted_by_hand():
 def test_the_command_makes_so_many_answers_and_goes_on(tmp_path, monkeypatch):
     asked = []
 
+    def plain(item):
+        return {"plain": brief("right")} if item["index"] < 2 else {}  # the third is not recorded
+
     def fake(item):
         asked.append((item["key"], item["factor"], item["index"]))
         return brief("right")
 
     monkeypatch.setattr(command, "head", lambda: ("c" * 40, ""))
-    monkeypatch.setattr(command, "judged", lambda item: {"plain": brief("right")})
+    monkeypatch.setattr(command, "judged", plain)
     monkeypatch.setattr(command, "searched", fake)
-    call = ["--domain", "bench", "--n", "2", "--only", "KEEP_NATS", "--out", str(tmp_path)]
+    call = ["--domain", "bench", "--n", "3", "--only", "KEEP_NATS", "--out", str(tmp_path)]
     assert command.main([*call, "--most", "3"]) == 0
     assert len(asked) == 3
     assert command.main([*call, "--most", "3"]) == 0
