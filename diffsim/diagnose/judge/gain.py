@@ -27,7 +27,6 @@ from diffsim.diagnose.judge.own_values import Frozen, held_out_point
 from diffsim.identify import Fit, Problem
 
 Array = NDArray[np.float64]
-_MOST_KEPT = 256  # fits
 MIN_BLOCKS = 4  # fewer say nothing: equal models win three in a row by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
 DRAWS = 1000  # resamples of the bootstrap
@@ -266,7 +265,7 @@ class SelectRuns:
 
     runs: Sequence[Run]
     words: str = "runs with use: select"
-    _kept: Memo[Sequence[Array]] = memo_field(_MOST_KEPT)
+    _kept: Memo[Sequence[Array]] = memo_field()
 
     def residuals(self, fit: Fit) -> Sequence[Array]:
         """(num_valid,) whitened residuals by run."""
@@ -285,7 +284,7 @@ class LeftOut:
     problem: Problem
     folds: Folds
     repeats: Repeats = field(default_factory=Repeats)
-    _kept: Memo[Sequence[Array]] = memo_field(_MOST_KEPT)
+    _kept: Memo[Sequence[Array]] = memo_field()
 
     @property
     def words(self) -> str:
