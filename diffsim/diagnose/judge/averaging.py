@@ -34,7 +34,6 @@ from diffsim.identify.effect import Effect, is_of_run
 
 Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
-HALF_90 = 1.645  # half-width of a 90 % interval in standard deviations
 POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
 
 

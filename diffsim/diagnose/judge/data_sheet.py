@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from diffsim.data.study import Run
-from diffsim.diagnose.judge.averaging import HALF_90, Widening
-from diffsim.diagnose.judge.records import BaseRow
+from diffsim.diagnose.judge.averaging import Widening
+from diffsim.diagnose.judge.records import HALF_LEVEL, BaseRow
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
@@ -147,8 +147,8 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) 
         unit=p.unit,
         value=at(x),
         sd=scale * sd,
-        low=at(x - HALF_90 * sd),
-        high=at(x + HALF_90 * sd),
+        low=at(x - HALF_LEVEL * sd),
+        high=at(x + HALF_LEVEL * sd),
         prior_value=p.value,
         prior_sd=p.sd * p.value if p.log else p.sd,
         pull=x,
