@@ -13,13 +13,13 @@ from scipy.special import ndtri
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.records import HALF_LEVEL, BaseRow
+from diffsim.diagnose.search.search import FAR
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
 PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
 FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
-FAR_OFF = 5.0  # prior sd, from which what is no finding may be what a named cause took up
 WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
 TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
 
@@ -65,7 +65,7 @@ def far_off(rows: Sequence[BaseRow], *, unknown_acts: bool) -> dict[str, float]:
 
     def limit(row: BaseRow) -> float:
         if row.name.partition("@")[0] not in found:
-            return FAR_OFF
+            return FAR
         return widest if unknown_acts else np.inf
 
     return {row.words: row.pull for row in rows if abs(row.pull) > limit(row)}

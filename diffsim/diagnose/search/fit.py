@@ -45,7 +45,7 @@ from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 8  # of a run in a window
-FAR = 25.0  # chi2 per sample from which short windows are asked
+FAR = 25.0  # chi2 per sample, from which a fit needs an easier start
 ABOVE = 10.0  # chi2 per sample over that of the shortest window, from which longer ones are fitted
 MAX_SHORTENED = 4
 

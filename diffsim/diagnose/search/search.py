@@ -21,6 +21,7 @@ from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, 
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search, weigh_unknowns
 from diffsim.diagnose.search.from_prior import (
+    FROM_PRIOR,
     LEAST_REFITS,
     center_at_prior,
     cooled,
@@ -38,7 +39,6 @@ Begin = Callable[[Problem, Linearization], Linearization]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FROM_PRIOR = 0.5  # of the budget of refits, for those from the data sheet
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
