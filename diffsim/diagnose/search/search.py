@@ -28,15 +28,14 @@ from diffsim.diagnose.search.from_prior import (
     promising_sets,
 )
 from diffsim.diagnose.search.gauss_newton import has_exact_slopes
-from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
+from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
-from diffsim.identify.effort import FIT_RTOL
+from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.linearization import Linearization
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
-WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 
@@ -218,7 +217,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    exact = max(WORSE_NATS, FIT_RTOL * misfit)
+    exact = max(FIT_NATS, FIT_RTOL * misfit)
     return best if 0.5 * (fit.chi2 + fit.prior) > costs[best] + exact else None
 
 
@@ -245,7 +244,7 @@ def _center(search: Search, members: Members, last: Center) -> tuple[Center, Sea
 def _scan_kinks(search: Search, center: Center) -> tuple[Center, Search]:
     """A center with the scans of effects with kinks, where a misfit is left for them."""
     fit, settings = search.fit_of(center.members), search.settings
-    if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
+    if 0.5 * (fit.chi2 - fit.num_samples) < KEEP_NATS:
         return center, search
     center, made = search.simulations.scanned(center, settings, search.num_families)
     return center, replace(search, simulations=made)
