@@ -38,8 +38,7 @@ from diffsim.identify.unknown import Unknown, by_group
 Array = NDArray[np.float64]
 Members = frozenset[int]
 NONE: Members = frozenset()
-SIGNIFICANT = 1.0  # z above which an effect is differentiated again at a new center
-ALIKE = 0.9  # cosine with a member above which it is, too
+ALIKE = 0.9  # cosine with a member above which slopes are simulated again
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,7 +386,7 @@ class Simulations:
         chosen: list[int] = []
         for effect in wide.effects:
             c = wide.columns_of(effect)
-            if linalg.norm(z[c]) > SIGNIFICANT * np.sqrt(len(c)) or alike[c].any():
+            if z[c] @ z[c] > len(c) or alike[c].any():  # more than noise makes of it on average
                 chosen += c
         return chosen
 
