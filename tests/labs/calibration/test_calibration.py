@@ -37,7 +37,7 @@ def test_no_threshold_is_listed_twice():
 
 def test_a_value_that_is_taken_at_import_is_told():
     assert bound_early(Threshold("diagnose.checks.noise", "MAX_ORDER", JUDGE, "x"))
-    assert not bound_early(Threshold("diagnose.judge.gain", "LEAST", JUDGE, "x"))
+    assert not bound_early(Threshold("diagnose.judge.gain", "MIN_BLOCKS", JUDGE, "x"))
 
 
 def test_a_changed_threshold_reaches_all_that_import_it_and_comes_back():
@@ -66,7 +66,7 @@ def test_one_search_is_judged_with_every_threshold(case, monkeypatch):
 
     seen["made"] = store(case)
     monkeypatch.setattr(answers, "judge_again", spy)
-    chosen = [t for t in listed() if t.name in ("LEAST", "EXPLAINED", "SURE")]
+    chosen = [t for t in listed() if t.name in ("MEMORY", "EXPLAINED", "SURE")]
     monkeypatch.setattr(answers, "listed", lambda: chosen)
     found = judged(case)
     assert set(found) == {"plain", *(variant(t, f) for t in chosen for f in FACTORS)}
