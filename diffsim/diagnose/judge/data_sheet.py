@@ -12,16 +12,15 @@ from scipy.special import ndtri
 
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import Widening
+from diffsim.diagnose.judge.gain import MIN_BLOCKS
 from diffsim.diagnose.judge.records import HALF_LEVEL, BaseRow
 from diffsim.diagnose.search.search import FAR
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
-PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
 FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
 WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
-TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
 
 
 def pull_limit(parameters: Sequence[Parameter]) -> float:
@@ -34,7 +33,7 @@ def pull_limit(parameters: Sequence[Parameter]) -> float:
         parameters: All base parameters; those that each run has of its own count once.
     """
     num = len({p.name.partition("@")[0] for p in parameters})
-    return max(PULLED, -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num)))))
+    return -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num))))
 
 
 def words_of(name: str) -> str:
@@ -172,7 +171,7 @@ def _pulled_together(rows: Sequence[BaseRow]) -> tuple[BaseRow, ...]:
     found = []
     for stem, own in stems.items():
         pulls = [row.pull for row in own]
-        same_side = len(own) >= TOGETHER and abs(np.sign(pulls).sum()) == len(own)
+        same_side = len(own) >= MIN_BLOCKS and abs(np.sign(pulls).sum()) == len(own)
         if same_side and abs(pull_of(pulls)) > own[0].limit:
             together = replace(
                 own[0],
