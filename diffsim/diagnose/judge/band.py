@@ -257,13 +257,14 @@ def _left_out_part(fit: Fit, fold: Fold, residuals: Sequence[Array]) -> Part:
         residuals: Whitened, by run, of fits that have not seen them, (num_valid,) each.
     """
     problem, covariance = fit.problem, posterior_covariance(fit.jacobian[~fold.rows])
-    rows, slopes = (problem.by_run(table) for table in (fold.rows, fit.jacobian))
+    slopes = problem.by_run(fit.jacobian)
+    is_left_out = problem.by_run(np.where(fold.rows, 1.0, 0.0))
     unmet = unmet_by(replace(problem, runs=kept_runs(problem, fold))) if fold.is_whole else ()
     left, spread = [], []
     for i in fold.runs:
         run = problem.runs[i]
         inside = np.zeros(run.measured.size, dtype=bool)
-        inside[newest_samples(problem, run)[rows[i]]] = True
+        inside[newest_samples(problem, run)[is_left_out[i] > 0.0]] = True
         own = own_names(problem.names, run, unmet) if fold.is_whole else ()
         readings = _unwhiten(problem, run, residuals[i][:, None])[:, 0]
         left.append(np.where(inside, readings, np.nan).reshape(run.measured.shape))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from benchmarks import diagnose_band
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge import band as judged
@@ -24,7 +27,7 @@ from diffsim.diagnose.judge.band import (
     unfitted_parts,
 )
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.records import ErrorRow, band_words
+from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_words
 from diffsim.identify import DiagnosisSetup, Fit, WhiteNoise, fit
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.model_file import read_extended
@@ -232,3 +235,29 @@ def test_runs_that_chose_prove_no_band():
     assert band_words([row]) == "The 90 % band holds 91 % of 100 readings of unseen runs."
     assert not band_words([replace(row, use="select")])
     assert not band_words([replace(row, band=None)])
+
+
+def test_the_docs_say_what_the_band_is_made_from():
+    """The formula of the module, its level and its condition on parts."""
+    docs = Path(judged.__file__).parents[3] / "docs"
+    method = (docs / "diagnosis_method.md").read_text(encoding="utf-8")
+    formula = re.search(r"factor \* sqrt\((.*?)\)", judged.__doc__).group(1)
+    assert f"f √({formula.replace('^2', '²')})" in method
+    assert f"The factor f is the {100 * LEVEL:.0f} % quantile" in method
+    assert "Student" not in method.split("The **band**")[1].split("####")[0]
+    user = (docs / "diagnose.md").read_text(encoding="utf-8")
+    row = ErrorRow("a", "position", "m", 2.0, 1.0, 1.0, 200, 0, "test", 1.7, 180)
+    assert re.sub(r"\d+", "#", band_words([row])) in re.sub(r"\d+", "#", user)
+
+
+def test_the_docs_hold_the_table_that_the_benchmark_prints():
+    path = Path(judged.__file__).parents[3] / "docs/measured/README.md"
+    part = path.read_text(encoding="utf-8").split("### The band for unseen runs")[1].split("###")[0]
+    rows = [line.split(" | ") for line in part.splitlines() if line.startswith("| ")]
+    assert " | ".join(rows[0]) == diagnose_band.HEAD
+    named = {row[0].strip("| ") for row in rows[1:-1]}
+    left_out = {name for name in diagnose_band.NAMES if f"`{name}`" in part}
+    assert named | left_out == set(diagnose_band.NAMES) and not named & left_out
+    # what nothing was fitted to is held as promised
+    means = [float(cell.strip(" |%")) / 100.0 for cell in rows[-1][2:]]
+    assert all(0.85 <= mean <= 0.95 for mean in means)
