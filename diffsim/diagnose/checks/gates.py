@@ -342,16 +342,17 @@ def budget_gates(
 
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
-        num_unfitted: Rivals of the best set that keep their linear evidence.
+        num_unfitted: Sets that could be better and that nobody fitted.
         settings: The budgets.
     """
     if num_unscanned:
-        spent = f"{settings.scan_steps:,.0f} steps were spent before"
-        note = f"groups of causes not tried over decades: {spent}"
+        most = f"{settings.scan_steps:,.0f} steps or {settings.scan_points} sizes"
+        note = f"groups of causes not tried over decades: {most} were spent before"
         yield GateResult(SCANS, False, float(num_unscanned), 0.0, note, applies=False)
     if num_unfitted:
-        spent = f"{settings.refit_steps:,.0f} steps were spent"
-        note = f"{num_unfitted} rival sets were not refitted, as {spent}"
+        steps = min(settings.scan_steps, settings.refit_steps)
+        most = f"{steps:,.0f} steps or {settings.max_rounds} moves to a better set"
+        note = f"{num_unfitted} rival sets were not refitted, as {most} were spent"
         yield GateResult(LATE, False, float(num_unfitted), 0.0, note, applies=False)
 
 

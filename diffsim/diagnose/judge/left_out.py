@@ -220,7 +220,7 @@ def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
 
 def _refit_without(fit: Fit, fold: Fold, x: Array) -> Array | None:
     """Residual of the part after a full fit to the rest; None if that cannot be simulated."""
-    problem = replace(fit.problem, runs=_kept_runs(fit.problem, fold))
+    problem = replace(fit.problem, runs=kept_runs(fit.problem, fold))
     try:
         rest, _ = gauss_newton(problem, linearization_at(problem, x))
         return _simulate_part(fit, fold, rest.x)
@@ -232,7 +232,7 @@ def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     """Residual of a part simulated at x, the values of its own runs fitted to it."""
     rows = _run_of_rows(fit.problem)
     found = np.zeros(len(rows))
-    unmet = unmet_by(replace(fit.problem, runs=_kept_runs(fit.problem, fold)))
+    unmet = unmet_by(replace(fit.problem, runs=kept_runs(fit.problem, fold)))
     for i in fold.runs:
         run, own = fit.problem.runs[i], rows == i
         alone = replace(fit.problem, runs=(run,))
@@ -243,7 +243,7 @@ def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     return np.asarray(found[fold.rows])
 
 
-def _kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
+def kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
     """Runs without what is left out; samples of a block of time count as missing."""
     if fold.is_whole:
         return tuple(r for i, r in enumerate(problem.runs) if i not in fold.runs)

@@ -170,10 +170,6 @@ class Case:
     correction: Correction | None = None
     num_tests: int = 0
 
-    def cost(self) -> float:
-        """Weighted steps of a simulation of all fitted runs."""
-        return sum(self.model.cost(run, self.numerics) for run in self.study.fit_runs)
-
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""
         s = self.settings
@@ -239,21 +235,26 @@ def coarsen_first_look(case: Case) -> tuple[Case, float]:
         The case, and the weighted steps of a simulation of all fitted runs with the cells that it
         was given; 0 where that is cheap.
     """
-    settings, once = case.settings, case.cost()
+    settings, once = case.settings, _make_problem(case).cost()
     if once < settings.dear_steps or settings.accept_numerics:
         return case, 0.0
     if settings.first_mesh == 1.0:
         return case, once
     larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
     coarse = replace(case, numerics=larger)
-    pays = coarse.cost() < once and _can_be_simulated(coarse)
+    problem = _make_problem(coarse)
+    pays = problem.cost() < once and _can_be_simulated(problem)
     return (coarse if pays else case), once
 
 
-def _can_be_simulated(case: Case) -> bool:
-    """Whether the plain model at its prior can, by one run."""
+def _make_problem(case: Case) -> Problem:
+    """The plain model on the runs to be fitted, before anything is known of their noise."""
     channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
-    problem = case.problem(WhiteNoise(channels))
+    return case.problem(WhiteNoise(channels))
+
+
+def _can_be_simulated(problem: Problem) -> bool:
+    """Whether the model at its prior can, by one run."""
     try:
         record_at(replace(problem, runs=problem.runs[:1]), np.zeros(problem.num_base))
     except (DiffsimError, ValueError):

@@ -48,7 +48,7 @@ class Search:
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
-        num_late: Rivals that keep their linear evidence, as ``refit_steps`` were spent.
+        num_late: Sets that keep their linear evidence, or none, as a budget was spent.
         numerics: Numerical settings at sets where they were checked.
     """
 
@@ -133,6 +133,10 @@ class Search:
     def best_cost(self) -> float:
         """Half the lowest cost of all fits [nats]."""
         return 0.5 * min(f.chi2 + f.prior for f in self.fits.values())
+
+    def with_late(self) -> Search:
+        """The search with one more set that nobody fitted, as a budget was spent."""
+        return replace(self, num_late=self.num_late + 1)
 
     def with_fit(self, members: Members, fit: Fit) -> Search:
         """The search with the evidence of a fit, which needs the set's own columns only."""

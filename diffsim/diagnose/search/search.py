@@ -25,6 +25,7 @@ from diffsim.diagnose.search.from_prior import (
     LEAST_REFITS,
     center_at_prior,
     cooled,
+    is_prior_too_dear,
     promising_sets,
 )
 from diffsim.diagnose.search.gauss_newton import has_exact_slopes
@@ -68,8 +69,10 @@ def search_sets(search: Search) -> Search:
             break
         center, search = _center(search, best, center)
         if search.steps > until:  # the better sets that might follow are not known
-            search = replace(search, num_late=search.num_late + 1)
+            search = search.with_late()
             break
+    else:  # nor are they where moves to a better set are used up
+        search = search.with_late()
     return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
@@ -102,16 +105,21 @@ def _refit_from_prior(search: Search) -> tuple[Center, Search]:
     that."""
     if not has_left_prior(search.fit_of(NONE)):
         return search.plain, search
-    at_prior, made = center_at_prior(search.simulations, search.settings, search.num_families)
+    settings = search.settings
+    if is_prior_too_dear(search.simulations, settings):
+        return search.plain, search.with_late()
+    at_prior, made = center_at_prior(search.simulations, settings, search.num_families)
     search = replace(search, simulations=made)
     if at_prior is not None:
-        ranked = promising_sets(at_prior, search.settings.max_effects)
-        settings = search.settings
+        ranked = promising_sets(at_prior, settings.max_effects)
         begun = search.null.case.searching
         until = begun + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
-        for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
-            if search.steps < until:
-                search = refit(search, members, at_prior, begin=cooled)
+        for members, _ in ranked[: max(settings.num_refits, LEAST_REFITS)]:
+            # what an earlier round fitted begins at its own end and costs little
+            is_late = search.steps >= until and members not in made.fitted
+            search = (
+                search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
+            )
     best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
@@ -322,7 +330,7 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
             is_late = search.steps > until and not members < center.members
             overtakes = nats[members] > best + KEEP_NATS and num_overtaking < MAX_OVERTAKING
             if is_late and not overtakes:
-                search = replace(search, num_late=search.num_late + 1)
+                search = search.with_late()
                 continue
             num_overtaking += is_late
             search = refit(search, members, center)

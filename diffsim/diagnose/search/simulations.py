@@ -83,7 +83,8 @@ class Simulations:
             ``narrow``: simulations serve every unknown cause, as only its response differs.
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_steps: Weighted steps that these took.
-        scans_late: Groups of effects that were not tried because that time was over.
+        scans_late: Groups of effects that were not tried because a budget was spent; where, by
+            ``place`` and members of the center.
         at_prior: All slopes of the plain model at its prior, where they were asked for.
         prior_scans: Sizes that were tried there.
         place: Where the plain model is, for what is kept on disk; empty: at its fit.
@@ -97,7 +98,7 @@ class Simulations:
     at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_steps: int = 0
-    scans_late: frozenset[tuple[Members, Members]] = frozenset()
+    scans_late: frozenset[tuple[str, Members, Members]] = frozenset()
     at_prior: Linearization | None = None
     prior_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     place: str = ""
@@ -277,12 +278,12 @@ class Simulations:
                     effects = [self.wide.effects[i] for i in members]
                     points += num_points(effects, len(first_runs(self.wide.runs)))
                 if points > settings.scan_points or made.scan_steps > settings.scan_steps:
-                    is_late = points <= settings.scan_points
-                    made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))
+                    made = replace(made, scans_late=made.scans_late | {(made.place, *key)})
                     continue
                 result = self._scan(center, members, courses)
                 spent = made.scan_steps + result.steps
                 made = replace(made, scans={**made.scans, key: result}, scan_steps=spent)
+                made = replace(made, scans_late=made.scans_late - {(made.place, *key)})
             if (at := made.scans[key].at) is not None:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made

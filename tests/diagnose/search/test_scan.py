@@ -220,7 +220,7 @@ def test_scans_end_when_their_budget_is_spent():
     search = searched(effects, {pair.slack: 6.0, pair.rate_limit: 2.0}, short)
     assert not search.simulations.scans
     (said,) = budget_gates(len(search.simulations.scans_late), 0, search.settings)
-    assert said.value > 0.0 and not said.passed and "steps were spent" in said.note
+    assert said.value > 0.0 and not said.passed and "were spent before" in said.note
     assert not tuple(budget_gates(0, 0, search.settings))
 
 
