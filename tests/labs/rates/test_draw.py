@@ -11,10 +11,20 @@ import torch
 from diffsim.data import load_study
 from diffsim.systems.registry import setup_of
 from labs.rates import draw as draw_module
-from labs.rates.case import denied_names, make, row_of, truth_of
+from labs.rates.case import (
+    QUICK,
+    case_inputs,
+    denied_names,
+    diagnosed,
+    make,
+    row_of,
+    truth_of,
+    write_study,
+)
 from labs.rates.domains import DOMAINS, missing_package
 from labs.rates.draw import KINDS, LAMBDAS, Draw, draw, recordable
 from labs.rates.rig import Cause, drawn_direction
+from labs.rates.troubles import COLOR, TAILS
 from labs.systems import setup_of as setup_of_laboratory
 from labs.virtual import LABS
 
@@ -183,6 +193,17 @@ def test_laboratories_call_causes_as_libraries_do(system):
     for name, cause in rig.causes.items():
         places = {f"{name}_{k + 1}" for k in range(cause.components)}
         assert not cause.known or name in known or places <= known, (name, sorted(known))
+
+
+@pytest.mark.parametrize("trouble", [COLOR, TAILS])
+def test_a_sound_bench_is_sound_whatever_the_noise(trouble, tmp_path):
+    """Sweeps have no repeats: noise that remembers a sample was an unknown drift."""
+    stand = DOMAINS["bench"][1]
+    for seed in range(4):
+        write_study(stand.record(seed, {}, trouble), folder := tmp_path / f"{trouble}_{seed}")
+        made = {"setup_file": None, "without": ()}
+        report = diagnosed(case_inputs(made, folder, QUICK))
+        assert report.verdict == "none", (seed, report.headline)
 
 
 def test_the_study_folder_does_not_name_what_is_hidden(tmp_path):
