@@ -70,8 +70,10 @@ def test_what_a_cause_alone_explains_stays_its_name():
     assert (report.verdict, report.named, report.findings) == ("named", ("tug",), ())
 
 
-def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it():
-    report = diagnosed({}, (tug(0.0),), base=(9.0, 0.0))
+@pytest.mark.parametrize("off", [9.0, 30.0])
+def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it(off):
+    """However far off: of what leaves the same misfit, priors alone do not say which it is."""
+    report = diagnosed({}, (tug(0.0),), base=(off, 0.0))
     assert report.verdict == "ambiguous"
     row = causes(report)["tug"]
     assert (
