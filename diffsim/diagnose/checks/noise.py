@@ -125,9 +125,9 @@ def noise_floor(
             coefficients.append(fit_ar(series))
         elif stated is not None:
             sd.append(stated)
-            color = fit_color([left[r.name][:, c] for r in runs], stated) if explained else []
-            source.append(COLORED if len(color) else STATED)
-            coefficients.append(np.asarray(color, dtype=np.float64))
+            rest = [left[r.name][:, c] for r in runs] if explained else []
+            coefficients.append(fit_color(rest, stated))
+            source.append(COLORED if len(coefficients[-1]) else STATED)
         else:
             sd.append(float(np.median([noise_std(r.measured[:, c]) for r in runs])))
             source.append("second differences")
@@ -203,7 +203,7 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     none = np.zeros(0)
     parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]
     a, num_samples = fit_ar(parts), sum(map(len, parts))
-    if not len(a):
+    if not len(a):  # nothing is left, or it is white
         return none
     blocks = [_whitening_block(len(x), a) for x in parts]
     chi2 = float(sum(np.sum((w @ x) ** 2) for w, x in zip(blocks, parts, strict=True)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.data import load_study
 from diffsim.systems.registry import setup_of
 from labs.rates import draw as draw_module
@@ -204,6 +205,29 @@ def test_a_sound_bench_is_sound_whatever_the_noise(trouble, tmp_path):
         made = {"setup_file": None, "without": ()}
         report = diagnosed(case_inputs(made, folder, QUICK))
         assert report.verdict == "none", (seed, report.headline)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "size", "lacks", "named"),
+    [
+        ("exponent_of_thrust", 0.016, "law_of_thrust", "zero_of_thrust"),
+        ("run_drift_of_thrust", 0.05, "drift_of_thrust", "hysteresis_loop_of_thrust"),
+        ("zero_of_thrust", 0.6, "", "zero_of_thrust"),
+        ("hysteresis_of_thrust", 0.008, "", "hysteresis_of_thrust"),
+    ],
+)
+def test_a_law_is_certain_only_where_no_other_law_of_the_same_would_do(
+    hidden, size, lacks, named, tmp_path
+):
+    """A power that nobody listed was a zero, for certain; a drift a loop of hysteresis."""
+    stand = DOMAINS["bench"][1]
+    write_study(stand.record(3, {hidden: (size,)}, ""), tmp_path / "study")
+    effects = inputs_of(load_study(tmp_path / "study"), seed=0).setup.effects
+    made = {"setup_file": None, "without": [e.name for e in effects if e.family == lacks]}
+    report = diagnosed(case_inputs(made, tmp_path / "study", QUICK))
+    certain = [row.name for row in report.causes if row.status == "certain"]
+    assert certain == ([] if lacks else [named])
+    assert named in {row.name for row in report.causes if row.status != "refuted"}
 
 
 def test_the_study_folder_does_not_name_what_is_hidden(tmp_path):
