@@ -130,7 +130,7 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
         null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
-        after = noise_floor(case.study.fit_runs, case.study.channels, residuals)
+        after = noise_floor(case.study.fit_runs, case.study.channels, residuals, explained=True)
         is_same = after.source == null.noise.source and bool(
             (np.abs(after.sd / null.noise.sd - 1.0) < NOISE_CHANGED).all()
         )

@@ -33,7 +33,7 @@ from diffsim.identify.linearization import (
     whitened,
 )
 from diffsim.identify.locate import Course
-from diffsim.identify.unknown import Unknown, by_group
+from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 Members = frozenset[int]
@@ -337,7 +337,7 @@ class Simulations:
         if (members, u) not in self.unknown_slopes:
             slopes = self._slopes_of(unknown, members, at)
             made = replace(self, unknown_slopes={**self.unknown_slopes, (members, u): slopes})
-        return by_group(self.wide, unknown.mix(made.unknown_slopes[members, u])), made
+        return unknown.spread(self.wide, made.unknown_slopes[members, u]), made
 
     def _evidence(
         self, at: Linearization, blocks: Sequence[Array], num_families: int

@@ -23,6 +23,7 @@ from diffsim.systems.ode.law_effects import (
     labels_of_laws,
     law_effects,
     law_scales,
+    unknown_laws,
 )
 from diffsim.systems.ode.names import Reader
 
@@ -88,6 +89,7 @@ class BenchDescription(FormulaKeys):
         return DiagnosisSetup(
             model,
             effects,
+            unknowns=unknown_laws(self.laws, study, model, read.network, read.known),
             settings=settings_with(advised, self.effort),
         )
 
