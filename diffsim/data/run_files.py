@@ -296,19 +296,17 @@ def _blocks(run: Run, entry: RunEntry, where: str) -> list[Run]:
         )
     out = []
     for k in range(1, len(edges)):
-        part = slice(0 if blocks.run_up else edges[k - 1], edges[k])
-        time_s = run.time_s[part]
-        measured = run.measured[part].copy()
+        part = run.part(slice(0 if blocks.run_up else edges[k - 1], edges[k]))
+        measured = part.measured.copy()
         if blocks.run_up:
             measured[: edges[k - 1]] = np.nan
         out.append(
             replace(
-                run,
+                part,
                 name=f"{run.name}_{k}",
                 group=f"{run.group}_{k}",
-                time_s=time_s - time_s[0] if blocks.restart_time else time_s,
+                time_s=part.time_s - part.time_s[0] if blocks.restart_time else part.time_s,
                 measured=measured,
-                command={name: values[part] for name, values in run.command.items()},
                 order=run.order if blocks.run_up else run.order + k - 1,
                 use=by_number.get(k, run.use),
                 setup={**run.setup, BLOCK_OF: run.name},
