@@ -17,12 +17,14 @@ from diffsim.core.expression import CONSTANTS, FUNCTIONS
 from diffsim.core.units import to_si
 from diffsim.data.clock_guess import COUNTER, TIME, may_be_time
 from diffsim.data.formula import CLOCK
-from diffsim.data.run_samples import RunSamples, unfilled
+from diffsim.data.run_samples import RunSamples, in_si, unfilled
 from diffsim.data.study import Column, Run
+from diffsim.data.study_schema import Source
 from diffsim.data.table_guess import column_of
 
 Array = NDArray[np.float64]
 _WORDS = {CLOCK, "nan", *CONSTANTS, *FUNCTIONS, *kwlist}  # of formulas: no names of columns
+_AS_IS = Source()  # as the file has it
 _EVEN = 0.5  # of the usual step: a clock varies by less, as for diffsim.data.clock_guess
 _DIGITS = 6  # of the range, in which copies agree: one in mm and one in m differ by rounding
 
@@ -54,16 +56,18 @@ def choose_columns(
         The runs with these columns alone, and what is known of each.
     """
     names = _WORDS | set(taken)
-    columns = []
+    columns, units = [], {}
     for header in _headers_that_tell(runs, used):
         said = column_of(header)
         name = next(n for n in _numbered(said.base) if n not in names)
         names.add(name)
+        units[header] = said.unit
         columns.append(Column(name, said.unit and to_si(said.unit).unit, header))
-    return tuple(
-        replace(run, columns={c.name: _in_si(run.columns[c.header], c.header) for c in columns})
-        for run in runs
-    ), tuple(columns)
+
+    def in_si_units(run: Run) -> dict[str, Array]:
+        return {c.name: in_si(run.columns[c.header], _AS_IS, units[c.header]) for c in columns}
+
+    return tuple(replace(run, columns=in_si_units(run)) for run in runs), tuple(columns)
 
 
 def _headers_that_tell(runs: Sequence[Run], used: Collection[str]) -> Iterator[str]:
@@ -109,11 +113,3 @@ def _numbered(name: str) -> Iterator[str]:
     while True:
         yield f"{name}_{number}"
         number += 1
-
-
-def _in_si(values: Array, header: str) -> Array:
-    unit = column_of(header).unit
-    if unit is None:
-        return values
-    si = to_si(unit)
-    return si.factor * values + si.offset
