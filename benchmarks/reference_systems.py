@@ -109,16 +109,7 @@ def lab_copter() -> Mapping[str, Any]:
 
     study = CopterLab().case(5, {"body_drag": None}).study
     flights = ("sprint_a", "climb_a", "figure_eight")
-    runs = [
-        replace(
-            run,
-            time_s=run.time_s[:150],
-            measured=run.measured[:150],
-            command={name: values[:150] for name, values in run.command.items()},
-        )
-        for run in study.runs
-        if run.name in flights
-    ]
+    runs = [run.part(slice(150)) for run in study.runs if run.name in flights]
     few = ("body_drag", "lag", "wind", "inflow", "thrust_curvature")
     return _explained_study(replace(study, runs=tuple(runs)), "copter", "--effects", ",".join(few))
 

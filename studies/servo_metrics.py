@@ -56,6 +56,7 @@ def joined(study: Study) -> dict[str, Run]:
             time_s=np.concatenate([r.time_s for r in parts]),
             measured=np.concatenate([r.measured for r in parts]),
             command={k: np.concatenate([r.command[k] for r in parts]) for k in first.command},
+            columns={k: np.concatenate([r.columns[k] for r in parts]) for k in first.columns},
         )
     return out
 

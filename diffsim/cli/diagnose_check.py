@@ -247,6 +247,9 @@ def _summary(study: Study) -> Iterator[str]:
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
         yield f"repeats: {_list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
+    if study.columns:
+        shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in study.columns]
+        yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
     yield from not_used(study.left_out)
 
 

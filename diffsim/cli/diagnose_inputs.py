@@ -274,6 +274,8 @@ def _study_hash(study: Study) -> str:
     for run in study.runs:
         header = [run.name, run.group, run.order, run.use, sorted(run.setup.items())]
         total.update(json.dumps(header).encode())
-        for name, values in [("t", run.time_s), ("y", run.measured), *sorted(run.command.items())]:
+        beside = [(f"column {name}", run.columns[name]) for name in sorted(run.columns)]
+        recorded = [("t", run.time_s), ("y", run.measured), *sorted(run.command.items()), *beside]
+        for name, values in recorded:
             total.update(name.encode() + np.ascontiguousarray(values, dtype=np.float64).tobytes())
     return total.hexdigest()

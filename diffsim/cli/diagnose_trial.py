@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import torch
 
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.setup import DiagnosisSetup
 
@@ -25,7 +24,7 @@ def trial_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     if (study.model or {}).get("system") not in _FORMULAS:
         return
     model, q = setup.model, setup.model.at_prior()
-    runs = [_first(run) for run in study.runs if len(run.time_s)]
+    runs = [run.part(slice(FIRST)) for run in study.runs if len(run.time_s)]
     for run in runs:
         if not bool(torch.isfinite(model.predict(run, q)).all()):
             yield Problem(
@@ -47,13 +46,3 @@ def trial_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
                     "it acts although its size is 0; write it so that size 0 changes nothing",
                 )
                 break
-
-
-def _first(run: Run) -> Run:
-    cut = slice(0, FIRST)
-    return replace(
-        run,
-        time_s=run.time_s[cut],
-        measured=run.measured[cut],
-        command={name: values[cut] for name, values in run.command.items()},
-    )

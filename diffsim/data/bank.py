@@ -97,9 +97,12 @@ def _thin_run(run: Run) -> Run:
     n = min(len(run.time_s), MAX_SAMPLES)
     step = float(np.median(np.diff(run.time_s))) if len(run.time_s) > 1 else 1.0
     time_s = run.time_s[0] + step * np.arange(n)
-    command = {name: np.full(n, _find_rest(values)) for name, values in run.command.items()}
+    command, columns = (
+        {name: np.full(n, _find_rest(values)) for name, values in recorded.items()}
+        for recorded in (run.command, run.columns)
+    )
     blank = np.zeros((n, run.measured.shape[1]))
-    return replace(run, time_s=time_s, measured=blank, command=command, use=NEXT)
+    return replace(run, time_s=time_s, measured=blank, command=command, columns=columns, use=NEXT)
 
 
 def _find_rest(values: Array) -> float:
@@ -238,15 +241,9 @@ def _change_commands(
 
 
 def _one_of_each_command(study: Study) -> list[Run]:
-    runs = {run.group: _keep_head(run) for run in study.fit_runs}
+    """The first samples of runs, measured ones kept: some models start from them."""
+    runs = {run.group: run.part(slice(MAX_SAMPLES)) for run in study.fit_runs}
     return _spread(list(runs.values()), 3)
-
-
-def _keep_head(run: Run) -> Run:
-    """The first samples of a run, measured ones kept: some models start from them."""
-    n = MAX_SAMPLES
-    cut = {name: values[:n] for name, values in run.command.items()}
-    return replace(run, time_s=run.time_s[:n], measured=run.measured[:n], command=cut)
 
 
 def _make_blank(run: Run) -> Array:

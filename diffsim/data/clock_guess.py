@@ -49,7 +49,7 @@ def guess_clock(
     Returns:
         Keys of ``time``, the column, and what the user must say.
     """
-    named = [c for c in layout.columns if TIME.match(c.base) and _may_be_time(c)]
+    named = [c for c in layout.columns if TIME.match(c.base) and may_be_time(c)]
     for column in (*named, *(c for c in layout.columns if c.name and c not in named)):
         if not tables[0].is_number[column.name]:
             if column in named or _tells_time(column, tables[0]):
@@ -73,7 +73,7 @@ def guess_clock(
     return {"step": 0.01}, None, ["time.step: seconds between two rows"]
 
 
-def _may_be_time(column: Column) -> bool:
+def may_be_time(column: Column) -> bool:
     """Whether the unit of a column is one of time, or is not stated: T_wall [degC] is no clock."""
     return column.unit in (None, "-") or to_si(column.unit).unit == "s"
 

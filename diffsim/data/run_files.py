@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor, to_si
+from diffsim.data.columns_beside import choose_columns, numeric_columns
 from diffsim.data.run_plan import (
     RunFiles,
     cases_of,
@@ -25,14 +26,14 @@ from diffsim.data.run_plan import (
 )
 from diffsim.data.run_samples import (
     RunSamples,
+    averaged,
     facts_of,
     in_si,
     kept_rows,
-    picked,
     unfilled,
     zero_of,
 )
-from diffsim.data.study import Run
+from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import (
     ChannelEntry,
     CommandEntry,
@@ -74,6 +75,7 @@ class RunReader:
     Attributes:
         problems: What is wrong, one line each.
         left_out: What is not used, one line each.
+        columns: What the runs hold beside channels and commands.
     """
 
     def __init__(self, study: StudyFile, root: Path, given: Collection[Path] = ()):
@@ -81,6 +83,7 @@ class RunReader:
         self.problems: list[str] = []
         self.left_out: list[str] = []
         self.tables: dict[Path, Table] = {}
+        self.columns: tuple[Column, ...] = ()
 
     def runs(self) -> tuple[Run, ...]:
         """All runs, those that cannot be read left out; ``problems`` tells them."""
@@ -104,7 +107,11 @@ class RunReader:
                 out += _place_runs(piece, entry, where, groups, len(out))
             except ValueError as error:
                 self._tell(error)
-        return tuple(out)
+        used = {name for table in self.tables.values() for name in table.used}
+        taken = {name for run in out for name in (*run.command, *run.setup)}
+        taken |= {channel.name for channel in self.study.channels}
+        placed, self.columns = choose_columns(out, used, taken)
+        return placed
 
     def _tell(self, error: Exception) -> None:
         if str(error) not in self.problems:
@@ -182,8 +189,10 @@ class RunReader:
         if entry.missing_if is not None:
             measured[samples.formula(entry.missing_if) != 0.0] = np.nan
         command = {c.name: self._values(c, entry, samples) for c in self.study.commands}
-        time_s, measured, command = picked(entry, samples.time_s, measured, command, keep)
-        return Run(name, time_s, measured, command, group=name, setup=facts)
+        columns = numeric_columns(samples)
+        run = Run(name, samples.time_s, measured, command, name, setup=facts, columns=columns)
+        run = run.part(keep)
+        return run if entry.every == 1 or not entry.average else averaged(run, entry.every)
 
     def _values(
         self, stated: ChannelEntry | CommandEntry, entry: RunEntry, samples: RunSamples
@@ -296,19 +305,17 @@ def _blocks(run: Run, entry: RunEntry, where: str) -> list[Run]:
         )
     out = []
     for k in range(1, len(edges)):
-        part = slice(0 if blocks.run_up else edges[k - 1], edges[k])
-        time_s = run.time_s[part]
-        measured = run.measured[part].copy()
+        part = run.part(slice(0 if blocks.run_up else edges[k - 1], edges[k]))
+        measured = part.measured.copy()
         if blocks.run_up:
             measured[: edges[k - 1]] = np.nan
         out.append(
             replace(
-                run,
+                part,
                 name=f"{run.name}_{k}",
                 group=f"{run.group}_{k}",
-                time_s=time_s - time_s[0] if blocks.restart_time else time_s,
+                time_s=part.time_s - part.time_s[0] if blocks.restart_time else part.time_s,
                 measured=measured,
-                command={name: values[part] for name, values in run.command.items()},
                 order=run.order if blocks.run_up else run.order + k - 1,
                 use=by_number.get(k, run.use),
                 setup={**run.setup, BLOCK_OF: run.name},

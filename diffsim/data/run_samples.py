@@ -18,6 +18,7 @@ from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
 from diffsim.data.formula import evaluate
 from diffsim.data.run_plan import filled
+from diffsim.data.study import Run
 from diffsim.data.study_schema import Fact, RunEntry, Source
 from diffsim.data.table import Rows, Table, as_label
 
@@ -219,19 +220,15 @@ def kept_rows(entry: RunEntry, samples: RunSamples, labels: Sequence[str], where
     return np.array(kept)
 
 
-def picked(
-    entry: RunEntry, time_s: Array, measured: Array, command: Mapping[str, Array], keep: Rows
-) -> tuple[Array, Array, dict[str, Array]]:
-    """Kept samples, averaged over ``every`` where the entry says so."""
-    time_s, measured = time_s[keep], measured[keep]
-    command = {name: values[keep] for name, values in command.items()}
-    if not entry.average or entry.every == 1:
-        return time_s, measured, command
-    n = entry.every if isinstance(entry.every, int) else max(entry.every.values())
-    return (
-        _mean(time_s[:, None], n)[:, 0],
-        _mean(measured, n),
-        {name: _mean(values[:, None], n)[:, 0] for name, values in command.items()},
+def averaged(run: Run, every: int | Mapping[float, int]) -> Run:
+    """Means over each n samples of a run."""
+    n = every if isinstance(every, int) else max(every.values())
+    return replace(
+        run,
+        time_s=_mean(run.time_s[:, None], n)[:, 0],
+        measured=_mean(run.measured, n),
+        command={name: _mean(v[:, None], n)[:, 0] for name, v in run.command.items()},
+        columns={name: _mean(v[:, None], n)[:, 0] for name, v in run.columns.items()},
     )
 
 

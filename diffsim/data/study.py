@@ -66,6 +66,21 @@ class Command:
     shown_unit: str | None = None
 
 
+@dataclass(frozen=True)
+class Column:
+    """A recorded quantity that neither the model nor a channel or command uses.
+
+    Attributes:
+        name: Name for formulas, a key of every run's ``columns``.
+        unit: SI unit of the samples; None: its header states none.
+        header: What the files call it.
+    """
+
+    name: str
+    unit: str | None
+    header: str
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """One execution of a command, with the samples that were measured.
@@ -80,6 +95,7 @@ class Run:
         use: "fit" for runs that parameters are fitted to, "select" for runs that choose between
             causes, "test" for runs that are touched once, after the answer is frozen.
         setup: Known facts of this run, numbers or labels: {"payload_kg": 0.2, "frame": "A"}.
+        columns: What else was recorded, by name of ``Study.columns``, (num_samples,) each.
     """
 
     name: str
@@ -90,6 +106,21 @@ class Run:
     order: int = 0
     use: str = "fit"
     setup: Mapping[str, Any] = field(default_factory=dict)
+    columns: Mapping[str, Array] = field(default_factory=dict)
+
+    def part(self, keep: slice | NDArray[Any]) -> Run:
+        """Some of the samples.
+
+        Args:
+            keep: A slice, the indices, or which samples are kept.
+        """
+        return replace(
+            self,
+            time_s=self.time_s[keep],
+            measured=self.measured[keep],
+            command={name: values[keep] for name, values in self.command.items()},
+            columns={name: values[keep] for name, values in self.columns.items()},
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +143,7 @@ class Study:
         frame: What an earlier fit took from its runs, such as usual magnitudes: with it the causes
             of a saved model mean the same on new runs. Empty: it is taken from these runs.
         faults: How groups of runs are judged for faults; None: they are not.
+        columns: What was recorded beside channels and commands: it may explain what is left.
     """
 
     name: str
@@ -128,6 +160,7 @@ class Study:
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     frame: Mapping[str, Any] = field(default_factory=dict)
     faults: FaultKeys | None = None
+    columns: tuple[Column, ...] = ()
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

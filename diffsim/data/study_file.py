@@ -103,6 +103,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
         todo=stated.todo,
         allows=stated.allows,
         faults=stated.faults,
+        columns=reader.columns,
     )
 
 
@@ -169,7 +170,7 @@ def _command(entry: CommandEntry) -> Command:
 
 
 def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ...]:
-    """Files and columns that no run uses, and what the reader left out."""
+    """Files and columns that no run holds, and what the reader left out."""
     used = {split_part(path)[0] for path in reader.tables}
     folders = {path.parent for path in used} | {root}
     mentioned = str(stated.model)
@@ -181,11 +182,12 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
         if path not in used and path.name not in mentioned
     )
     out = [f"files: {_list_first(files)}"] if files else []
+    beside = {column.header for column in reader.columns}
     unused = Counter(
         name
         for table in reader.tables.values()
         for name in table.header
-        if name and name not in table.used
+        if name and name not in table.used and name not in beside
     )
     if unused:
         out.append(f"columns: {_list_first([_in_files(n, k) for n, k in unused.items()])}")

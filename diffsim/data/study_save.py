@@ -55,7 +55,7 @@ def save_study(study: Study, folder: str | Path, *, overwrite: bool = False) -> 
     new = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".tmp"))
     try:
         for run in study.runs:
-            write_text_atomic(new / f"{run.name}.csv", _format_run(run, study.channels, commands))
+            write_text_atomic(new / f"{run.name}.csv", _format_run(run, study, commands))
         text = yaml.safe_dump(_to_yaml(study, commands), sort_keys=False, allow_unicode=True)
         write_text_atomic(new / STUDY_FILE, text)
         new.chmod(0o755)  # mkdtemp makes folders that only their owner can enter
@@ -120,10 +120,12 @@ def _fact(value: Any) -> float | str:
     return value if isinstance(value, str) else float(value)
 
 
-def _format_run(run: Run, channels: tuple[Channel, ...], commands: list[str]) -> str:
+def _format_run(run: Run, study: Study, commands: list[str]) -> str:
     missing = np.full(len(run.time_s), np.nan)
     columns = [run.time_s, *run.measured.T, *(run.command.get(c, missing) for c in commands)]
-    lines = [",".join(["time_s", *(c.name for c in channels), *commands])]
+    columns += [run.columns.get(c.name, missing) for c in study.columns]
+    beside = [f"{c.name} ({c.unit})" if c.unit else c.name for c in study.columns]
+    lines = [",".join(["time_s", *(c.name for c in study.channels), *commands, *beside])]
     for row in zip(*columns, strict=True):
         lines.append(",".join("" if math.isnan(v) else repr(float(v)) for v in row))
     return "\n".join(lines) + "\n"

@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from datetime import datetime, time
 from functools import cached_property
 from pathlib import Path
@@ -232,6 +233,12 @@ class Table:
         made.path, made.used, made.header = path, set(), list(columns)
         made._numbers, made._cells, made._arrays = {}, [], columns
         made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
+        return made
+
+    def twin(self) -> Table:
+        """The same table; what is asked of it does not count as used."""
+        made = copy(self)
+        made.used = set(self.used)
         return made
 
     def __len__(self) -> int:

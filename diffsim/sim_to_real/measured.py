@@ -71,8 +71,8 @@ def window(run: Run, duration_s: float) -> Run:
     at = times - BEFORE_S
     scale = SPACING_M / run.setup["marker_spacing_m2_m3_m"]
     measured = [scale * np.interp(at, run.time_s, channel) for channel in run.measured.T]
-    command = np.interp(at, run.time_s, run.command[COMMAND])
-    return replace(run, time_s=times, measured=np.stack(measured, 1), command={COMMAND: command})
+    command = {COMMAND: np.interp(at, run.time_s, run.command[COMMAND])}
+    return replace(run, time_s=times, measured=np.stack(measured, 1), command=command, columns={})
 
 
 def best_clock(model: Starfish, run: Run, values: Mapping[str, float], duration_s: float) -> float:

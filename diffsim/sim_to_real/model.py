@@ -220,7 +220,7 @@ def as_displacements(run: Run, duration_s: float, sd_m: float) -> tuple[Run, tup
     if not np.isfinite(command).all():
         raise ValueError(f"run {run.name}: {COMMAND} has holes in the first {duration_s:g} s")
     moved = run.measured[kept] - np.nanmean(start, axis=0)
-    cut = replace(run, time_s=run.time_s[kept], measured=moved, command={COMMAND: command})
+    cut = replace(run.part(kept), measured=moved, command={COMMAND: command})
     return cut, tuple(Channel(c, "m", "position", sd_m) for c in CHANNELS)
 
 

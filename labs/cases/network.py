@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.files import write_text_atomic
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.say.report import Report
 from labs.systems import setup_of
@@ -100,17 +100,8 @@ def study_of(case: LabCase) -> Study:
 
 def thinned(study: Study, every: int) -> Study:
     """The study with every n-th sample: its runs are steady from one to the next."""
-
-    def thin(run: Run) -> Run:
-        command = {name: values[::every] for name, values in run.command.items()}
-        return replace(
-            run,
-            time_s=run.time_s[::every],
-            measured=run.measured[::every],
-            command=command,
-        )
-
-    return replace(study, runs=tuple(map(thin, study.runs)))
+    keep = slice(None, None, every)
+    return replace(study, runs=tuple(run.part(keep) for run in study.runs))
 
 
 def diagnosed(case: LabCase, every: int = 1, **options: Any) -> Report:

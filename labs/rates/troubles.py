@@ -37,8 +37,7 @@ def with_noise(
     kept[0] = True
     if trouble != LOST_ROWS:
         kept[:] = True
-    command = {name: column[kept] for name, column in run.command.items()}
-    clean = replace(run, time_s=run.time_s[kept], measured=run.measured[kept], command=command)
+    clean = run.part(kept)
     return replace(clean, measured=clean.measured + noise[kept]), clean
 
 

@@ -77,6 +77,17 @@ def test_a_study_is_shown_with_what_its_uses_imply(folder, capsys):
     assert "ready for a diagnosis" in out
 
 
+def test_what_was_recorded_beside_is_said(folder, capsys):
+    for path in folder.glob("*.csv"):
+        head, *rows = path.read_text().splitlines()
+        warm = [f"{row},{20.0 + (7 * i) % 11}" for i, row in enumerate(rows)]
+        path.write_text("\n".join([f"{head},temp [degC]", *warm]) + "\n")
+    code, out, _ = check(folder, capsys)
+    assert code == 0, out
+    assert "recorded beside: temp [K]; what is left may depend on them" in out
+    assert "not used: columns: counter (4 files)" in out
+
+
 def test_without_select_and_test_runs(folder, capsys):
     code, out, _ = check(folder, capsys, runs=BASE["runs"][:2])
     assert code == 0

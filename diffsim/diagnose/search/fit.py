@@ -85,11 +85,7 @@ def cut(run: Run, share: float) -> Run:
     """
     count = len(run.time_s)
     keep = min(max(int(np.ceil(share * count)), MIN_SAMPLES), count)
-    command = {
-        name: values[:keep] if len(values) == count else values
-        for name, values in run.command.items()
-    }
-    return replace(run, time_s=run.time_s[:keep], measured=run.measured[:keep], command=command)
+    return run.part(slice(keep))
 
 
 def _fit_growing(problem: Problem, windows: Sequence[float]) -> Ended:

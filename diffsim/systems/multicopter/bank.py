@@ -95,7 +95,8 @@ def _fly_path(
         command.setdefault(other, np.full(count, float(np.asarray(values)[0])))
     setup = dict(like.setup) | ({"payload_kg": payload} if payload else {})
     measured = _read_channels(flights, vehicle, thrusts, state, dt)
-    return Run(name, time.numpy(), measured, command, name, setup=setup)
+    still = {n: np.full(count, float(values[0])) for n, values in like.columns.items()}
+    return Run(name, time.numpy(), measured, command, name, setup=setup, columns=still)
 
 
 def _read_channels(

@@ -54,7 +54,8 @@ def _make_even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run
         )
         for name, values in run.command.items()
     }
-    return replace(run, time_s=time, measured=np.stack(columns, 1), command=command)
+    beside = {name: np.interp(time, run.time_s, values) for name, values in run.columns.items()}
+    return replace(run, time_s=time, measured=np.stack(columns, 1), command=command, columns=beside)
 
 
 def _resample_channel(

@@ -93,7 +93,8 @@ class Balls:
         order = min(r.order for r in runs) - 1
         no_command = {n: np.zeros(len(measured)) for n in runs[0].command}
         time_s, facts = np.arange(float(len(measured))), {TIMELESS: True}
-        clicks = Run(CLICKS, time_s, measured, no_command, CLICKS, order, "fit", facts)
+        unknown = {n: np.full(len(measured), np.nan) for n in runs[0].columns}
+        clicks = Run(CLICKS, time_s, measured, no_command, CLICKS, order, "fit", facts, unknown)
         channels = [*study.channels, *(Channel(c, "px", "image", sd) for c in CLICK_CHANNELS)]
         return replace(study, channels=tuple(channels), runs=(clicks, *runs))
 

@@ -104,13 +104,7 @@ def first_touch(poses: RecordedPoses, half: Array, near: float, ground: float) -
 
 def cut(run: Run, end: int, facts: dict[str, Any]) -> Run:
     """The first frames of a run, with facts for the simulation in its setup."""
-    return replace(
-        run,
-        time_s=run.time_s[:end],
-        measured=run.measured[:end],
-        command={n: v[:end] for n, v in run.command.items()},
-        setup={**run.setup, **facts},
-    )
+    return replace(run.part(slice(end)), setup={**run.setup, **facts})
 
 
 def start_facts(run: Run, poses: RecordedPoses, gravity: float) -> dict[str, float]:
