@@ -154,6 +154,7 @@ def _explain(args: argparse.Namespace) -> None:
             settings=setup.settings,
             progress=progress,
             cache=cache,
+            laws=setup.laws,
         )
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)

@@ -18,6 +18,7 @@ from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
+from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
 from diffsim.systems.ode.law_effects import (
     check_laws,
     labels_of_laws,
@@ -55,6 +56,8 @@ class BenchDescription(FormulaKeys):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
+        if study.frame.get(LAWS) and not self.effects.holds(study.frame[LAWS]):
+            return with_laws(self, study.frame[LAWS]).setup(study)
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
@@ -65,6 +68,7 @@ class BenchDescription(FormulaKeys):
         model.frame = {
             LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
             SCALES: scales.saved(),
+            **frame_of_laws(study),
         }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         # what differs between groups of a search for faults is their stated scatter, and no fault
@@ -89,6 +93,7 @@ class BenchDescription(FormulaKeys):
             model,
             effects,
             settings=settings_with(advised, self.effort),
+            laws=OdeLaws(read, None, study, model, self.setup),
         )
 
 
