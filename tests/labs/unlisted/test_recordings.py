@@ -11,12 +11,15 @@ import yaml
 
 from diffsim.cli import main as diffsim_command
 from labs.unlisted.catalog import KINDS, UNLISTED
+from labs.unlisted.courses import Courses
 from labs.unlisted.draw import COARSE, drawn, sized
 from labs.unlisted.machine import simulate
 from labs.unlisted.record import recorded, write
 
 GENERATORS = ("machine", "courses", "rigs", "laws_of_turning", "laws_of_moving",
               "laws_of_flow_and_sensors", "listed", "catalog", "draw", "record")  # fmt: skip
+
+SHORT = 160  # samples
 
 
 def test_generators_share_no_code_with_the_package():
@@ -54,14 +57,19 @@ def test_a_law_is_as_visible_as_wanted(kind):
 def test_a_machine_moves_and_halved_steps_change_nothing(kind):
     """Every machine with its law at a usual size; the error of a step is far below the noise."""
     case = drawn(3, kind, 0)
-    size = min(case.law.typical, case.law.most) if case.law else 0.0
-    seen = simulate(case.machine, case.numbers, case.courses, case.law, size, COARSE)
-    finer = simulate(case.machine, case.numbers, case.courses, case.law, size, 2 * COARSE)
-    sd = np.array([dial.sd for dial in case.machine.dials.values()])[:, None, None]
+    law, machine = case.law, case.machine
+    size = min(law.typical, law.most) if law else 0.0
+    begun = Courses(
+        {name: course[:, :SHORT] for name, course in case.courses.commands.items()},
+        {name: course[:, :SHORT] for name, course in case.courses.columns.items()},
+    )
+    seen = simulate(machine, case.numbers, begun, law, size, COARSE)
+    finer = simulate(machine, case.numbers, begun, law, size, 2 * COARSE)
+    sd = np.array([dial.sd for dial in machine.dials.values()])[:, None, None]
     assert np.sqrt(np.mean(((seen - finer) / sd) ** 2)) < 0.02
-    assert np.all(seen.std(axis=2) > 3.0 * sd[..., 0])
-    if case.law:
-        plain = simulate(case.machine, case.numbers, case.courses, substeps=COARSE)
+    assert np.all(seen.std(axis=(1, 2)) > 3.0 * sd[:, 0, 0])
+    if law:
+        plain = simulate(machine, case.numbers, begun, substeps=COARSE)
         assert np.abs(seen - plain).max() > 0.0
 
 
