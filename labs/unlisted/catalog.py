@@ -41,7 +41,7 @@ def _unlisted(law: Callable[[np.random.Generator, Machine], Law], *machines: str
 ANY = ("cart", "pendulum", "shaft", "hull", "tank", "masses", "vane")
 KINDS: Mapping[str, Kind] = {
     "cogging": _unlisted(turning.cogging, "shaft", "pendulum"),
-    "unbalance": _unlisted(turning.unbalance, "shaft", "vane"),
+    "unbalance": _unlisted(turning.unbalance, "shaft"),
     "commutation": _unlisted(turning.commutation, "shaft"),
     "encoder_ellipse": _unlisted(turning.encoder_ellipse, "shaft"),
     "gear_ripple": _unlisted(turning.gear_ripple, "shaft", "pendulum"),

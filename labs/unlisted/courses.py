@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from labs.unlisted.machine import Courses, Machine
+from labs.unlisted.machine import Machine
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -70,16 +70,13 @@ def drawn_uses(rng: Rng) -> list[str]:
     return [use for use, _ in PLAN][: int(rng.choice([len(PLAN) - 1, len(PLAN)]))]
 
 
-def drawn_courses(
-    rng: Rng, machine: Machine, num_runs: int, columns: tuple[str, ...], repeats: bool
-) -> Courses:
-    """Commands and columns of all runs.
+def drawn_commands(rng: Rng, machine: Machine, num_runs: int, repeats: bool) -> dict[str, Array]:
+    """Commands of all runs by name, (num_runs, num_samples).
 
     Args:
         rng: Source of what is drawn.
         machine: That is driven.
         num_runs: Number of runs.
-        columns: Of ``COLUMNS``, recorded besides.
         repeats: Whether the last run to fit executes the commands of the first again.
     """
     time = machine.step_s * np.arange(float(machine.count))
@@ -96,11 +93,19 @@ def drawn_courses(
     if repeats:
         for course in commands.values():
             course[4] = course[0]
-    return Courses(commands, {name: _column(rng, name, num_runs, time) for name in columns})
+    return commands
 
 
-def _column(rng: Rng, name: str, num_runs: int, time: Array) -> Array:
-    """Slow courses, each run about a level of its own; a battery only falls."""
+def drawn_column(rng: Rng, name: str, machine: Machine, num_runs: int) -> Array:
+    """Slow courses, each run about a level of its own; a battery only falls.
+
+    Args:
+        rng: Source of what is drawn.
+        name: Of ``COLUMNS``.
+        machine: That is recorded.
+        num_runs: Number of runs.
+    """
+    time = machine.step_s * np.arange(float(machine.count))
     level, spread, wander, _ = COLUMNS[name]
     levels = level + spread * rng.permutation(np.linspace(-1.0, 1.0, num_runs))
     knots = np.linspace(0.0, time[-1], 12 if name == "wind" else 5)

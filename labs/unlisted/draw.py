@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labs.unlisted.catalog import FAR_SHEET, KINDS, Kind
-from labs.unlisted.courses import COLUMNS, Courses, drawn_courses, drawn_uses
-from labs.unlisted.machine import Law, Machine, simulate
+from labs.unlisted.courses import COLUMNS, drawn_column, drawn_commands, drawn_uses
+from labs.unlisted.machine import Courses, Law, Machine, simulate, with_extents
 from labs.unlisted.rigs import drawn_machine, drawn_numbers
 
 Array = NDArray[np.float64]
@@ -73,16 +73,18 @@ def drawn(master: int, kind: str, turn: int) -> Case:
             n: s.value * float(np.exp(0.01 * s.percent * rng.choice([-1.0, 1.0])))
             for n, s in machine.numbers.items()
         }
+    uses, repeats = drawn_uses(rng), bool(rng.random() < 0.5)
+    commands = drawn_commands(rng, machine, len(uses), repeats)
+    machine = with_extents(machine, numbers, Courses(commands, {}))
     law = of_kind.law(rng, machine) if of_kind.law else None
     needed = law.columns if law else ()
     decoy = str(rng.choice([c for c in COLUMNS if c not in needed]))
-    uses, repeats = drawn_uses(rng), bool(rng.random() < 0.5)
-    courses = drawn_courses(rng, machine, len(uses), (*needed, decoy), repeats)
+    columns = {n: drawn_column(rng, n, machine, len(uses)) for n in (*needed, decoy)}
     wanted = float(np.exp(rng.uniform(*np.log(LAMBDAS))))
     noise = int(rng.integers(2**31))
     return Case(
-        f"{kind}_{turn}", of_kind, machine, numbers, law, tuple(uses), courses, repeats, wanted,
-        noise,
+        f"{kind}_{turn}", of_kind, machine, numbers, law, tuple(uses), Courses(commands, columns),
+        repeats, wanted, noise,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ Rng = np.random.Generator
 
 def leak_above(rng: Rng, machine: Machine) -> Law:
     """A crack in the wall: it leaks above its level."""
-    edge = rng.uniform(0.22, 0.32)
+    edge = machine.within("h", rng.uniform(0.4, 0.6))
 
     def acts(now: dict, size: float) -> None:
         now["pump"] = now["pump"] - size * np.maximum(now["h"] - edge, 0.0) / now["pump_gain"]
@@ -25,7 +25,7 @@ def leak_above(rng: Rng, machine: Machine) -> Law:
 
 def relief_valve(rng: Rng, machine: Machine) -> Law:
     """A valve opens above a pressure."""
-    opens = rng.uniform(1.8e4, 2.3e4)
+    opens = machine.within("p", rng.uniform(0.4, 0.6))
 
     def acts(now: dict, size: float) -> None:
         flow = size * np.maximum(now["p"] - opens, 0.0)

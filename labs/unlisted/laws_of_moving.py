@@ -19,7 +19,7 @@ def _at(machine: Machine, number: int = 0) -> tuple[str, tuple[tuple[str, str], 
 def wire_rope(rng: Rng, machine: Machine) -> Law:
     """A rope that slips within itself: a spring that gives after a distance (Dahl)."""
     push, entry = _at(machine)
-    slips = machine.extents["x"] * rng.uniform(0.06, 0.15)
+    slips = machine.reach("x") * rng.uniform(0.06, 0.15)
 
     def acts(now: dict, size: float) -> None:
         now[push] = now[push] - size * now["slip"] / slips
@@ -37,7 +37,7 @@ def wire_rope(rng: Rng, machine: Machine) -> Law:
 def bouc_wen(rng: Rng, machine: Machine) -> Law:
     """A loop with rounded corners that loads otherwise than it unloads (Bouc and Wen)."""
     push, entry = _at(machine)
-    slips = machine.extents["x"] * rng.uniform(0.08, 0.2)
+    slips = machine.reach("x") * rng.uniform(0.08, 0.2)
     power, beta = rng.uniform(1.3, 2.5), rng.uniform(0.5, 0.9)
 
     def acts(now: dict, size: float) -> None:
@@ -58,7 +58,7 @@ def bouc_wen(rng: Rng, machine: Machine) -> Law:
 def odd_relaxation(rng: Rng, machine: Machine) -> Law:
     """A spring in series with a damper whose force grows with the square of its speed."""
     push, entry = _at(machine)
-    usual = machine.extents["x"]
+    usual = machine.reach("x")
     time = rng.uniform(0.5, 1.5)
 
     def acts(now: dict, size: float) -> None:
@@ -110,7 +110,7 @@ def flexible_mode(rng: Rng, machine: Machine) -> Law:
 def magnet(rng: Rng, machine: Machine) -> Law:
     """A magnet pulls from one end of the stroke."""
     push, entry = _at(machine)
-    gap = machine.extents["x"] * rng.uniform(1.8, 2.2)
+    gap = machine.reach("x") * rng.uniform(1.8, 2.2)
 
     def acts(now: dict, size: float) -> None:
         now[push] = now[push] + size / np.maximum(gap - now["x"], 0.1 * gap) ** 2
@@ -124,10 +124,11 @@ def magnet(rng: Rng, machine: Machine) -> Law:
 def wall(rng: Rng, machine: Machine) -> Law:
     """A wall nearby draws the propeller."""
     push, entry = _at(machine)
-    length = machine.extents["h"] * rng.uniform(0.3, 0.5)
+    low, high = machine.extents["h"]
+    length = (high - low) * rng.uniform(0.15, 0.3)
 
     def acts(now: dict, size: float) -> None:
-        now[push] = now[push] - size * np.exp(-(np.maximum(now["h"], 0.02) - 0.16) / length)
+        now[push] = now[push] - size * np.exp(-np.maximum(now["h"] - low, -0.5 * length) / length)
 
     return Law(
         entry, (("h",), ("height",)), ("exponential", "reciprocal", "power"), 5e-3, acts=acts,
@@ -138,10 +139,10 @@ def wall(rng: Rng, machine: Machine) -> Law:
 def ground_cushion(rng: Rng, machine: Machine) -> Law:
     """Near the ground a rotor gives more thrust."""
     _, entry = _at(machine)
-    radius = rng.uniform(0.05, 0.08)
+    low, radius = machine.extents["h"][0], rng.uniform(0.06, 0.1)
 
     def acts(now: dict, size: float) -> None:
-        height = np.maximum(now["h"], 0.02)
+        height = np.maximum(now["h"], 0.5 * low)
         now["thrust"] = now["thrust"] * (1.0 + size * (radius / height) ** 2)
 
     return Law(
@@ -155,7 +156,7 @@ def ground_cushion(rng: Rng, machine: Machine) -> Law:
 def cable(rng: Rng, machine: Machine) -> Law:
     """A cable comes taut beyond a place, and pulls back from there."""
     push, entry = _at(machine)
-    taut = machine.extents["x"] * rng.uniform(0.3, 0.5)
+    taut = machine.extents["x"][1] * rng.uniform(0.3, 0.5)
 
     def acts(now: dict, size: float) -> None:
         now[push] = now[push] - size * np.maximum(now["x"] - taut, 0.0)
@@ -182,7 +183,7 @@ def unequal_spring(rng: Rng, machine: Machine) -> Law:
 def screw(rng: Rng, machine: Machine) -> Law:
     """A screw that runs out of round: friction depends on the place, once a pitch."""
     _, entry = _at(machine)
-    wave = 2.0 * np.pi / (machine.extents["x"] * rng.uniform(0.4, 0.8))
+    wave = 2.0 * np.pi / (machine.reach("x") * rng.uniform(0.4, 0.8))
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
     def acts(now: dict, size: float) -> None:
@@ -239,7 +240,7 @@ def bellows(rng: Rng, machine: Machine) -> Law:
 def worn_spring(rng: Rng, machine: Machine) -> Law:
     """Stiffness falls with the work done; each run has a fresh spring."""
     _, entry = _at(machine)
-    x = machine.extents["x"]
+    x = machine.reach("x")
     span = machine.step_s * machine.count
     usual = 2.0 * machine.numbers["stiffness"].value * x**2 * machine.pace * span
 
@@ -260,7 +261,7 @@ def worn_spring(rng: Rng, machine: Machine) -> Law:
 def aging_friction(rng: Rng, machine: Machine) -> Law:
     """Friction grows while the slider is slow, and is lost within a time when it is fast."""
     _, entry = _at(machine)
-    time, slow = rng.uniform(0.5, 1.5), 0.12
+    time, slow = rng.uniform(0.5, 1.5), 0.3 * machine.reach("v")
 
     def acts(now: dict, size: float) -> None:
         now["friction"] = now["friction"] * (1.0 + size * now["age"])
@@ -278,7 +279,7 @@ def aging_friction(rng: Rng, machine: Machine) -> Law:
 def warm_tire(rng: Rng, machine: Machine) -> Law:
     """Tires roll easier as the work of rolling warms them."""
     _, entry = _at(machine)
-    time, usual = rng.uniform(25.0, 60.0), machine.extents["v"]
+    time, usual = rng.uniform(25.0, 60.0), machine.reach("v")
 
     def acts(now: dict, size: float) -> None:
         now["rolling"] = now["rolling"] * (1.0 - size * now["heat"])

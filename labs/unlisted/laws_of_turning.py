@@ -78,7 +78,7 @@ def encoder_ellipse(rng: Rng, machine: Machine) -> Law:
 
 def gear_ripple(rng: Rng, machine: Machine) -> Law:
     """A gear between shaft and encoder runs out of round: it turns faster than the shaft."""
-    ratio = float(rng.choice([3.0, 4.0, 5.0]))
+    ratio = float(rng.choice([3.0, 4.0, 5.0] if machine.name == "shaft" else [9.0, 12.0, 16.0]))
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
     def reads(now: dict, shown: dict, size: float) -> None:
@@ -138,7 +138,7 @@ def wind_direction(rng: Rng, machine: Machine) -> Law:
 def warm_winding(rng: Rng, machine: Machine) -> Law:
     """Resistance rises with the heat of the squared current."""
     time = rng.uniform(8.0, 20.0) if machine.name == "coil" else rng.uniform(5.0, 12.0)
-    usual = machine.extents["i"] * 0.5
+    usual = 0.5 * machine.reach("i")
 
     def acts(now: dict, size: float) -> None:
         now["resistance"] = now["resistance"] * (1.0 + size * now["heat"])

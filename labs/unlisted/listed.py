@@ -13,7 +13,7 @@ def dry_friction(rng: Rng, machine: Machine) -> Law:
     """Friction that does not depend on the speed."""
     place = machine.places[0]
     push, speed = f"push_{place['name']}", place["velocity"]
-    fades = 2e-3 * (machine.extents[speed])
+    fades = 2e-3 * machine.reach(speed)
 
     def acts(now: dict, size: float) -> None:
         now[push] = now[push] - size * np.tanh(now[speed] / fades)

@@ -44,7 +44,6 @@ SHAFT = Machine(
     700,
     0.6,
     (_place("shaft", "angle", "rate", "inertia", turns=True),),
-    extents={"angle": 6.0, "rate": 6.0},
 )
 
 PENDULUM = Machine(
@@ -77,7 +76,6 @@ PENDULUM = Machine(
     700,
     0.6,
     (_place("hinge", "angle", "rate", "inertia", turns=True),),
-    extents={"angle": 0.8, "rate": 3.0},
 )
 
 VANE = Machine(
@@ -103,7 +101,6 @@ VANE = Machine(
     600,
     0.25,
     (_place("mast", "angle", "rate", "inertia", turns=True),),
-    extents={"angle": 1.8, "rate": 2.0},
 )
 
 CART = Machine(
@@ -127,7 +124,6 @@ CART = Machine(
     600,
     0.7,
     (_place("cart", "x", "v", "mass", turns=False),),
-    extents={"x": 0.09, "v": 0.4},
 )
 
 TACHO_CART = replace(
@@ -200,7 +196,6 @@ MASSES = Machine(
         _place("tool", "z", "w", "load", turns=False),
     ),
     {"define": {"pull": "coupling*(z - x) + loss*(w - v)"}},
-    {"x": 0.1, "v": 0.4, "z": 0.12, "w": 0.5},
 )
 
 TABLE = Machine(
@@ -237,18 +232,17 @@ TABLE = Machine(
         _place("east", "x", "v", "mass", turns=False),
         _place("north", "y", "w", "mass", turns=False),
     ),
-    extents={"x": 0.1, "y": 0.1},
 )
 
 STAND = Machine(
     "stand",
-    {"h": 0.16, "v": 0.0},
+    {"h": 0.22, "v": 0.0},
     _sheet(
         mass=(0.8, "kg", 4.0),
         damping=(1.6, "N s/m", 20.0),
         stiffness=(30.0, "N/m", 8.0),
         thrust_gain=(1.0, "", 4.0),
-        rest=(0.16, "m", 0.0),
+        rest=(0.22, "m", 0.0),
         carried=(6.0, "N", 0.0),
     ),
     {"thrust": Drive("N", 6.0, 2.0)},
@@ -273,7 +267,6 @@ STAND = Machine(
     600,
     0.7,
     (_place("rotor", "h", "v", "mass", turns=False),),
-    extents={"h": 0.09},
 )
 
 HULL = Machine(
@@ -297,7 +290,6 @@ HULL = Machine(
     500,
     0.12,
     (_place("hull", "x", "v", "mass", turns=False),),
-    extents={"v": 3.5},
 )
 
 CAR = Machine(
@@ -327,7 +319,6 @@ CAR = Machine(
     500,
     0.03,
     (_place("car", "x", "v", "mass", turns=False),),
-    extents={"v": 10.0},
 )
 
 COIL = Machine(
@@ -342,7 +333,6 @@ COIL = Machine(
     0.1,
     700,
     0.2,
-    extents={"i": 3.5},
 )
 
 MOTOR = Machine(
@@ -370,7 +360,6 @@ MOTOR = Machine(
     0.05,
     600,
     0.4,
-    extents={"i": 3.0},
 )
 
 
@@ -396,7 +385,6 @@ def _tank(outflow: str, sheet: tuple[float, str, float], start: float, name: str
         600,
         0.012,
         more={"stores": [{"name": "tank", "level": "h", "unit": "m"}]},
-        extents={"h": 0.45},
     )
 
 
@@ -433,7 +421,6 @@ TANKS = Machine(
             {"name": "lower_tank", "level": "lower", "unit": "m"},
         ],
     },
-    extents={"upper": 0.45, "lower": 0.45},
 )
 
 VESSEL = Machine(
@@ -455,7 +442,6 @@ VESSEL = Machine(
     600,
     0.06,
     more={"stores": [{"name": "vessel", "level": "p", "area": "capacity", "unit": "Pa"}]},
-    extents={"p": 3.2e4},
 )
 
 PLATE = Machine(
@@ -478,7 +464,6 @@ PLATE = Machine(
     5.0,
     600,
     0.0025,
-    extents={"warm": 90.0},
 )
 
 MACHINES: Mapping[str, Machine] = {

@@ -11,9 +11,8 @@ import yaml
 
 from diffsim.cli import main as diffsim_command
 from labs.unlisted.catalog import KINDS, UNLISTED
-from labs.unlisted.courses import Courses
 from labs.unlisted.draw import COARSE, drawn, sized
-from labs.unlisted.machine import simulate
+from labs.unlisted.machine import Courses, simulate
 from labs.unlisted.record import recorded, write
 
 GENERATORS = ("machine", "courses", "rigs", "laws_of_turning", "laws_of_moving",
