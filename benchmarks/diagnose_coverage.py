@@ -31,7 +31,8 @@ from diffsim.core.files import write_text_atomic
 from diffsim.data.study import TIMELESS, Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.judge.averaging import HALF_90, MODEL_FORM, widening
+from diffsim.diagnose.judge.averaging import MODEL_FORM, widening
+from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.refit import fit_null, refit
 from diffsim.identify import Fit
 from diffsim.identify.effect import effect_coordinates
@@ -180,8 +181,8 @@ def sizes_of(part: str, inputs: Inputs, chosen: Chosen) -> Iterator[Size]:
 def _size(part: str, found: Fit, name: str, unit: str, factor: float, is_cause: bool) -> Size:
     value, sd = found.values[name], found.sd[name]
     form = MODEL_FORM * value
-    half = HALF_90 * float(np.hypot(factor * sd, form))
-    return Size(part, name, unit, value, half, HALF_90 * float(np.hypot(sd, form)), is_cause)
+    half = HALF_LEVEL * float(np.hypot(factor * sd, form))
+    return Size(part, name, unit, value, half, HALF_LEVEL * float(np.hypot(sd, form)), is_cause)
 
 
 @dataclass(frozen=True)

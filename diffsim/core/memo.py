@@ -10,6 +10,7 @@ from threading import Lock
 from typing import Any, Generic, TypeVar
 
 _Value = TypeVar("_Value")
+MOST_KEPT = 4096  # more than any study asks for: a bound against growing for ever, no choice
 
 
 class Memo(Generic[_Value]):
@@ -24,7 +25,7 @@ class Memo(Generic[_Value]):
         most: Number of values that are kept; the one that was asked for longest ago goes first.
     """
 
-    def __init__(self, most: int):
+    def __init__(self, most: int = MOST_KEPT):
         self._most, self._lock = most, Lock()
         self._kept: OrderedDict[Hashable, _Value] = OrderedDict()
 
@@ -45,7 +46,7 @@ class Memo(Generic[_Value]):
         return type(self), (self._most,)
 
 
-def memo_field(most: int) -> Any:
+def memo_field(most: int = MOST_KEPT) -> Any:
     """A field of a dataclass: a memo of its own for every instance, copies by ``replace`` included.
 
     Args:

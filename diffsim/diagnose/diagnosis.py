@@ -32,6 +32,7 @@ from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
 from diffsim.diagnose.search.evidence import screen
 from diffsim.diagnose.search.fit import (
+    MAX_RENEWALS,
     Case,
     Null,
     Progress,
@@ -56,8 +57,6 @@ from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
-MAX_RENEWALS = 3  # times that finer simulations are made at an answer
-MAX_SEARCHES = 3  # each may end at a set that needs finer numerical settings
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -202,7 +201,7 @@ def search_rounds(null: Null, simulations: Simulations) -> Search:
         null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
-        after = noise_floor(case.study.fit_runs, case.study.channels, residuals)
+        after = noise_floor(case.study.fit_runs, case.study.channels, residuals, explained=True)
         is_same = after.source == null.noise.source and bool(
             (np.abs(after.sd / null.noise.sd - 1.0) < NOISE_CHANGED).all()
         )
@@ -241,12 +240,12 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
     allow; simulations under coarser ones do not serve."""
-    for round_ in range(MAX_SEARCHES):
+    for round_ in range(MAX_RENEWALS):
         started = null.case.model.simulations.steps
         search = search_sets(begin(null, simulations))
         steps = search.steps - started
         best = decision_of(search).best
-        is_late = steps > null.case.settings.again_steps or round_ == MAX_SEARCHES - 1
+        is_late = steps > null.case.settings.again_steps or round_ == MAX_RENEWALS - 1
         search = with_numerics(search, best, is_late=is_late)
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:

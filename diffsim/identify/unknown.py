@@ -1,4 +1,4 @@
-"""Causes without a form: a smooth force, or a smooth drift of one channel, as Gaussian processes.
+"""Causes without a form: a smooth force, drift or law of one channel, as Gaussian processes.
 
 Each gives responses H, the change of the record per independent N(0, 1) coefficient. Their
 common amplitude is averaged over in ``evidence``, so only their shape matters here.
@@ -55,7 +55,11 @@ class Unknown(ABC):
     def responses(self, problem: Problem, x: Array) -> Array:
         """(num_valid, m * num_groups) whitened responses at x, rows in the order of
         ``problem.runs``; one block of columns per command."""
-        return by_group(problem, self.mix(self.slopes(problem, x)))
+        return self.spread(problem, self.slopes(problem, x))
+
+    def spread(self, problem: Problem, slopes: Array) -> Array:
+        """Whitened responses by the slopes of its components, (N, k) not whitened."""
+        return by_group(problem, self.mix(slopes))
 
 
 class UnknownForce(Unknown):
@@ -150,6 +154,44 @@ class UnknownDrift(Unknown):
             record[:, self.channel] = np.stack(curves, 1)
             blocks.append(record.reshape(-1, len(curves)))
         return np.concatenate(blocks)
+
+
+class UnknownLaw(Unknown):
+    """A smooth function of what a run holds, added to one channel: the same in all runs.
+
+    Args:
+        channel: Index of the channel.
+        name: Name in the report.
+        feature: Gives what it is a function of in a run, (num_samples,).
+        num_knots: Number of knots over its range; the correlation length is two of them.
+    """
+
+    def __init__(
+        self, channel: int, name: str, feature: Callable[[Run], Array], num_knots: int = 8
+    ):
+        self.channel, self.name = channel, name
+        self.feature, self.num_knots = feature, num_knots
+
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """Smooth functions of the feature; nothing is fitted."""
+        places = [np.nan_to_num(self.feature(run)) for run in problem.runs]
+        low, high = min(p.min() for p in places), max(p.max() for p in places)
+        knots = np.linspace(low, high if high > low else low + 1.0, self.num_knots)
+        root = _root(smooth_covariance(knots, 2.0 * (knots[1] - knots[0])))
+        blocks = []
+        for run, place in zip(problem.runs, places, strict=True):
+            record = np.zeros((*run.measured.shape, root.shape[1]))
+            record[:, self.channel] = np.stack([np.interp(place, knots, e) for e in root.T], 1)
+            blocks.append(record.reshape(-1, root.shape[1]))
+        return np.concatenate(blocks)
+
+    def spread(self, problem: Problem, slopes: Array) -> Array:
+        """One block of columns for all runs."""
+        edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
+        parts = np.split(self.mix(slopes), edges)
+        return np.concatenate(
+            [problem.whiten(run, part) for run, part in zip(problem.runs, parts, strict=True)]
+        )
 
 
 def smooth_covariance(knots: Array, length: float) -> Array:

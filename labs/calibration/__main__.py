@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,11 +12,11 @@ from typing import Any
 from diffsim.cli.arguments import add_executor, names, positive
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.check import require_choice
-from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from labs.calibration.answers import judged, searched, variant
 from labs.calibration.table import page
 from labs.calibration.thresholds import FACTORS, SEARCH, listed
+from labs.command import ended
 from labs.rates.case import EFFORTS, QUICK
 from labs.rates.domains import DOMAINS
 from labs.rates.draw import recordable
@@ -58,21 +59,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, 2 after an error, 130 after Ctrl-C.
     """
-    args = arguments().parse_args(argv)
-    try:
-        for domain in args.domain:
-            require_choice("--domain", domain, DOMAINS)
-        found, cases = answers(args)
-        text = page(found, cases, vars(args), head()[0])
-        for path in filter(None, (args.out / "thresholds.md", args.page)):
-            print(f"wrote {write_text_atomic(path, text)}")
-        return 0
-    except KeyboardInterrupt:
-        print("\ninterrupted; answers are kept, the same command goes on", file=sys.stderr)
-        return 130
-    except (DiffsimError, ValueError, OSError, ImportError) as error:
-        print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    given = list(sys.argv[1:] if argv is None else argv)
+    args = arguments().parse_args(given)
+    return ended(lambda: work(args), f"python -m labs.calibration {shlex.join(given)}")
+
+
+def work(args: argparse.Namespace) -> None:
+    """Answer cases again, and write the page."""
+    for domain in args.domain:
+        require_choice("--domain", domain, DOMAINS)
+    found, cases = answers(args)
+    text = page(found, cases, vars(args), head()[0])
+    for path in filter(None, (args.out / "thresholds.md", args.page)):
+        print(f"wrote {write_text_atomic(path, text)}")
 
 
 def answers(args: argparse.Namespace) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
@@ -84,9 +83,10 @@ def answers(args: argparse.Namespace) -> tuple[dict[str, dict[str, Any]], dict[s
         for domain in args.domain
         for index in recordable(args.master, domain, args.n)
     }  # fmt: skip
-    whole = whole_items(cases, args)
     with open_executor(args.executor) as executor:
         first = run_kept(judged, cases, args.out / "judged", executor, done=say)
+        cases = {name: item for name, item in cases.items() if first[name]}
+        whole = whole_items(cases, args)
         again = run_kept(searched, whole, args.out / "searched", executor, done=say)
     found: dict[str, dict[str, Any]] = {}
     for case, by_variant in first.items():

@@ -55,12 +55,16 @@ def store(item: Item) -> dict[str, Any]:
 
 @one_thread
 def judged(item: Item) -> dict[str, Any]:
-    """The answer to a case, and its search judged with each threshold that acts afterwards changed.
+    """The answer to a case, and its search judged with each threshold that acts afterwards changed;
+    nothing of a case that its generator cannot record.
 
     Args:
         item: Of the case, with its ``effort``.
     """
-    made = store(item)
+    try:
+        made = store(item)
+    except (DiffsimError, ValueError, RuntimeError):
+        return {}
     with _kept_search() as kept:
         inputs = case_inputs(made, Path(made["study"]), item["effort"])
         out = {"plain": _brief(made, lambda: diagnosed(inputs))}

@@ -93,6 +93,31 @@ MOTOR = '<motor name="motor" joint="{joint}"/>'
 FILTERED = (
     '<general name="motor" joint="{joint}" dyntype="filterexact" dynprm="{lag}" gainprm="1"/>'
 )
+PENDULUM_MODEL = {
+    "system": "ode",
+    "states": {"angle": "0 rad", "rate": "0 rad/s"},
+    "rates": {
+        "angle": "rate",
+        "rate": "(moment_Nm - damping*rate - weight*sin(angle))/inertia",
+    },
+    "inputs": ["moment_Nm"],
+    "parameters": {
+        "inertia": {"value": 0.07, "percent": 10, "unit": "kg m^2"},
+        "damping": {"value": 0.06, "percent": 50, "unit": "N m s/rad"},
+        "weight": {"value": 1.96, "percent": 7, "unit": "N m"},
+    },
+    "readings": {"angle_rad": "angle"},
+    "places": [
+        {
+            "name": "hinge",
+            "position": "angle",
+            "velocity": "rate",
+            "inertia": "inertia",
+            "unit": "N m",
+            "position_unit": "rad",
+        }
+    ],
+}
 
 
 def pendulum(
@@ -130,35 +155,10 @@ def pendulum(
         ),
         late_s,
     )
-    model = {
-        "system": "ode",
-        "states": {"angle": "0 rad", "rate": "0 rad/s"},
-        "rates": {
-            "angle": "rate",
-            "rate": "(moment_Nm - damping*rate - weight*sin(angle))/inertia",
-        },
-        "inputs": ["moment_Nm"],
-        "parameters": {
-            "inertia": {"value": 0.07, "percent": 10, "unit": "kg m^2"},
-            "damping": {"value": 0.06, "percent": 50, "unit": "N m s/rad"},
-            "weight": {"value": 0.8 * 9.81 * 0.25, "percent": 7, "unit": "N m"},
-        },
-        "readings": {"angle_rad": "angle"},
-        "places": [
-            {
-                "name": "hinge",
-                "position": "angle",
-                "velocity": "rate",
-                "inertia": "inertia",
-                "unit": "N m",
-                "position_unit": "rad",
-            }
-        ],
-    }
     channels = [Channel("angle_rad", "rad", "angle", sd=2e-3)]
     columns = {k: {"moment_Nm": v} for k, v in commands(0.9, rng).items()}
     runs = plan(TIME, columns, "mixed", 1)
-    study, clean = recorded("pendulum", channels, runs, rig.record, model, rng)
+    study, clean = recorded("pendulum", channels, runs, rig.record, PENDULUM_MODEL, rng)
     return Case(study, clean, "single" if hidden else "null", hidden or {}, also)
 
 

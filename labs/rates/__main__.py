@@ -13,7 +13,7 @@ from typing import Any
 from diffsim.cli.arguments import add_executor, names, positive
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.check import require_choice
-from diffsim.core.errors import DiffsimError
+from labs.command import ended
 from labs.rates.case import EFFORTS, QUICK, solve
 from labs.rates.domains import DOMAINS
 from labs.rates.draw import recordable
@@ -60,26 +60,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if argv is None else argv)
     args = arguments().parse_args(given)
-    try:
-        for domain in args.domain:
-            require_choice("--domain", domain, DOMAINS)
-        plan = planned(args)
-        print(f"master seed {plan['master']}, commit {plan['commit'][:10]}, {_sealed(plan)}")
-        with open_executor(args.executor) as executor:
-            run_kept(
-                solve, wanted(args, plan), args.out / "cases", executor, done=lambda _, r: say(r)
-            )
-        print(f"wrote {write_pages(finished(args.out, plan), plan, args)}")
-        return 0
-    except KeyboardInterrupt:
-        print("\ninterrupted; finished cases are kept", file=sys.stderr)
-        print(f"go on with: python -m labs.rates {shlex.join(given)}", file=sys.stderr)
-        return 130
-    except (DiffsimError, ValueError, OSError, ImportError) as error:
-        if args.debug:
-            raise
-        print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    again = f"python -m labs.rates {shlex.join(given)}"
+    return ended(lambda: work(args), again, debug=args.debug)
+
+
+def work(args: argparse.Namespace) -> None:
+    """Diagnose the cases that were asked for, and write the page of the run."""
+    for domain in args.domain:
+        require_choice("--domain", domain, DOMAINS)
+    plan = planned(args)
+    print(f"master seed {plan['master']}, commit {plan['commit'][:10]}, {_sealed(plan)}")
+    with open_executor(args.executor) as executor:
+        run_kept(solve, wanted(args, plan), args.out / "cases", executor, done=lambda _, r: say(r))
+    print(f"wrote {write_pages(finished(args.out, plan), plan, args)}")
 
 
 def _sealed(plan: Mapping[str, Any]) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import integrate
 
 from diffsim.data.study import Channel, Run, Study
+from labs.outside.mechanisms import PENDULUM_MODEL
 from labs.rates.rig import Cause, Recorded, Size
 from labs.rates.troubles import TROUBLES, sample_times, with_noise
 
@@ -431,25 +432,7 @@ def _pendulum(y: Array, u: float, p: Mapping[str, float], push: Force) -> list[f
 
 PENDULUM = EquationRig(
     "pendulum",
-    {
-        "system": "ode",
-        "states": {"angle": "0 rad", "rate": "0 rad/s"},
-        "rates": {
-            "angle": "rate",
-            "rate": "(moment_Nm - damping*rate - weight*sin(angle))/inertia",
-        },
-        "inputs": ["moment_Nm"],
-        "parameters": {
-            "inertia": {"value": 0.07, "percent": 10, "unit": "kg m^2"},
-            "damping": {"value": 0.06, "percent": 50, "unit": "N m s/rad"},
-            "weight": {"value": 1.96, "percent": 7, "unit": "N m"},
-        },
-        "readings": {"angle_rad": "angle"},
-        "places": [
-            {"name": "hinge", "position": "angle", "velocity": "rate", "inertia": "inertia",
-             "unit": "N m", "position_unit": "rad"},
-        ],
-    },
+    PENDULUM_MODEL,
     _pendulum,
     lambda y, p: y[:, :1].copy(),
     (Channel("angle_rad", "rad", "angle", sd=3e-3),),

@@ -84,6 +84,24 @@ def test_a_bent_law_is_named_with_its_size(name):
         assert own == pytest.approx(size, abs=0.014)
 
 
+def test_what_nobody_listed_is_a_law_of_what_was_set():
+    """A resonance of the stand at one speed, the same in all sweeps: no drift of each."""
+    model = copy.deepcopy(MODEL)
+    model["effects"] = {"only": ["exponent_of_thrust", "zero_of_thrust"]}
+    study = bench(lambda w: 1e-5 * w**2 + 0.06 * np.exp(-(((w - 500.0) / 70.0) ** 2)), model=model)
+    report = found(study)
+    assert report.verdict == "unknown"
+    nats = {h.unknown: h.nats for h in report.hypotheses if not h.effects}
+    law, drift = "unknown law of thrust_N over speed", "unknown drift of thrust_N"
+    assert nats[law] > nats[drift] + 3.0
+    unknowns = {u.name: u for u in setup_of(study).unknowns}
+    assert set(unknowns) == {law, "unknown course of thrust_N over a sweep"}
+    problem = fit(setup_of(study).model, study.fit_runs, study.channels).problem
+    moved = unknowns[law].responses(problem, np.zeros(problem.num_base))
+    ways = moved.reshape(len(study.fit_runs), len(SPEED), -1)
+    np.testing.assert_allclose(ways, ways[:1].repeat(len(ways), axis=0))  # one law for all runs
+
+
 def test_a_drift_over_an_even_sweep_is_not_told_from_a_loop():
     report = found(bench(HIDDEN["run_drift_of_thrust"][1]))
     assert report.verdict == "ambiguous"

@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from diffsim.data.signal import noise_std
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.noise import UNREPEATABLE
+from diffsim.diagnose.checks.noise import SPIKE, UNREPEATABLE
 from diffsim.identify import Fit
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
@@ -28,11 +28,9 @@ Place = tuple[int, int]  # run and sample
 SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains them
 COMMON = 50  # places of a row from which it says nothing, such as a sensor at rest
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
-STEP_RTOL = 0.02  # of the clock's step between the end of one run and the beginning of the next
 FEWEST = 12  # steps of a channel, from which its noise can be told
 STRETCH = 8  # rows of a stretch that is remembered of a fitted run
 REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
-JOINT = 6.0  # noise sd and usual changes from sample to sample
 
 
 def require_separate(study: Study) -> None:
@@ -156,7 +154,7 @@ def _on_one_clock(first: Sequence[Run], second: Sequence[Run]) -> list[tuple[Run
     step = np.array([np.median(np.diff(run.time_s)) for run in first])[:, None]
     end = np.array([run.time_s[-1] for run in first])[:, None]
     gap = np.array([run.time_s[0] for run in second]) - end
-    return [(first[i], second[k]) for i, k in np.argwhere(abs(gap - step) <= STEP_RTOL * step)]
+    return [(first[i], second[k]) for i, k in np.argwhere(np.round(gap / step) == 1.0)]
 
 
 def _uses(study: Study) -> Iterator[tuple[Sequence[Run], Sequence[Run]]]:
@@ -218,7 +216,7 @@ def _goes_on(first: Run, second: Run) -> bool:
         usual = np.abs(np.diff(values[np.isfinite(values)]))
         if len(usual) < FEWEST or not (np.isfinite(values[-1]) and np.isfinite(start)):
             continue
-        if abs(start - values[-1]) > JOINT * (noise_std(values) + float(np.median(usual))):
+        if abs(start - values[-1]) > SPIKE * (noise_std(values) + float(np.median(usual))):
             return False
     return True
 
@@ -344,16 +342,17 @@ def budget_gates(
 
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
-        num_unfitted: Rivals of the best set that keep their linear evidence.
+        num_unfitted: Sets that could be better and that nobody fitted.
         settings: The budgets.
     """
     if num_unscanned:
-        spent = f"{settings.scan_steps:,.0f} steps were spent before"
-        note = f"groups of causes not tried over decades: {spent}"
+        most = f"{settings.scan_steps:,.0f} steps or {settings.scan_points} sizes"
+        note = f"groups of causes not tried over decades: {most} were spent before"
         yield GateResult(SCANS, False, float(num_unscanned), 0.0, note, applies=False)
     if num_unfitted:
-        spent = f"{settings.refit_steps:,.0f} steps were spent"
-        note = f"{num_unfitted} rival sets were not refitted, as {spent}"
+        steps = min(settings.scan_steps, settings.refit_steps)
+        most = f"{steps:,.0f} steps or {settings.max_rounds} moves to a better set"
+        note = f"{num_unfitted} rival sets were not refitted, as {most} were spent"
         yield GateResult(LATE, False, float(num_unfitted), 0.0, note, applies=False)
 
 

@@ -24,6 +24,8 @@ UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
 FEWEST = 20  # deviations of repeats, from which on they tell the scatter
 SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
+STATED = "stated sd"
+COLORED = "stated sd, color of what is left"
 
 
 class ArWhitener:
@@ -69,7 +71,8 @@ class NoiseFloor:
     Attributes:
         whitener: Transformation that makes residuals white with standard deviation one.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
-        source: "repeats", "stated sd", "second differences" or "rounding", by channel.
+        source: "repeats", "stated sd" with or without a color, "second differences" or "rounding",
+            by channel.
         scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where
             either is missing: repeatability cannot be judged then.
     """
@@ -86,7 +89,11 @@ class NoiseFloor:
 
 
 def noise_floor(
-    runs: Sequence[Run], channels: Sequence[Channel], left: Mapping[str, Array]
+    runs: Sequence[Run],
+    channels: Sequence[Channel],
+    left: Mapping[str, Array],
+    *,
+    explained: bool = False,
 ) -> NoiseFloor:
     """Noise from repeats, else from the stated sd, else from second differences.
 
@@ -97,6 +104,8 @@ def noise_floor(
         channels: Columns of their ``measured``.
         left: Measured minus predicted by run, (num_samples, num_channels) [unit of the channel];
             set-up nuisances of each run must have been fitted, or they would pass as scatter.
+        explained: Whether the best set of causes left it: without repeats, its color is the
+            noise's where its size is.
 
     Raises:
         ValueError: a channel without noise at all.
@@ -116,8 +125,9 @@ def noise_floor(
             coefficients.append(fit_ar(series))
         elif stated is not None:
             sd.append(stated)
-            source.append("stated sd")
-            coefficients.append(np.zeros(0))
+            rest = [left[r.name][:, c] for r in runs] if explained else []
+            coefficients.append(fit_color(rest, stated))
+            source.append(COLORED if len(coefficients[-1]) else STATED)
         else:
             sd.append(float(np.median([noise_std(r.measured[:, c]) for r in runs])))
             source.append("second differences")
@@ -162,7 +172,7 @@ def fit_ar(series: Sequence[Array], max_order: int = MAX_ORDER) -> Array:
     sums, counts = np.zeros(max_order + 1), np.zeros(max_order + 1)
     for x in series:
         for k in lags:
-            product = x[k:] * x[: len(x) - k]
+            product = x[k:] * x[: max(len(x) - k, 0)]
             valid = np.isfinite(product)
             sums[k] += product[valid].sum()
             counts[k] += valid.sum()
@@ -177,6 +187,32 @@ def fit_ar(series: Sequence[Array], max_order: int = MAX_ORDER) -> Array:
         if variance > 0.0 and score < best_score:
             best, best_score = a, score
     return best
+
+
+def fit_color(series: Sequence[Array], sd: float) -> Array:
+    """Autoregressive coefficients of noise whose sd is stated; none where it is white, or where
+    what is left is more than that noise: then something acts, and the color is not the sensor's.
+
+    Both by the Bayesian information criterion: the coefficients against white noise of the same
+    sd, and an sd of its own against the stated one.
+
+    Args:
+        series: What the best set leaves, by run; NaN where nothing was measured [unit of sd].
+        sd: Of the noise, as stated.
+    """
+    none = np.zeros(0)
+    parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]
+    a, num_samples = fit_ar(parts), sum(map(len, parts))
+    if not len(a):  # nothing is left, or it is white
+        return none
+    blocks = [_whitening_block(len(x), a) for x in parts]
+    chi2 = float(sum(np.sum((w @ x) ** 2) for w, x in zip(blocks, parts, strict=True)))
+    log_det = float(sum(np.log(w.diagonal()).sum() for w in blocks))
+    gained = 0.5 * (sum(float(x @ x) for x in parts) - chi2) + log_det
+    price = 0.5 * float(np.log(num_samples))
+    ratio = max(chi2 / num_samples, 1.0)
+    louder = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
+    return a if gained > len(a) * price and louder <= price else none
 
 
 def without_spikes(run: Run, left: Array) -> tuple[Run, int]:

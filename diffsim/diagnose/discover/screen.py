@@ -61,7 +61,8 @@ class Candidate:
         variable: On what it depends.
         basis: Its terms.
         nats: Evidence over the same model without it.
-        share: Share of the misfit of runs that were left out, which it takes away.
+        gained: Nats that it gains on parts of the record that were left out.
+        share: Share of the misfit of these that it takes away.
         typical: Standard deviation of its factors, at the most probable amplitude.
     """
 
@@ -69,6 +70,7 @@ class Candidate:
     variable: Variable
     basis: Basis
     nats: float
+    gained: float
     share: float
     typical: float
 
@@ -135,8 +137,9 @@ class _AtEntry:
             if not (power > 0.0 and np.isfinite(power)):
                 continue
             nats, amplitude = self.weigher.gain(block / power)
-            share = self.weigher.left_out_share(block / power * amplitude)
-            yield Candidate(self.entry, variable, basis, nats, share, amplitude / power)
+            gained, share = self.weigher.left_out(block / power * amplitude)
+            typical = amplitude / power
+            yield Candidate(self.entry, variable, basis, nats, gained, share, typical)
 
     def _repeating(self, u: Sequence[Array]) -> list[float]:
         """Wave numbers with which a law of a variable would repeat, the best ones."""
@@ -238,8 +241,9 @@ class Weigher:
         assert len(det) == count
         return np.asarray((bb * p**2 - 2.0 * ab * p * q + aa * q**2) / det)
 
-    def left_out_share(self, columns: Array) -> float:
-        """Share of the misfit that a law takes from parts of the record it was not fitted to.
+    def left_out(self, columns: Array) -> tuple[float, float]:
+        """Nats that a law gains on parts of the record it was not fitted to; the share of their
+        misfit above the noise.
 
         What only one part tells, such as its start, is fitted to it with and without the law.
 
@@ -253,8 +257,9 @@ class Weigher:
         for gram in grams:
             before += _misfit(gram, total - gram, np.arange(n))
             after += _misfit(gram, total - gram, np.arange(n + k))
-        missing = before - len(self.missing)
-        return (before - after) / missing if missing > 0.0 else 0.0
+        # where the stated noise is too large, what it takes away is all that was missing
+        missing = max(before - len(self.missing), before - after, 1.0)
+        return 0.5 * (before - after), (before - after) / missing
 
     def _gram_of(self, rows: NDArray[np.bool_], columns: Array) -> Array:
         """Gram matrix of [J, H, missing] in some rows, their own parameters fitted."""

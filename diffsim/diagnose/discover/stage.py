@@ -30,11 +30,14 @@ from diffsim.identify.law import Law, LawPort, Shape
 from diffsim.identify.linearization import linearization_at
 
 Array = NDArray[np.float64]
-NUM_FITTED = 4  # laws of each screen that are fitted in the simulator
+NUM_FITTED = 6  # laws of each screen that are fitted in the simulator
+ALIKE = 2  # of them at one entry, or of one variable
+TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
 NUM_POINTS = 101  # of a curve
-LEAST_SHARE = 0.05  # of the misfit of runs that were left out
+BEHIND_NATS = 30.0  # behind the best fitted law: formulas of others are not weighed
+MOST_LAWS = 8  # formulas that the search weighs
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +96,10 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
                 fitted.append(law)
     num_tried = max(len(every) // len(fits), 1)
     price = float(np.log(num_tried))
-    fitted.sort(key=lambda f: 0.5 * (f.fit.chi2 + f.fit.prior) - 0.0)
-    laws = [law for f in fitted for law in _laws_of(f, price, port)]
+    # of several fits: what is said of the record with all that stands beside the law
+    fitted.sort(key=lambda f: -_nats(f.fit))
+    near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
+    laws = [law for f in near for law in _laws_of(f, price)][:MOST_LAWS]
     laws = [replace(law, name=f"law_{k + 1}") for k, law in enumerate(laws)]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
 
@@ -107,10 +112,22 @@ def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
 
 
 def _choose(found: Sequence[Candidate]) -> list[Candidate]:
-    """The best laws of different entries or variables that hold for what was left out."""
+    """The best laws that hold for what was left out, of different entries and variables."""
     price = float(np.log(max(len(found), 1)))
-    kept = [c for c in found if c.nats > KEEP_NATS + price and c.share > LEAST_SHARE]
-    return list(_best_of_each(kept))[:NUM_FITTED]
+    kept = [c for c in found if c.nats > KEEP_NATS + price and c.gained > KEEP_NATS]
+    chosen: list[Candidate] = []
+    for c in _best_of_each(kept):
+        at = sum(c.entry == other.entry for other in chosen)
+        on = sum(c.variable.name == other.variable.name for other in chosen)
+        if at < ALIKE and on < ALIKE and not any(_is_twin(c, other) for other in chosen):
+            chosen.append(c)
+    return chosen[:NUM_FITTED]
+
+
+def _is_twin(c: Candidate, other: Candidate) -> bool:
+    """Whether two laws are one to these recordings: of one variable, by entries in proportion."""
+    is_close = abs(c.nats - other.nats) < TWIN_NATS
+    return c.variable == other.variable and c.basis == other.basis and is_close
 
 
 def _fit_law(followed: Followed, candidate: Candidate, port: LawPort) -> FittedLaw | None:
@@ -163,7 +180,7 @@ def _curve(fit: Fit, candidate: Candidate, u: Array, count: int) -> Curve:
     return Curve(points, basis @ factors, basis, factors, covariance)
 
 
-def _laws_of(fitted: FittedLaw, price: float, port: LawPort) -> list[Law]:
+def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     c = fitted.candidate
     memory = {
         name: Shape(value, 0.7 * value, c.variable.number_units.get(name, "-"), lower=0.05 * value)

@@ -20,8 +20,7 @@ from diffsim.identify.effect import TAIL, Effect, coordinate_of, precision_at
 Array = NDArray[np.float64]
 NUM_MODE_STEPS = 8
 NUM_SAMPLES = 40  # of the sizes, for each draw of the scatter
-LEAST_SHARE = 1e-12  # of a normal distribution on the allowed side, that is computed
-TINY = 1e-12  # the formula for a quadrant divides by means, to which it is not sensitive
+TINY = 1e-12  # share of a normal distribution that is computed, and mean that one is divided by
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +146,7 @@ def _log_shares(means: Array, covariances: Array, signed: NDArray[np.bool_]) -> 
 
         normals = (multivariate_normal(cov=c, allow_singular=True, seed=0) for c in inner)
         shares = [float(n.cdf(m)) for n, m in zip(normals, means[:, one], strict=True)]
-    return np.log(np.maximum(shares, LEAST_SHARE))
+    return np.log(np.maximum(shares, TINY))
 
 
 def positive_quadrant(mean: Array, correlation: float) -> float:

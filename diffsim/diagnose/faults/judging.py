@@ -30,7 +30,7 @@ from diffsim.diagnose.faults.verdict import (
     Spread,
     verdict_of,
 )
-from diffsim.diagnose.judge.records import Interval
+from diffsim.diagnose.judge.records import HALF_LEVEL, Interval
 from diffsim.diagnose.search.evidence import VISIBLE
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.problem import PredictionError, Problem
@@ -41,7 +41,6 @@ Array = NDArray[np.float64]
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
 NUM_REFINEMENTS = 2
 LONGEST_STEP = 1.5  # of a scaled size from one linearization to the next
-HALF_90 = 1.645  # half the width of a normal 90 % interval [sd]
 
 Progress = Callable[[int, int], None]
 
@@ -197,5 +196,5 @@ def _spreads(learned: GroupPosterior) -> tuple[Spread, ...]:
         for name, stated, t, s in zip(
             learned.layout.families, learned.layout.stated, learned.log_spread, sd, strict=True
         )
-        for ends in [(0.0, -HALF_90, HALF_90)]
+        for ends in [(0.0, -HALF_LEVEL, HALF_LEVEL)]
     )

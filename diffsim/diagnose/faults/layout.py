@@ -17,7 +17,6 @@ from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
 COMMON = -1
-_MOST_KEPT = 4096  # sets of runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class Layout:
     is_state: NDArray[np.bool_]
     families: tuple[str, ...]
     stated: tuple[float, ...]
-    _acting: Memo[tuple[list[int], list[int]]] = memo_field(_MOST_KEPT)
+    _acting: Memo[tuple[list[int], list[int]]] = memo_field()
 
     @property
     def shared(self) -> list[int]:

@@ -18,6 +18,8 @@ from diffsim.diagnose.faults.evidence import Evidence
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, Interval
+from diffsim.diagnose.say.causes import PROBABLE
+from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 
 Array = NDArray[np.float64]
@@ -26,8 +28,6 @@ SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
-LIKELY_FROM = 0.8  # probability of a set of causes, from which it is likely
-REACH_NATS = 3.0  # evidence within which runs do not tell sets apart
 MAX_ROWS = 8
 TAILS = (0.05, 0.95)
 
@@ -235,7 +235,7 @@ def _status(
         return UNLISTED
     chosen = set(evidences[best].candidate.causes)
     holds = np.array([chosen <= set(w.candidate.causes) for w in evidences])
-    is_expected = learned[holds].sum() >= LIKELY_FROM
+    is_expected = learned[holds].sum() >= PROBABLE
     if not _rivals(evidences, alone, best):
         is_certain = is_expected and alone[sound] <= CERTAIN_LIMIT
         return CERTAIN if is_certain else LIKELY
@@ -247,7 +247,7 @@ def _rivals(
 ) -> tuple[tuple[str, ...], ...]:
     """Sets within reach that lack a cause of the best one; those with more causes do not count."""
     chosen = set(evidences[best].candidate.causes)
-    within = alone >= alone.max() * np.exp(-REACH_NATS)
+    within = alone >= alone.max() * np.exp(-ALONE_NATS)
     found = [
         (-float(p), _name(w.candidate))
         for w, p, near in zip(evidences, alone, within, strict=True)

@@ -34,8 +34,6 @@ from diffsim.identify.effect import Effect, is_of_run
 
 Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
-HALF_90 = 1.645  # half-width of a 90 % interval in standard deviations
-_MOST_KEPT = 4096  # sets
 POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
 
 
@@ -61,8 +59,8 @@ class ModelAverage:
     spread: Mapping[str, float] = field(default_factory=dict)
     usual: float = 1.0
     changes: Mapping[str, Array] = field(default_factory=dict)
-    _posteriors: Memo[tuple[Array, Array]] = memo_field(_MOST_KEPT)
-    _centers: Memo[LaplaceEvidence] = memo_field(_MOST_KEPT)
+    _posteriors: Memo[tuple[Array, Array]] = memo_field()
+    _centers: Memo[LaplaceEvidence] = memo_field()
 
     @property
     def reach(self) -> tuple[Hypothesis, ...]:

@@ -4,12 +4,13 @@ Half of its width, by reading, is
 
     factor * sqrt(noise^2 + rest^2 + posterior^2).
 
-Noise is the floor of the fit. Rest is what the model leaves beyond it on parts that were not
-fitted: groups of runs left out one after the other (else blocks of time), and runs with use:
-select. Posterior is what parameters and sizes, by one standard deviation each and correlated as
-they are, change in this very run. The factor holds the share of the readings of these parts that
-is wanted, each part weighing the same, times Student's quantile over the normal one: few parts
-tell little of the next one, so that their band is wide. No shape of what is left is assumed.
+Noise is the floor of the fit. Posterior is what parameters and sizes change in this very run, by
+one standard deviation along each principal direction. Rest is what the model leaves beyond both on
+parts that were not fitted: groups of runs left out one after the other (else blocks of time), and
+runs with use: select. A part stands for an unseen run where the runs that are left know its
+parameters: their posterior moves it by less than the noise. The factor holds the share of the
+readings of these parts that is wanted, each part weighing the same and with the rest that the other
+parts tell: how much parts differ is in it, and no shape of what is left is assumed.
 """
 
 from __future__ import annotations
@@ -21,20 +22,51 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import sparse, special
+from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.judge.gain import LeftOut, Validation, held_out_residual
-from diffsim.diagnose.judge.left_out import Repeats, folds_of, newest_samples
-from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names
+from diffsim.diagnose.judge.left_out import Fold, Repeats, folds_of, kept_runs, newest_samples
+from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names, unmet_by
 from diffsim.diagnose.judge.records import LEVEL
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import touches
+from diffsim.identify.fitting import posterior_covariance
 
 Array = NDArray[np.float64]
-MORE_FREEDOM = 1  # degrees of freedom of Student's quantile beside the number of parts
+LEAST_PARTS = 2  # one does not tell how parts differ
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Readings that nothing was fitted to, of a fit that has not seen them.
+
+    Attributes:
+        left: Measured minus predicted, (num_readings, num_channels) [unit of the channel]; NaN: not
+            measured, or of another part.
+        spread: Variance of the predicted by the posterior of that fit, of the same shape.
+    """
+
+    left: Array
+    spread: Array
+
+    def power(self, noise: Array) -> Array:
+        """Mean square beyond noise and posterior by channel, (num_channels,); NaN: no reading."""
+        seen = np.isfinite(self.left)
+        beyond = np.where(seen, self.left**2 - self.spread - noise**2, 0.0)
+        count = seen.sum(axis=0)
+        return np.where(count, beyond.sum(axis=0) / np.maximum(count, 1), np.nan)
+
+    def is_known(self, noise: Array) -> bool:
+        """Whether the posterior moves it by less than the noise, root mean square."""
+        moved = (self.spread / noise**2)[np.isfinite(self.left)]
+        return bool(moved.size) and float(np.mean(moved)) <= 1.0
+
+    def scores(self, noise: Array, rest_variance: Array) -> Array:
+        """Sizes of what is left over its standard deviation, (num_readings, num_channels)."""
+        return np.asarray(np.abs(self.left) / np.sqrt(noise**2 + rest_variance + self.spread))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +125,7 @@ class Band:
             within its posterior.
         """
         try:
-            spread = _posterior_variance(self, at, sd, run, unmet)
+            spread = _posterior_variance(self.names, self.correlation, at, sd, run, unmet)
         except DiffsimError:
             return None
         fixed = [self.noise[c.name] ** 2 + self.rest.get(c.name, np.nan) ** 2 for c in channels]
@@ -141,49 +173,70 @@ def band_of(
         validation: What names were held against; fits without a part are not made again.
 
     Returns:
-        None where there is neither a part to leave out nor a select run.
+        None where parts to leave out and select runs are fewer than two.
     """
-    parts = unfitted_parts(fit, select, validation)
-    if not parts:
+    parts = like_unseen(unfitted_parts(fit, select, validation), noise)
+    if len(parts) < LEAST_PARTS:
         return None
     rest, factor = factor_of(parts, noise)
-    shared = [i for i, n in enumerate(fit.problem.names) if "@" not in n and n not in fit.at_bound]
+    names, correlation = _posterior_of(fit)
     return Band(
         factor=factor,
         num_parts=len(parts),
         noise={c.name: float(v) for c, v in zip(channels, noise, strict=True)},
         rest={c.name: float(v) for c, v in zip(channels, rest, strict=True) if v >= 0.0},
-        names=tuple(fit.problem.names[i] for i in shared),
-        correlation=fit.correlation[np.ix_(shared, shared)],
+        names=names,
+        correlation=correlation,
     )
+
+
+def _posterior_of(fit: Fit) -> tuple[tuple[str, ...], Array]:
+    """Names of coordinates that runs share, and their posterior correlation, (n, n)."""
+    names = fit.problem.names
+    shared = [i for i, n in enumerate(names) if "@" not in n and n not in fit.at_bound]
+    return tuple(names[i] for i in shared), fit.correlation[np.ix_(shared, shared)]
 
 
 def unfitted_parts(
     fit: Fit, select: Sequence[Run], validation: Validation | None = None
-) -> list[Array]:
-    """Measured minus predicted of parts that were not fitted; arguments as of ``band_of``.
-
-    Returns:
-        (num_readings, num_channels) each [unit of the channel]; NaN: not measured, or of another
-        part.
-    """
+) -> list[Part]:
+    """Parts of its runs, and select runs, that were not fitted; arguments as of ``band_of``."""
     return [*_left_out_parts(fit, validation), *_select_parts(fit, select)]
 
 
-def factor_of(parts: Sequence[Array], noise: Array) -> tuple[Array, float]:
-    """Standard deviation of what parts leave beyond the noise, by channel, and the band's factor.
+def like_unseen(parts: Sequence[Part], noise: Array) -> list[Part]:
+    """Parts that stand for an unseen run; all, where these are too few to tell.
+
+    What alone tells of a parameter is predicted badly without it. That says nothing of runs that
+    the fit knows as well as its own.
 
     Args:
-        parts: As ``unfitted_parts`` returns them, one or more.
+        parts: As ``unfitted_parts`` returns them.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
     """
-    rest = np.sqrt(_rest_variance(parts, noise))
-    return rest, _factor([np.abs(left) / np.hypot(noise, rest) for left in parts])
+    known = [part for part in parts if part.is_known(noise)]
+    return known if len(known) >= LEAST_PARTS else list(parts)
 
 
-def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Array]:
-    """Measured minus predicted of every part of the fitted runs by a fit without it,
-    (num_readings, num_channels); NaN in readings of other parts."""
+def factor_of(parts: Sequence[Part], noise: Array) -> tuple[Array, float]:
+    """Standard deviation of what parts leave beyond noise and posterior, by channel, and the
+    band's factor.
+
+    Args:
+        parts: Two or more.
+        noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
+    """
+    together, scores = _rest_variance(parts, noise), []
+    for k, part in enumerate(parts):
+        others = _rest_variance([*parts[:k], *parts[k + 1 :]], noise)
+        # a channel of this part alone has no others
+        told = np.where(np.isfinite(others), others, together)
+        scores.append(part.scores(noise, told))
+    return np.sqrt(together), _quantile(scores)
+
+
+def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Part]:
+    """Every part of the fitted runs by a fit without it."""
     held = validation
     if not isinstance(held, LeftOut):
         folds = folds_of(fit)
@@ -191,44 +244,83 @@ def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Array]:
         held = None if folds is None else LeftOut(fit.problem, folds, Repeats(0))
     if held is None:
         return []
-    count, problem = len(held.folds.parts), fit.problem
-    part_of = np.full(len(fit.residual), -1)
-    for k, fold in enumerate(held.folds.parts):
-        part_of[fold.rows] = k
-    pieces: list[list[Array]] = [[] for _ in range(count)]
-    for run, rows, label in zip(
-        problem.runs, held.residuals(fit), problem.by_run(part_of), strict=True
-    ):
-        owner = np.full(run.measured.size, -1)
-        owner[newest_samples(problem, run)] = label
-        left = _unwhiten(problem, run, rows[:, None])[:, 0]
-        for k in np.unique(label[label >= 0]):
-            pieces[k].append(np.where(owner == k, left, np.nan).reshape(run.measured.shape))
-    return [np.concatenate(p) for p in pieces if p]
+    residuals = held.residuals(fit)
+    return [_left_out_part(fit, fold, residuals) for fold in held.folds.parts]
 
 
-def _select_parts(fit: Fit, select: Sequence[Run]) -> list[Array]:
-    """Measured minus predicted of select runs, those of one command together."""
-    pieces: dict[str, list[Array]] = {}
+def _left_out_part(fit: Fit, fold: Fold, residuals: Sequence[Array]) -> Part:
+    """A part of the fitted runs.
+
+    Args:
+        fit: The extended model.
+        fold: The part.
+        residuals: Whitened, by run, of fits that have not seen them, (num_valid,) each.
+    """
+    problem, covariance = fit.problem, posterior_covariance(fit.jacobian[~fold.rows])
+    slopes = problem.by_run(fit.jacobian)
+    is_left_out = problem.by_run(np.where(fold.rows, 1.0, 0.0))
+    unmet = unmet_by(replace(problem, runs=kept_runs(problem, fold))) if fold.is_whole else ()
+    left, spread = [], []
+    for i in fold.runs:
+        run = problem.runs[i]
+        inside = np.zeros(run.measured.size, dtype=bool)
+        inside[newest_samples(problem, run)[is_left_out[i] > 0.0]] = True
+        own = own_names(problem.names, run, unmet) if fold.is_whole else ()
+        readings = _unwhiten(problem, run, residuals[i][:, None])[:, 0]
+        left.append(np.where(inside, readings, np.nan).reshape(run.measured.shape))
+        spread.append(_linear_variance(fit, run, slopes[i], covariance, own))
+    return Part(np.concatenate(left), np.concatenate(spread))
+
+
+def _linear_variance(
+    fit: Fit, run: Run, slopes: Array, covariance: Array, own: Collection[str]
+) -> Array:
+    """Variance of a run's readings by a posterior near the fit, (num_samples, num_channels).
+
+    Args:
+        fit: The extended model.
+        run: One of its runs.
+        slopes: Whitened slopes of this run at the fit, (num_valid, n).
+        covariance: Posterior of the coordinates, (n, n).
+        own: Names of coordinates that are fitted to this run anyway.
+    """
+    names = fit.problem.names
+    alone = [i for i, n in enumerate(names) if n in own]
+    shared = [i for i, n in enumerate(names) if n not in own and n not in fit.at_bound]
+    moves = slopes[:, shared] @ _principal_moves(covariance[np.ix_(shared, shared)])
+    moves = moves - _take_up(slopes[:, alone], moves)
+    changed = np.nan_to_num(_unwhiten(fit.problem, run, moves))
+    return np.asarray(np.sum(changed**2, axis=1).reshape(run.measured.shape))
+
+
+def _select_parts(fit: Fit, select: Sequence[Run]) -> list[Part]:
+    """Select runs, those of one command together; none that its posterior cannot simulate."""
+    pieces: dict[str, list[Part]] = {}
+    names, correlation = _posterior_of(fit)
+    sd, unmet = posterior_sd(fit), unmet_by(fit.problem)
     for run in select:
         left = _unwhiten(fit.problem, run, held_out_residual(fit, run)[:, None])
-        pieces.setdefault(run.group, []).append(left.reshape(run.measured.shape))
-    return [np.concatenate(p) for p in pieces.values()]
+        try:
+            spread = _posterior_variance(names, correlation, fit, sd, run, unmet)
+        except DiffsimError:
+            continue
+        piece = Part(left.reshape(run.measured.shape), spread)
+        pieces.setdefault(run.group, []).append(piece)
+    return [
+        Part(np.concatenate([p.left for p in own]), np.concatenate([p.spread for p in own]))
+        for own in pieces.values()
+    ]
 
 
-def _rest_variance(parts: Sequence[Array], noise: Array) -> Array:
-    """Mean variance over parts beyond the noise, by channel; NaN: measured in none."""
-    powers = []
-    for left in parts:
-        count = np.isfinite(left).sum(axis=0)
-        powers.append(np.where(count, np.nansum(left**2, axis=0) / np.maximum(count, 1), np.nan))
-    table = np.array(powers)
+def _rest_variance(parts: Sequence[Part], noise: Array) -> Array:
+    """Mean variance over parts beyond noise and posterior, by channel; NaN: measured in none."""
+    table = np.array([part.power(noise) for part in parts])
     count = np.isfinite(table).sum(axis=0)
     mean = np.nansum(table, axis=0) / np.maximum(count, 1)
-    return np.where(count, np.maximum(mean - noise**2, 0.0), np.nan)
+    return np.where(count, np.maximum(mean, 0.0), np.nan)
 
 
-def _factor(scores: Sequence[Array]) -> float:
+def _quantile(scores: Sequence[Array]) -> float:
     """Quantile of readings over their standard deviations, every part weighing the same."""
     values = [s[np.isfinite(s)] for s in scores]
     weights = np.concatenate([np.full(len(v), 1.0 / len(v)) for v in values if len(v)])
@@ -236,56 +328,89 @@ def _factor(scores: Sequence[Array]) -> float:
     order = np.argsort(every, kind="stable")
     share = np.cumsum(weights[order])
     k = min(int(np.searchsorted(share, LEVEL * share[-1])), len(every) - 1)
-    p = 0.5 * (1.0 + LEVEL)
-    few = special.stdtrit(len(values) + MORE_FREEDOM, p) / special.ndtri(p)
-    return float(few * every[order[k]])
+    return float(every[order[k]])
 
 
 def _posterior_variance(
-    band: Band, at: Frozen, sd: Array, run: Run, unmet: Collection[str]
+    names: Sequence[str],
+    correlation: Array,
+    at: Frozen,
+    sd: Array,
+    run: Run,
+    unmet: Collection[str],
 ) -> Array:
-    """Variance of a run's readings by the posterior, (num_samples, num_channels)."""
+    """Variance of a run's readings by the posterior, (num_samples, num_channels).
+
+    Args:
+        names: Coordinates that runs share.
+        correlation: Posterior correlation of these, (n, n).
+        at: The extended model.
+        sd: Posterior standard deviation of its standardized coordinates.
+        run: Run that was not fitted; its own values are fitted to it.
+        unmet: Parameters that no fitted run has.
+    """
     x = held_out_point(at, run, unmet)
-    names = at.problem.names
-    own_of_run = set(own_names(names, run, unmet))
-    own = [i for i, name in enumerate(names) if name in own_of_run]
-    place = {name: i for i, name in enumerate(names) if name not in own_of_run}
-    moved = [k for k, name in enumerate(band.names) if name in place and touches(name, run)]
+    own_of_run = set(own_names(at.problem.names, run, unmet))
+    own = [i for i, name in enumerate(at.problem.names) if name in own_of_run]
+    place = {name: i for i, name in enumerate(at.problem.names) if name not in own_of_run}
+    moved = [k for k, name in enumerate(names) if name in place and touches(name, run)]
     if not moved:
         return np.zeros(run.measured.shape)
-    columns = _changes(at, x, sd, run, [place[band.names[k]] for k in moved])
+    directions = np.zeros((len(moved), len(x)))
+    places, among = [place[names[k]] for k in moved], correlation[np.ix_(moved, moved)]
+    directions[:, places] = _principal_moves(among).T
+    columns = _changes(at, x, sd * directions, run)
     if own:  # what the run's own values take up, with their prior, does not show
         slopes = replace(at.problem, runs=(run,)).linearize(x, only=own)[1][:, own]
-        gram = slopes.T @ slopes + np.eye(len(own))
-        taken = np.linalg.solve(gram, slopes.T @ at.problem.whiten(run, columns))
-        columns = columns - np.nan_to_num(_unwhiten(at.problem, run, slopes @ taken))
-    correlation = band.correlation[np.ix_(moved, moved)]
-    variance = np.einsum("ti,ij,tj->t", columns, correlation, columns)
-    return np.asarray(np.maximum(variance, 0.0).reshape(run.measured.shape))
+        taken = _take_up(slopes, at.problem.whiten(run, columns))
+        columns = columns - np.nan_to_num(_unwhiten(at.problem, run, taken))
+    return np.asarray(np.sum(columns**2, axis=1).reshape(run.measured.shape))
 
 
-def _changes(at: Frozen, x: Array, sd: Array, run: Run, own: Sequence[int]) -> Array:
-    """Change of a run by one standard deviation of each coordinate, (num_readings, n).
+def _principal_moves(covariance: Array) -> Array:
+    """Principal directions, each as long as its standard deviation, (n, n) by column.
+
+    Along them parameters move as they may together: one alone leaves the valley of the posterior,
+    and of such moves a sum cancels only while they are straight.
+    """
+    variances, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))
+
+
+def _take_up(slopes: Array, columns: Array) -> Array:
+    """Part of whitened columns that coordinates with these slopes take up, with their prior."""
+    if not slopes.shape[1]:
+        return np.zeros_like(columns)
+    gram = slopes.T @ slopes + np.eye(slopes.shape[1])
+    return np.asarray(slopes @ np.linalg.solve(gram, slopes.T @ columns))
+
+
+def _changes(at: Frozen, x: Array, moves: Array, run: Run) -> Array:
+    """Change of a run by each move of the standardized coordinates, (num_readings, num_moves).
 
     Secants, not slopes: a file's coordinates are posterior standard deviations, in which steps of
     differences would be lost in rounding; and what a wide posterior does is no slope.
     """
     problem = at.problem
-    u, step = problem.scaled(x), sd * problem.stretch(x)
-    low, high = problem.bounds
-    points, steps = [x], []
-    for i in own:
-        up = min(u[i] + step[i], high[i])
-        end = up if up - u[i] >= 0.5 * step[i] else max(u[i] - step[i], low[i])
-        steps.append((end - u[i]) / step[i] if step[i] > 0.0 else 0.0)
-        point = u.copy()
-        point[i] = end
-        points.append(problem.standardized(point))
+    u = problem.scaled(x)
+    points, shares = [x], []
+    for move in moves * problem.stretch(x):
+        ahead, back = (_find_room(u, m, problem.bounds) for m in (move, -move))
+        share = ahead if ahead >= 0.5 else max(ahead, -back, key=abs)
+        points.append(problem.standardized(u + share * move))
+        shares.append(share)
     with torch.no_grad():
         given = [torch.from_numpy(np.ascontiguousarray(p)) for p in points]
         records = problem.predict_many(run, given).numpy().reshape(len(points), -1)
-    scale = np.array([1.0 / s if s else 0.0 for s in steps])
+    scale = np.array([1.0 / s if s else 0.0 for s in shares])
     return np.asarray((records[1:] - records[0]).T * scale)
+
+
+def _find_room(u: Array, move: Array, bounds: tuple[Array, Array]) -> float:
+    """Share of a move that stays within bounds, at most 1."""
+    end = np.clip(u + move, *bounds)
+    moves = move != 0.0
+    return float(np.min((end - u)[moves] / move[moves], initial=1.0))
 
 
 def _unwhiten(problem: Problem, run: Run, rows: Array) -> Array:

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from diffsim.data.study import Run
-from diffsim.diagnose.judge.averaging import HALF_90, Widening
-from diffsim.diagnose.judge.records import BaseRow
+from diffsim.diagnose.judge.averaging import Widening
+from diffsim.diagnose.judge.gain import MIN_BLOCKS
+from diffsim.diagnose.judge.records import HALF_LEVEL, BaseRow
+from diffsim.diagnose.search.search import FAR
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
-PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
 FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
-FAR_OFF = 5.0  # prior sd, from which what is no finding may be what a named cause took up
 WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
-TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
 
 
 def pull_limit(parameters: Sequence[Parameter]) -> float:
@@ -34,7 +33,7 @@ def pull_limit(parameters: Sequence[Parameter]) -> float:
         parameters: All base parameters; those that each run has of its own count once.
     """
     num = len({p.name.partition("@")[0] for p in parameters})
-    return max(PULLED, -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num)))))
+    return -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num))))
 
 
 def words_of(name: str) -> str:
@@ -65,7 +64,7 @@ def far_off(rows: Sequence[BaseRow], *, unknown_acts: bool) -> dict[str, float]:
 
     def limit(row: BaseRow) -> float:
         if row.name.partition("@")[0] not in found:
-            return FAR_OFF
+            return FAR
         return widest if unknown_acts else np.inf
 
     return {row.words: row.pull for row in rows if abs(row.pull) > limit(row)}
@@ -147,8 +146,8 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) 
         unit=p.unit,
         value=at(x),
         sd=scale * sd,
-        low=at(x - HALF_90 * sd),
-        high=at(x + HALF_90 * sd),
+        low=at(x - HALF_LEVEL * sd),
+        high=at(x + HALF_LEVEL * sd),
         prior_value=p.value,
         prior_sd=p.sd * p.value if p.log else p.sd,
         pull=x,
@@ -172,7 +171,7 @@ def _pulled_together(rows: Sequence[BaseRow]) -> tuple[BaseRow, ...]:
     found = []
     for stem, own in stems.items():
         pulls = [row.pull for row in own]
-        same_side = len(own) >= TOGETHER and abs(np.sign(pulls).sum()) == len(own)
+        same_side = len(own) >= MIN_BLOCKS and abs(np.sign(pulls).sum()) == len(own)
         if same_side and abs(pull_of(pulls)) > own[0].limit:
             together = replace(
                 own[0],

@@ -27,11 +27,9 @@ from diffsim.diagnose.judge.own_values import Frozen, held_out_point
 from diffsim.identify import Fit, Problem
 
 Array = NDArray[np.float64]
-_MOST_KEPT = 256  # fits
-MIN_BLOCKS = 4  # fewer say nothing: equal models win three in a row by chance
+MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
 DRAWS = 1000  # resamples of the bootstrap
-LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 MOST = 1.2  # share that can be removed, and stated over left noise, where the noise is known
 
 
@@ -70,7 +68,7 @@ class Gain:
     @property
     def is_above_zero(self) -> bool:
         """Whether the interval of the share lies above zero."""
-        return self.num_blocks >= MIN_BLOCKS and min(self.low, self.value) >= LEAST
+        return self.num_blocks >= MIN_BLOCKS and min(self.low, self.value) > 0.0
 
     @property
     def is_below_noise(self) -> bool:
@@ -82,7 +80,7 @@ class Gain:
     @property
     def has_fallen(self) -> bool:
         """Whether the error has fallen for sure, however uncertain the share of a small excess."""
-        is_gain = self.excess <= 0.0 or self.value >= LEAST
+        is_gain = self.excess <= 0.0 or self.value > 0.0
         return is_gain and self.num_blocks >= MIN_BLOCKS and self.fall > 0.0
 
     @property
@@ -266,7 +264,7 @@ class SelectRuns:
 
     runs: Sequence[Run]
     words: str = "runs with use: select"
-    _kept: Memo[Sequence[Array]] = memo_field(_MOST_KEPT)
+    _kept: Memo[Sequence[Array]] = memo_field()
 
     def residuals(self, fit: Fit) -> Sequence[Array]:
         """(num_valid,) whitened residuals by run."""
@@ -285,7 +283,7 @@ class LeftOut:
     problem: Problem
     folds: Folds
     repeats: Repeats = field(default_factory=Repeats)
-    _kept: Memo[Sequence[Array]] = memo_field(_MOST_KEPT)
+    _kept: Memo[Sequence[Array]] = memo_field()
 
     @property
     def words(self) -> str:

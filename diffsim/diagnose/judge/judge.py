@@ -26,9 +26,7 @@ EXPLAINED = 0.8  # share of the misfit that a named set explains
 # the library looked like, 0.03 and 0.05 in six blocks); above, their scatter explains what is left
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
-MAX_HELPERS = 6  # sets that are tried beside an unknown cause
-MAX_SWAPS = 6  # sets that are tried in the place of members of the best
-MAX_SINGLES = 2  # of them, effects that the search has not refitted alone
+MOST_TRIED = 6  # sets whose gain is asked beside an unknown cause, or in the place of members
 
 
 @dataclass(frozen=True)
@@ -241,7 +239,7 @@ def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, 
     search, best = judgment.search, judgment.decision.best
     assert search is not None  # gains come of a search
     fits, found = search.fits, dict[int, frozenset[int]]()
-    for gone, i in _swaps(search, best, judgment.withdrawn)[:MAX_SWAPS]:
+    for gone, i in _swaps(search, best, judgment.withdrawn)[:MOST_TRIED]:
         rest, own = best - gone, judgment.gain
         if rest:
             own = judgment.gains.get(min(gone))
@@ -289,34 +287,21 @@ def _with_help(judgment: Judgment, validation: Validation, seed: int) -> Judgmen
     search, withdrawn = judgment.search, judgment.withdrawn
     if judgment.decision.verdict != "unknown" or search is None:
         return judgment
-    search = _with_singles(search, withdrawn)
     fits = {
         h.effects: w.fit
         for h, w in search.posteriors.items()
         if h.unknown is None and h.effects and not h.effects & withdrawn and w.fit is not None
     }
     plain = search.fit_of(frozenset())
-    nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MAX_HELPERS]
+    nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MOST_TRIED]
     gains = {members: gain_over(validation, plain, fits[members], seed) for members in nearest}
     helpful = [m for m in nearest if gains[m].is_above_zero]
     if not helpful:
-        return replace(judgment, search=search)
+        return judgment
     best = max(helpful, key=lambda m: (gains[m].low, -len(m)))
     single = {i: gains[frozenset({i})] for i in best if frozenset({i}) in gains}
-    return replace(
-        judgment, search=search, helps=best, gain=gains[best], gains={**judgment.gains, **single}
-    )
-
-
-def _with_singles(search: Search, withdrawn: frozenset[int]) -> Search:
-    """The search with the most promising effects refitted alone, where none is yet."""
-    ranked = sorted(
-        (h for h in search.linear if len(h.effects) == 1 and not h.effects & withdrawn),
-        key=lambda h: -search.linear[h].nats,
-    )
-    for h in ranked[:MAX_SINGLES]:
-        search = refit(search, h.effects)
-    return search
+    gains_of_all = {**judgment.gains, **single}
+    return replace(judgment, helps=best, gain=gains[best], gains=gains_of_all)
 
 
 def _ready_without(search: Search, rest: Members) -> Search:

@@ -20,21 +20,19 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import TIMELESS, Run
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.own_values import own_point, unmet_by
+from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Fit, Problem
+from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 MAX_FOLDS = 8
 MEMORY = 10.0  # a block over the time in which the noise forgets
-MIN_SAMPLES = 4  # of a block
 MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
 DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
-ALONE = 0.98  # share of what is known of a parameter that one part holds
-NONLINEAR = 0.5  # error of the linear prediction over what it moves, from which a fit is repeated
-WORSE_NATS = 2.0  # and the nats that it must cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +84,13 @@ def folds_of(fit: Fit) -> Folds | None:
 
 
 def known_alone(fit: Fit, folds: Folds) -> NDArray[np.bool_]:
-    """Whether the knowledge of each parameter that the data determine is from one part alone."""
+    """Whether a parameter that the data determine is not determined any more without one part."""
     own = determined(fit)
-    slopes = fit.jacobian[:, own]
-    shares = np.array([np.sum(slopes[fold.rows] ** 2, axis=0) for fold in folds.parts])
-    total = np.maximum(shares.sum(axis=0), 1e-300)
-    return np.asarray(shares.max(axis=0) > ALONE * total)
+    lost = np.zeros(len(own), dtype=bool)
+    for fold in folds.parts:
+        left = posterior_covariance(fit.jacobian[~fold.rows])
+        lost |= np.sqrt(np.diag(left))[own] >= DETERMINED
+    return lost
 
 
 def determined(fit: Fit) -> list[int]:
@@ -132,7 +131,8 @@ def _has_channel_alone(problem: Problem, groups: dict[str, list[int]], name: str
 def blocks_of(problem: Problem) -> Folds | None:
     """Blocks of time of all runs at once; None where they are too short for three.
 
-    A block is ten times as long as the noise remembers, and an eighth of the longest run or more.
+    A block is ten times as long as the noise remembers, an eighth of the longest run or more, and
+    no shorter than a sample.
     Runs without time, such as points of a camera's calibration, stay.
     """
     row_run, time = _run_of_rows(problem), _time_of_rows(problem)
@@ -141,8 +141,7 @@ def blocks_of(problem: Problem) -> Folds | None:
     longest = float(time[is_cut].max()) if is_cut.any() else 0.0
     cut = replace(problem, runs=tuple(r for i, r in enumerate(problem.runs) if i not in stay))
     steps = [float(np.median(np.diff(r.time_s))) for r in cut.runs if len(r.time_s) > 1]
-    shortest = MIN_SAMPLES * max(steps, default=0.0)
-    block_s = max(longest / MAX_FOLDS, MEMORY * memory_s(cut), shortest)
+    block_s = max(longest / MAX_FOLDS, MEMORY * memory_s(cut), max(steps, default=0.0))
     count = int(longest / block_s) if block_s > 0.0 else 0
     if count < MIN_FOLDS:
         return None
@@ -204,16 +203,14 @@ def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
     """Residual of a part that is left out."""
     problem, x = fit.problem, moved(fit, ~fold.rows)
     step = (problem.scaled(x) - problem.scaled(fit.x)) / problem.stretch(fit.x)
-    change = fit.jacobian[fold.rows] @ step
-    predicted = fit.residual[fold.rows] - change
+    predicted = fit.residual[fold.rows] - fit.jacobian[fold.rows] @ step
     try:
         found = _simulate_part(fit, fold, x)
     except DiffsimError:  # too far to be simulated: a fit of its own ends elsewhere
         found = None
-    size = NONLINEAR * float(np.linalg.norm(change))
-    far = found is None or np.linalg.norm(found - predicted) > size
-    worse = found is None or 0.5 * (found @ found - predicted @ predicted) > WORSE_NATS
-    if far and worse and repeats.left > 0:
+    # what separates two names must not hang on how straight the model is
+    worse = found is None or 0.5 * (found @ found - predicted @ predicted) > ALONE_NATS
+    if worse and repeats.left > 0:
         repeats.left -= 1
         again = _refit_without(fit, fold, x)
         if again is not None and (found is None or again @ again < found @ found):
@@ -223,21 +220,19 @@ def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
 
 def _refit_without(fit: Fit, fold: Fold, x: Array) -> Array | None:
     """Residual of the part after a full fit to the rest; None if that cannot be simulated."""
-    problem = replace(fit.problem, runs=_kept_runs(fit.problem, fold))
-    for start in (x, fit.x):
-        try:
-            rest, _ = gauss_newton(problem, linearization_at(problem, start))
-            return _simulate_part(fit, fold, rest.x)
-        except DiffsimError:
-            continue
-    return None
+    problem = replace(fit.problem, runs=kept_runs(fit.problem, fold))
+    try:
+        rest, _ = gauss_newton(problem, linearization_at(problem, x))
+        return _simulate_part(fit, fold, rest.x)
+    except DiffsimError:
+        return None
 
 
 def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     """Residual of a part simulated at x, the values of its own runs fitted to it."""
     rows = _run_of_rows(fit.problem)
     found = np.zeros(len(rows))
-    unmet = unmet_by(replace(fit.problem, runs=_kept_runs(fit.problem, fold)))
+    unmet = unmet_by(replace(fit.problem, runs=kept_runs(fit.problem, fold)))
     for i in fold.runs:
         run, own = fit.problem.runs[i], rows == i
         alone = replace(fit.problem, runs=(run,))
@@ -248,7 +243,7 @@ def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     return np.asarray(found[fold.rows])
 
 
-def _kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
+def kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
     """Runs without what is left out; samples of a block of time count as missing."""
     if fold.is_whole:
         return tuple(r for i, r in enumerate(problem.runs) if i not in fold.runs)

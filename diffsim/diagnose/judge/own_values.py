@@ -18,7 +18,6 @@ from diffsim.identify.effort import FIT_RTOL
 Array = NDArray[np.float64]
 _FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
 _STRAIGHT = 0.02  # share of it that this must promise
-_MAX_STEPS = 20
 _ENOUGH = 0.1 * FIT_RTOL  # promise of a step that is not simulated: slopes may be a little wrong
 
 
@@ -145,7 +144,6 @@ class _Alone:
                 bounds=(low, high),
                 method="dogbox" if is_bounded else "trf",
                 ftol=FIT_RTOL,
-                max_nfev=_MAX_STEPS,
             )
         except _EnoughError:
             return descent.best

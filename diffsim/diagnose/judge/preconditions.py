@@ -119,13 +119,14 @@ class Grounds:
         most = max((self.about.added(best, i) for i in others), default=0.0)
         return most if most >= KEEP_NATS else 0.0
 
-    def added(self, i: int) -> float:
-        """Nats that a member adds to the best set; infinite where the set without was not
-        fitted."""
-        best, without = self.judgment.decision.best, self.judgment.decision.best - {i}
-        if Hypothesis(without) not in self.search.posteriors:
+    def added(self, i: int, beside: int | None = None) -> float:
+        """Nats that a member adds to the best set, next to an unknown cause by index if there is
+        one; infinite where the set without was not fitted."""
+        best = self.judgment.decision.best
+        both, without = Hypothesis(best, beside), Hypothesis(best - {i}, beside)
+        if without not in self.search.posteriors or both not in self.search.posteriors:
             return float("inf")
-        return self.search.nats(Hypothesis(best)) - self.search.nats(Hypothesis(without))
+        return self.search.nats(both) - self.search.nats(without)
 
 
 def _fit_is_inexact(g: Grounds) -> str:
@@ -234,7 +235,7 @@ def _evidence_does_without(g: Grounds, i: int) -> str:
 def _unknown_explains_more(g: Grounds, i: int) -> str:
     decision = g.judgment.decision
     h = decision.beside
-    if h is None or h.unknown is None or decision.lead <= (own := g.added(i)):
+    if h is None or h.unknown is None or decision.lead <= (own := g.added(i, h.unknown)):
         return ""
     name = g.search.unknowns[h.unknown].name
     return f"an {name} explains more beside it, {decision.lead:.0f} nats against {own:.0f}"

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
+from scipy.special import ndtri
+
 from diffsim.core.units import factor
 from diffsim.diagnose.judge.gain import Gain
 
@@ -21,7 +23,8 @@ SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1
 WRONG_DATA_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
-LEVEL = 0.9  # share of the readings of an unseen run that its band is to hold
+LEVEL = 0.9  # of every interval, and share of the readings that the band of an unseen run holds
+HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
 
 

@@ -117,7 +117,8 @@ def without_wrong_data_sheets(decision: Decision, search: Search) -> Decision:
     """The decision with wrong data sheets beside the causes that may stand in for them.
 
     Where the record holds more than the library does, nothing is changed: pulls of data sheets are
-    part of what is left then. A single cause gives way to a data sheet that leads by 3 nats.
+    part of what is left then. A single cause gives way to a data sheet that leads by 3 nats and
+    explains the records better: priors alone say which is likelier, not which it is.
 
     Args:
         decision: What the evidence and the checks allow.
@@ -134,7 +135,9 @@ def without_wrong_data_sheets(decision: Decision, search: Search) -> Decision:
         decision.best - {i}: (wrong_data_sheet(sheet.name), own + sheet.nats)
         for i, sheet in found.items()
     }
-    if len(decision.best) == 1 and all(sheet.nats >= ALONE_NATS for sheet in found.values()):
+    fits_better = all(_fits_better(search, decision.best, sheet) for sheet in found.values())
+    leads = all(sheet.nats >= ALONE_NATS for sheet in found.values())
+    if len(decision.best) == 1 and leads and fits_better:
         at = {sheet.name: (sheet.x, sheet.sd) for sheet in found.values()}
         alone = replace(decision, verdict="none", best=frozenset(), rivals=(), equal=())
         return replace(alone, forms=forms, data_sheets=at, instead=instead)
@@ -156,12 +159,19 @@ class _DataSheet:
         name: Of the parameter.
         nats: Evidence, or its lead over the set with the cause.
         x, sd: Where the parameter lies with the wide prior [sd of the data sheet].
+        chi2: Misfit there.
     """
 
     name: str
     nats: float
     x: float
     sd: float
+    chi2: float
+
+
+def _fits_better(search: Search, best: frozenset[int], sheet: _DataSheet) -> bool:
+    """Whether a data sheet leaves less of the records than the cause in its place."""
+    return 0.5 * (search.posteriors[Hypothesis(best)].chi2 - sheet.chi2) >= ALONE_NATS
 
 
 def _find_stand_in(search: Search, best: frozenset[int], i: int) -> _DataSheet | None:
@@ -188,4 +198,5 @@ def _wrong_data_sheets(fit: Fit, num_families: int) -> Iterator[_DataSheet]:
         if "@" not in p.name and abs(fit.x[j]) > limit:
             posterior = evidence.weigh(members, wide={j: WIDE})
             nats = posterior.nats - lost - price_of_family(num_families)
-            yield _DataSheet(p.name, nats, float(posterior.x[j]), float(posterior.sd[j]))
+            x, sd = float(posterior.x[j]), float(posterior.sd[j])
+            yield _DataSheet(p.name, nats, x, sd, posterior.chi2)

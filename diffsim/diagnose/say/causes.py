@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from diffsim.diagnose.judge.averaging import HALF_90, ModelAverage
+from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.judge.preconditions import SURE
@@ -15,6 +15,7 @@ from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
     EFFECT,
+    HALF_LEVEL,
     HIDDEN,
     LIKELY,
     REFUTED,
@@ -267,7 +268,7 @@ def _screened_size(known: CauseEvidence, i: int) -> dict[str, Interval]:
     out = {}
     for c, component in enumerate(effect.components, start=k):
         value = float(known.screened.size[c])
-        half = HALF_90 * float(known.screened.smallest_visible[c]) / VISIBLE
+        half = HALF_LEVEL * float(known.screened.smallest_visible[c]) / VISIBLE
         if np.isfinite([value, half]).all():
             low = value - half if effect.signed else max(value - half, 0.0)
             out[component] = Interval(value, low, max(value + half, 0.0))
@@ -281,7 +282,7 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
     if decision.verdict == "unknown":
         status, rivals = UNTOLD, _unknown_names(known, decision)
     else:
-        half = HALF_90 * row.sd / row.prior_sd if row.prior_sd else 0.0
+        half = HALF_LEVEL * row.sd / row.prior_sd if row.prior_sd else 0.0
         is_sure = abs(row.pull) - half > row.limit and not known.doubts_of_names
         status = CERTAIN if is_sure else LIKELY
         others = _sets_without_pull(known, about, row)

@@ -14,6 +14,7 @@ from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
+from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify import Fit
 from diffsim.identify.fitting import posterior_covariance
@@ -22,7 +23,6 @@ from diffsim.identify.problem import PredictionError
 Array = NDArray[np.float64]
 TELLING = 2.0 * ALONE_NATS  # expected chi2 from which on a set would be named alone
 NARROWER = 0.95  # of an interval's width: what narrows less is not worth a run
-MAX_NARROWED = 3  # names in a sentence
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Narrowing:
         least = [n for n in sorted(shares, key=lambda n: shares[n]) if shares[n] < NARROWER]
         if not least:
             return "none of these runs narrows an interval by more than 5 %"
-        said = ", of ".join(f"{n} to {shares[n]:.2g}" for n in least[:MAX_NARROWED])
+        said = ", of ".join(f"{n} to {shares[n]:.2g}" for n in least[:MOST_LISTED])
         return f"for more, record {self.best}: it narrows the interval of {said} of its width"
 
     def width(self, run: str) -> float:

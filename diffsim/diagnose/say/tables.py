@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.diagnose.checks.numerics import numerical_shift
+from diffsim.diagnose.judge.averaging import MODEL_FORM
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.search.evidence import Hypothesis, Screen, SetPosterior
@@ -17,7 +18,6 @@ from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
-MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
 BLIND = 3.0  # smallest visible size over the typical one
 TWINS = 0.995  # confounding from which two effects are the same to these data
 

@@ -48,6 +48,7 @@ VERDICTS = (
     "numerical",
 )
 MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
+MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 _RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
 
 
@@ -137,7 +138,7 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
 
 def has_many_sizes(row: CauseRow) -> bool:
     """Whether its sizes are too many for a sentence."""
-    return len(row.size) > (1 if all(map(is_of_run, row.size)) else MAX_SIZES)
+    return len(row.size) > (1 if all(map(is_of_run, row.size)) else MOST_LISTED)
 
 
 def _spread(row: CauseRow) -> str:
@@ -176,9 +177,6 @@ def opened(name: str) -> str:
     """A name at the begin of a sentence; m and M are two parameters, "a pulse" is a cause."""
     first = name.partition(" ")[0]
     return name if len(first) <= 2 and first != "a" else capital(name)
-
-
-MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
 
 
 def sentences(
@@ -394,9 +392,9 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
         rivals: Sets of names.
         nothing: What a set without a cause is called.
     """
-    words = [[plain_name(answer, name) for name in names] for names in rivals[:MAX_RIVALS]]
+    words = [[plain_name(answer, name) for name in names] for names in rivals[:MOST_LISTED]]
     shown = " or ".join(" with ".join(names) or nothing for names in words)
-    more = len(rivals) - MAX_RIVALS
+    more = len(rivals) - MOST_LISTED
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
 
 

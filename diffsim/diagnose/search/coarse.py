@@ -28,7 +28,6 @@ from diffsim.identify.numerics import REFINEMENTS, Numerics
 Array = NDArray[np.float64]
 MAX_LEVELS = 4  # refinements of one setting
 SHIFTS = 2  # steps to the parameters that make coarse records like finer ones
-FINER_COSTS = 4.0  # times as much, about
 SECOND_ORDER, SLOWEST = 0.25, 0.7  # ratio of a change to the one before, as far as it is taken
 NEGLIGIBLE = 0.1  # noise and prior sd that a setting moves: no correction is needed
 CHEAP = 2.0  # times the first simulation: to refine more than is needed
@@ -122,7 +121,8 @@ def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
         enough = here.left < NUMERICS_LAMBDA
         if min(size, here.left) < 0.5 * NUMERICS_LAMBDA:
             break
-        if FINER_COSTS * finer.cost() > once * (CHEAP if enough else dearest):
+        next_cost = replace(problem, numerics=there.refined(REFINEMENTS[name])).cost()
+        if next_cost > once * (CHEAP if enough else dearest):
             break
     return here
 

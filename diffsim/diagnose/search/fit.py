@@ -45,9 +45,7 @@ from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 8  # of a run in a window
-FAR = 25.0  # chi2 per sample from which short windows are asked
-ABOVE = 10.0  # chi2 per sample over that of the shortest window, from which longer ones are fitted
-MAX_SHORTENED = 4
+FAR = 25.0  # chi2 per sample, from which a fit needs an easier start
 
 Ended = tuple[Fit, Linearization]
 
@@ -66,7 +64,7 @@ def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
         DiffsimError: neither whole runs nor windows can be simulated and fitted.
     """
     model = problem.model
-    for _ in range(MAX_SHORTENED):
+    while True:  # until windows are as short as they may be
         problem = replace(problem, model=model)
         try:
             return _fit_growing(problem, windows)
@@ -76,7 +74,6 @@ def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
                 raise
             shorter.simulations = model.simulations  # goes on counting
             model = shorter
-    return _fit_growing(problem, windows)
 
 
 def cut(run: Run, share: float) -> Run:
@@ -98,22 +95,20 @@ def _fit_growing(problem: Problem, windows: Sequence[float]) -> Ended:
     except DiffsimError as error:
         if not windows:
             raise
-        found = _through(problem, start, windows, None)
+        found = _through(problem, start, windows)
         if found is None:
             raise error
         return found
-    if not windows or (whole[0].converged and _per_sample(whole[0]) < FAR):
+    if not windows or (whole[0].converged and whole[0].chi2 < FAR * whole[0].num_samples):
         return whole
-    through = _through(problem, start, windows, whole[0])
+    through = _through(problem, start, windows)
     ends = [whole] if through is None else [whole, through]
     return min(ends, key=lambda end: end[0].chi2 + end[0].prior)
 
 
-def _through(
-    problem: Problem, x: Array, windows: Sequence[float], whole: Fit | None
-) -> Ended | None:
-    """Fits to growing parts of the runs; None where they fail, or promise nothing better."""
-    for k, share in enumerate(windows):
+def _through(problem: Problem, x: Array, windows: Sequence[float]) -> Ended | None:
+    """Fits to growing parts of the runs; None where whole runs cannot be fitted from there."""
+    for share in windows:
         part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
         if not any(np.isfinite(run.measured).any() for run in part.runs):
             continue  # a run-up, of which nothing was measured
@@ -121,9 +116,6 @@ def _through(
             short, _ = gauss_newton(part, linearization_at(part, x))
         except (DiffsimError, ValueError):  # too hard still, or a model of whole runs only
             continue
-        is_hopeful = whole is None or _per_sample(whole) > ABOVE * _per_sample(short)
-        if k == 0 and whole is not None and whole.converged and not is_hopeful:
-            return None
         x = short.x
     try:
         return gauss_newton(problem, linearization_at(problem, x))
@@ -131,14 +123,9 @@ def _through(
         return None
 
 
-def _per_sample(fit: Fit) -> float:
-    return max(fit.chi2 / fit.num_samples, 1.0)
-
-
 Progress = Callable[[str, float, str], None]
 """Stage, share of the whole that is done, message."""
-PAYS = 1.5  # times that a simulation with larger cells is cheaper, from which it is worth it
-MAX_REFITS = 3  # of the plain model: each may show that settings are still too coarse for it
+MAX_RENEWALS = 3  # of an answer that shows that its settings, or its correction, do not hold
 
 
 def silent(stage: str, fraction: float, message: str) -> None:
@@ -178,10 +165,6 @@ class Case:
     numerics: Numerics | None = None
     correction: Correction | None = None
     num_tests: int = 0
-
-    def cost(self) -> float:
-        """Weighted steps of a simulation of all fitted runs."""
-        return sum(self.model.cost(run, self.numerics) for run in self.study.fit_runs)
 
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""
@@ -248,21 +231,26 @@ def coarsen_first_look(case: Case) -> tuple[Case, float]:
         The case, and the weighted steps of a simulation of all fitted runs with the cells that it
         was given; 0 where that is cheap.
     """
-    settings, once = case.settings, case.cost()
+    settings, once = case.settings, _make_problem(case).cost()
     if once < settings.dear_steps or settings.accept_numerics:
         return case, 0.0
     if settings.first_mesh == 1.0:
         return case, once
     larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
     coarse = replace(case, numerics=larger)
-    pays = PAYS * coarse.cost() < once and _can_be_simulated(coarse)
+    problem = _make_problem(coarse)
+    pays = problem.cost() < once and _can_be_simulated(problem)
     return (coarse if pays else case), once
 
 
-def _can_be_simulated(case: Case) -> bool:
-    """Whether the plain model at its prior can, by one run."""
+def _make_problem(case: Case) -> Problem:
+    """The plain model on the runs to be fitted, before anything is known of their noise."""
     channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
-    problem = case.problem(WhiteNoise(channels))
+    return case.problem(WhiteNoise(channels))
+
+
+def _can_be_simulated(problem: Problem) -> bool:
+    """Whether the model at its prior can, by one run."""
     try:
         record_at(replace(problem, runs=problem.runs[:1]), np.zeros(problem.num_base))
     except (DiffsimError, ValueError):
@@ -345,7 +333,7 @@ def check_numerics(null: Null) -> RefinedNull:
         return RefinedNull(null, changes, gates)
     once = null.fit.problem.cost()
     paid = 1.0
-    for _ in range(MAX_REFITS):
+    for _ in range(MAX_RENEWALS):
         null.case.progress("null fit", 0.1, f"refining {', '.join(names_of_failed(gates))}")
         numerics, changes, gates, ratio = refine_within(
             null.fit, settings.refine_budget, changes, gates, once

@@ -48,7 +48,7 @@ class Search:
         linear: Sets that have linear evidence only.
         failed: Why a set could not be simulated.
         borrowed: Why slopes of an earlier center serve at a set.
-        num_late: Rivals that keep their linear evidence, as ``refit_steps`` were spent.
+        num_late: Sets that keep their linear evidence, or none, as a budget was spent.
         numerics: Numerical settings at sets where they were checked.
     """
 
@@ -134,6 +134,10 @@ class Search:
         """Half the lowest cost of all fits [nats]."""
         return 0.5 * min(f.chi2 + f.prior for f in self.fits.values())
 
+    def with_late(self) -> Search:
+        """The search with one more set that nobody fitted, as a budget was spent."""
+        return replace(self, num_late=self.num_late + 1)
+
     def with_fit(self, members: Members, fit: Fit) -> Search:
         """The search with the evidence of a fit, which needs the set's own columns only."""
         own = LaplaceEvidence(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
@@ -145,8 +149,7 @@ class Search:
 
 
 Array = NDArray[np.float64]
-LONG_STEP = 0.3  # prior sd: a last step is simulated
-STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
+STEP_ATOL = 0.05  # prior sd: a smaller step needs no simulation at its end
 
 
 def weigh_unknowns(search: Search, center: Center) -> Search:
@@ -199,7 +202,7 @@ def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
 def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> Search:
     """A set with an unknown cause, linearized again at its own optimum.
 
-    Where the last step was large, a simulation at its end says what it is worth, if less.
+    Where the last step was not the end, a simulation there says what it is worth, if less.
     """
     assert key.unknown is not None
     problem, cause = search.simulations.narrow(key.effects), search.unknowns[key.unknown]
@@ -212,7 +215,7 @@ def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> 
             at, search = _linearize_set(search, key.effects, posterior.x[own])
             last = at, cause.responses(problem, at.x)
             x0, posterior = at.x, _weigh_beside(search, problem, *last, own)
-        if last is not None and np.abs(posterior.x[own] - x0).max(initial=0.0) > LONG_STEP:
+        if last is not None and np.abs(posterior.x[own] - x0).max(initial=0.0) > STEP_ATOL:
             at, search = _record_set(search, key.effects, posterior.x[own])
             there = replace(last[0], x=at.x, record=at.record)
             simulated = _weigh_beside(search, problem, there, last[1], own)

@@ -19,6 +19,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import SetPosterior
+from diffsim.diagnose.search.fit import FAR
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
@@ -33,10 +34,21 @@ from diffsim.identify.whitening import MOST_RUNS
 
 Array = NDArray[np.float64]
 LEAST_REFITS = 4  # sets that are fitted from there
-LINEARIZED = 2.0  # of the scans' budget, that slopes there may take
-SHARE = 0.5  # of the budget of scans, for those at the data sheet
-WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
+FROM_PRIOR = 0.5  # of the budgets of scans and of refits, for those from the data sheet
 PAIRED = 12  # causes that are best alone, each paired with every other
+
+
+def is_prior_too_dear(simulations: Simulations, settings: SearchSettings) -> bool:
+    """Whether slopes at the prior, which nobody simulated yet, would take more than scans there
+    may."""
+    wide = simulations.wide
+    left = settings.scan_steps - simulations.scan_steps
+    return simulations.at_prior is None and wide.cost() * len(wide.names) > left
+
+
+def _scan_budget(simulations: Simulations, settings: SearchSettings) -> float:
+    """Weighted steps for the scans at the prior."""
+    return FROM_PRIOR * (settings.scan_steps - simulations.scan_steps)
 
 
 def center_at_prior(
@@ -52,21 +64,19 @@ def center_at_prior(
     Returns:
         The center, None where it cannot be simulated, and the simulations with the work it took.
     """
-    wide, spent = simulations.wide, simulations.scan_steps
-    budget = SHARE * (settings.scan_steps - spent)
+    wide = simulations.wide
+    budget = _scan_budget(simulations, settings)
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
     # kept apart: scans are known by the set that they start from, here as at the plain model's fit
     apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")
-    settings = replace(settings, scan_steps=spent + budget)
+    settings = replace(settings, scan_steps=simulations.scan_steps + budget)
     try:
-        if wide.cost() * len(x) > LINEARIZED * budget:
-            return None, simulations
         at = simulations.at_prior or apart.remembered("slopes", lambda: _slopes(wide, x))
         center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
     except DiffsimError:
         return None, simulations
-    spent = made.scan_steps
-    return center, replace(simulations, scan_steps=spent, at_prior=at, prior_scans=made.scans)
+    made = replace(made, scans=simulations.scans, prior_scans=made.scans, place=simulations.place)
+    return center, replace(made, at_prior=at)
 
 
 def _slopes(wide: Problem, x: Array) -> Linearization:
@@ -97,7 +107,7 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
     """
     residual = whitened(problem, measured_of(problem) - start.record)
     excess = float(residual @ residual) / max(len(residual), 1)
-    if not np.isfinite(excess) or excess < WARM:
+    if not np.isfinite(excess) or excess < FAR:
         return start
     at = start
     for factor in (excess**0.5, excess**0.25):

@@ -16,6 +16,7 @@ from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.record import Ended
+from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
@@ -30,7 +31,6 @@ from diffsim.identify.linearization import (
 
 Array = NDArray[np.float64]
 GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
-OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
 SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
 SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
 REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
@@ -169,7 +169,9 @@ def gauss_newton(
         step = _step(s, low, high)
         promised = s.promised(step)
         if promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit, GAP_RTOL * behind):
-            if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
+            # so far behind that nothing hangs on what separates two names
+            is_outranked = GAP_RTOL * behind > ALONE_NATS
+            if s.at.slope_error == 0.0 or s.has_exact_slopes or is_outranked:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
             s = s.refreshed()

@@ -21,24 +21,24 @@ from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, 
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search, weigh_unknowns
 from diffsim.diagnose.search.from_prior import (
+    FROM_PRIOR,
     LEAST_REFITS,
     center_at_prior,
     cooled,
+    is_prior_too_dear,
     promising_sets,
 )
 from diffsim.diagnose.search.gauss_newton import has_exact_slopes
-from diffsim.diagnose.search.scan import BORROWED, SCAN_NATS
+from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
-from diffsim.identify.effort import FIT_RTOL
+from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.linearization import Linearization
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
-WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FROM_PRIOR = 0.5  # of the budget of refits, for those from the data sheet
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -69,8 +69,10 @@ def search_sets(search: Search) -> Search:
             break
         center, search = _center(search, best, center)
         if search.steps > until:  # the better sets that might follow are not known
-            search = replace(search, num_late=search.num_late + 1)
+            search = search.with_late()
             break
+    else:  # nor are they where moves to a better set are used up
+        search = search.with_late()
     return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
@@ -103,16 +105,21 @@ def _refit_from_prior(search: Search) -> tuple[Center, Search]:
     that."""
     if not has_left_prior(search.fit_of(NONE)):
         return search.plain, search
-    at_prior, made = center_at_prior(search.simulations, search.settings, search.num_families)
+    settings = search.settings
+    if is_prior_too_dear(search.simulations, settings):
+        return search.plain, search.with_late()
+    at_prior, made = center_at_prior(search.simulations, settings, search.num_families)
     search = replace(search, simulations=made)
     if at_prior is not None:
-        ranked = promising_sets(at_prior, search.settings.max_effects)
-        settings = search.settings
+        ranked = promising_sets(at_prior, settings.max_effects)
         begun = search.null.case.searching
         until = begun + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
-        for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
-            if search.steps < until:
-                search = refit(search, members, at_prior, begin=cooled)
+        for members, _ in ranked[: max(settings.num_refits, LEAST_REFITS)]:
+            # what an earlier round fitted begins at its own end and costs little
+            is_late = search.steps >= until and members not in made.fitted
+            search = (
+                search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
+            )
     best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
@@ -218,7 +225,7 @@ def _better_subset(search: Search, members: Members) -> Members | None:
     best = min(costs, key=lambda s: costs[s])
     fit = search.fit_of(members)
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    exact = max(WORSE_NATS, FIT_RTOL * misfit)
+    exact = max(FIT_NATS, FIT_RTOL * misfit)
     return best if 0.5 * (fit.chi2 + fit.prior) > costs[best] + exact else None
 
 
@@ -245,7 +252,7 @@ def _center(search: Search, members: Members, last: Center) -> tuple[Center, Sea
 def _scan_kinks(search: Search, center: Center) -> tuple[Center, Search]:
     """A center with the scans of effects with kinks, where a misfit is left for them."""
     fit, settings = search.fit_of(center.members), search.settings
-    if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
+    if 0.5 * (fit.chi2 - fit.num_samples) < KEEP_NATS:
         return center, search
     center, made = search.simulations.scanned(center, settings, search.num_families)
     return center, replace(search, simulations=made)
@@ -323,7 +330,7 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
             is_late = search.steps > until and not members < center.members
             overtakes = nats[members] > best + KEEP_NATS and num_overtaking < MAX_OVERTAKING
             if is_late and not overtakes:
-                search = replace(search, num_late=search.num_late + 1)
+                search = search.with_late()
                 continue
             num_overtaking += is_late
             search = refit(search, members, center)

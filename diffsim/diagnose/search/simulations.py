@@ -33,13 +33,12 @@ from diffsim.identify.linearization import (
     whitened,
 )
 from diffsim.identify.locate import Course
-from diffsim.identify.unknown import Unknown, by_group
+from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 Members = frozenset[int]
 NONE: Members = frozenset()
-SIGNIFICANT = 1.0  # z above which an effect is differentiated again at a new center
-ALIKE = 0.9  # cosine with a member above which it is, too
+ALIKE = 0.9  # cosine with a member above which slopes are simulated again
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,8 @@ class Simulations:
             ``narrow``: simulations serve every unknown cause, as only its response differs.
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_steps: Weighted steps that these took.
-        scans_late: Groups of effects that were not tried because that time was over.
+        scans_late: Groups of effects that were not tried because a budget was spent; where, by
+            ``place`` and members of the center.
         at_prior: All slopes of the plain model at its prior, where they were asked for.
         prior_scans: Sizes that were tried there.
         place: Where the plain model is, for what is kept on disk; empty: at its fit.
@@ -98,7 +98,7 @@ class Simulations:
     at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_steps: int = 0
-    scans_late: frozenset[tuple[Members, Members]] = frozenset()
+    scans_late: frozenset[tuple[str, Members, Members]] = frozenset()
     at_prior: Linearization | None = None
     prior_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     place: str = ""
@@ -278,12 +278,12 @@ class Simulations:
                     effects = [self.wide.effects[i] for i in members]
                     points += num_points(effects, len(first_runs(self.wide.runs)))
                 if points > settings.scan_points or made.scan_steps > settings.scan_steps:
-                    is_late = points <= settings.scan_points
-                    made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))
+                    made = replace(made, scans_late=made.scans_late | {(made.place, *key)})
                     continue
                 result = self._scan(center, members, courses)
                 spent = made.scan_steps + result.steps
                 made = replace(made, scans={**made.scans, key: result}, scan_steps=spent)
+                made = replace(made, scans_late=made.scans_late - {(made.place, *key)})
             if (at := made.scans[key].at) is not None:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made
@@ -337,7 +337,7 @@ class Simulations:
         if (members, u) not in self.unknown_slopes:
             slopes = self._slopes_of(unknown, members, at)
             made = replace(self, unknown_slopes={**self.unknown_slopes, (members, u): slopes})
-        return by_group(self.wide, unknown.mix(made.unknown_slopes[members, u])), made
+        return unknown.spread(self.wide, made.unknown_slopes[members, u]), made
 
     def _evidence(
         self, at: Linearization, blocks: Sequence[Array], num_families: int
@@ -387,7 +387,7 @@ class Simulations:
         chosen: list[int] = []
         for effect in wide.effects:
             c = wide.columns_of(effect)
-            if linalg.norm(z[c]) > SIGNIFICANT * np.sqrt(len(c)) or alike[c].any():
+            if z[c] @ z[c] > len(c) or alike[c].any():  # more than noise makes of it on average
                 chosen += c
         return chosen
 

@@ -24,6 +24,7 @@ from diffsim.systems.ode.law_effects import (
     labels_of_laws,
     law_effects,
     law_scales,
+    unknown_laws,
 )
 from diffsim.systems.ode.names import Reader
 
@@ -92,6 +93,7 @@ class BenchDescription(FormulaKeys):
         return DiagnosisSetup(
             model,
             effects,
+            unknowns=unknown_laws(self.laws, study, model, read.network, read.known),
             settings=settings_with(advised, self.effort),
             laws=OdeLaws(read, None, study, model, self.setup),
         )

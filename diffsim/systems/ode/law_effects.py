@@ -16,6 +16,7 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
+from diffsim.identify.unknown import Unknown, UnknownLaw
 from diffsim.systems.ode.applying import RunGroups, by_formulas_in, labels_of, symbol
 from diffsim.systems.ode.keys import Law
 from diffsim.systems.ode.names import Reader
@@ -74,6 +75,55 @@ def law_effects(
                 out.append(bend.effect(law, row))
         out += [bend.effect(law, rows("law")["part"], o) for o in laws if o.name != law.name]
     return tuple(out)
+
+
+def unknown_laws(
+    laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
+) -> tuple[Unknown, ...]:
+    """What nobody listed may depend on the same as a law: on its x, and on the place in a sweep.
+
+    Args:
+        laws: Laws of the description.
+        study: Study with the recordings.
+        model: Plain model.
+        network: Its formulas.
+        known: Names that formulas may use.
+    """
+    places = {channel.name: i for i, channel in enumerate(study.channels)}
+    out: dict[str, Unknown] = {}
+    for law in laws:
+        read = network.with_readings({"x": parse_expression(law.of, known)})
+        for name in network.channels_with(law.name):
+            said = f"unknown law of {name} over {law.of}"
+            out[said] = UnknownLaw(places[name], said, _Followed(model, read))
+            if law.sweeps:
+                said = f"unknown course of {name} over a sweep"
+                out[said] = UnknownLaw(places[name], said, _share_of_samples)
+    return tuple(out.values())
+
+
+def _share_of_samples(run: Run) -> np.ndarray:
+    return np.linspace(0.0, 1.0, len(run.time_s))
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """Gives x of a law in a run, by the plain model as it is described.
+
+    Attributes:
+        model: Plain model.
+        read: Its formulas, which read x.
+    """
+
+    model: SimModel
+    read: Network
+
+    def __call__(self, run: Run) -> np.ndarray:
+        scene = self.model.scene(run, self.model.at_prior())
+        assert isinstance(scene, OdeScene)
+        with torch.no_grad():
+            x = scene.solved(self.read)[0][..., 0]
+        return x.reshape(-1, x.shape[-1])[0][scene.grid.samples].numpy()
 
 
 @dataclass(frozen=True, eq=False)

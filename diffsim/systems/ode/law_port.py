@@ -294,9 +294,10 @@ class OdeLaws:
                 change, value, _ = self._read(variable, f"watched {k}")
                 scene = scene.with_change(change, self._numbers(variable, f"watched {k}"))
                 readings[f"watched {k}"] = value
+            watching = network.with_readings({**network.readings, **readings})
             with torch.no_grad():
-                found, _ = scene.solved(network.with_readings(readings))
-            seen = found.index_select(-2, scene.grid.samples)
+                found, _ = scene.solved(watching)
+            seen = found.index_select(-2, scene.grid.samples)[..., len(network.readings) :]
             out.append(seen.numpy().reshape(len(scene.grid.samples), len(readings)))
         return out
 

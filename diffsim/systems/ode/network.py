@@ -98,6 +98,15 @@ class Network:
         """The same system, read otherwise."""
         return Network(self.rates, readings, self.definitions, self.inputs, self.limits)
 
+    def channels_with(self, name: str) -> list[str]:
+        """Channels whose readings need a definition, directly or by other definitions."""
+        bodies = {n: e.root for n, e in self.definitions.items()}
+        return [
+            channel
+            for channel, formula in self.readings.items()
+            if any(n == name or name in _list_needed_by(n, bodies) for n in formula.names)
+        ]
+
     def _compile_solver(self, changes: tuple[Change, ...]) -> Solver:
         rates = {s: e.root for s, e in self.rates.items()}
         readings = {c: e.root for c, e in self.readings.items()}
@@ -147,7 +156,7 @@ class Network:
 def _list_needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
     """All names that a definition needs, directly or by other definitions."""
     found: set[str] = set()
-    left = [name]
+    left = [name] if name in bodies else []
     while left:
         for needed in _make_expression(bodies[left.pop()]).names:
             if needed not in found:

@@ -1,11 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.checks.noise import (
+    COLORED,
+    STATED,
     ArWhitener,
     fit_ar,
+    fit_color,
     noise_floor,
     repeat_deviations,
     without_spikes,
@@ -104,6 +109,43 @@ def test_without_repeats_and_sd_second_differences_serve():
     assert noise.source == ("second differences",)
     np.testing.assert_allclose(noise.sd, 0.05, rtol=0.06)
     assert np.isnan(noise.scatter_ratio).all()
+
+
+@pytest.mark.parametrize(
+    ("memory", "loud", "explained", "source"),
+    [
+        (0.6, 1.0, True, COLORED),
+        (0.6, 1.0, False, STATED),  # what the plain model leaves may be a cause
+        (0.0, 1.0, True, STATED),
+        (0.6, 1.5, True, STATED),  # more than the noise: something acts
+    ],
+)
+def test_without_repeats_noise_has_the_color_of_what_the_best_set_leaves(
+    memory, loud, explained, source
+):
+    """A thrust stand's amplifier remembers a sample: that is no drift of the force."""
+    a, sd = np.array([memory]), 0.1
+    usual = np.sqrt(1.0 - memory**2)
+    records = [sd * loud * usual * colored(s, 40, a)[:, None] for s in range(6)]
+    runs = [replace(make_run(y, f"r{s}"), group=f"r{s}") for s, y in enumerate(records)]
+    channel = Channel("thrust_N", "N", "force", sd=sd)
+    left = {r.name: r.measured for r in runs}
+    noise = noise_floor(runs, [channel], left, explained=explained)
+    assert noise.source == (source,)
+    np.testing.assert_array_equal(noise.sd, sd)
+    found = noise.whitener.coefficients[0]
+    if source == STATED:
+        assert len(found) == 0
+    else:  # 240 samples tell a memory of 0.6 to 0.05
+        assert len(found) == 1 and abs(found[0] - memory) < 0.15
+
+
+def test_the_color_of_noise_is_told_between_gaps():
+    a = np.array([0.6])
+    series = [0.8 * colored(s, 40, a) for s in range(6)]
+    series[0][[2, 37]] = np.nan  # two samples stand alone at both ends
+    assert len(fit_color(series, 1.0)) == 1
+    assert len(fit_ar([*series, np.array([0.3, 0.1])])) == 1
 
 
 def test_readings_in_steps_have_the_noise_of_rounding():

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from benchmarks import diagnose_band
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.judge.band import Band, _factor, band_from, band_of, posterior_sd
+from diffsim.diagnose.judge import band as judged
+from diffsim.diagnose.judge.band import (
+    Band,
+    Part,
+    _changes,
+    _principal_moves,
+    band_from,
+    band_of,
+    factor_of,
+    like_unseen,
+    posterior_sd,
+    unfitted_parts,
+)
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.records import ErrorRow, band_words
+from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_words
 from diffsim.identify import DiagnosisSetup, Fit, WhiteNoise, fit
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.model_file import read_extended
@@ -86,17 +101,99 @@ def test_half_of_the_width_is_the_sum_of_three_variances():
     np.testing.assert_allclose(widths(band, found, new), expected, rtol=1e-8)
 
 
-def test_few_parts_make_a_wide_band():
-    scores = np.linspace(0.0, 1.0, 101)[:, None]
-    factors = [_factor([scores] * count) for count in (1, 2, 8, 1000)]
-    assert factors == sorted(factors, reverse=True)
-    assert factors[0] == pytest.approx(0.9 * 2.920 / 1.645, rel=0.02)
-    assert factors[-1] == pytest.approx(0.9, rel=0.02)
+def part(*left, spread=0.0) -> Part:
+    return Part(np.array(left)[:, None], np.full((len(left), 1), spread))
+
+
+ONE = np.ones(1)
+STEPS = tuple(np.linspace(0.0, 3.0, 101))
+
+
+def test_parts_that_are_alike_need_no_wider_band():
+    for count in (2, 8):
+        rest, factor = factor_of([part(*STEPS)] * count, ONE)
+        assert factor * np.sqrt(1.0 + rest[0] ** 2) == pytest.approx(2.7, rel=0.02)
+
+
+def test_parts_that_differ_make_a_wide_band():
+    """Each is told by the others: the loud one by the calm ones."""
+    calm, loud = part(*STEPS), part(*(3.0 * s for s in STEPS))
+    (rest, factor), (_, alike) = (factor_of(p, ONE) for p in ([calm, calm, loud], [calm] * 3))
+    others = np.sqrt(np.mean(np.square(STEPS)))
+    assert factor > 1.3 * alike
+    assert np.mean(3.0 * np.array(STEPS) <= factor * others) > 0.7
+    assert rest[0] ** 2 == pytest.approx(11.0 / 3.0 * others**2 - 1.0)
 
 
 def test_every_part_weighs_the_same():
-    calm, wild = np.full((1000, 1), 0.1), np.full((10, 1), 3.0)
-    assert _factor([calm, wild]) > 3.0
+    calm, wild = part(*([0.1] * 1000)), part(*([3.0] * 10))
+    rest, factor = factor_of([calm, wild, calm, wild], ONE)
+    assert factor * np.sqrt(1.0 + rest[0] ** 2) > 3.0
+
+
+def test_what_the_posterior_says_of_a_part_is_no_rest():
+    rest, factor = factor_of([part(4.0, -4.0, spread=15.0)] * 2, ONE)
+    assert rest[0] == 0.0 and factor == pytest.approx(1.0)
+
+
+def test_a_part_that_alone_tells_of_a_parameter_stands_for_no_unseen_run():
+    known, alone = part(1.0, -1.0, spread=0.5), part(90.0, -90.0, spread=2.0)
+    assert like_unseen([known, alone, known], ONE) == [known, known]
+    assert like_unseen([known, alone], ONE) == [known, alone]  # one is too few to tell
+
+
+def test_one_part_tells_no_band(monkeypatch):
+    found = fitted([with_error("only", np.random.default_rng(9))])
+    for count, is_told in ((1, False), (2, True)):
+        few = unfitted_parts(found, ())[:count]
+        monkeypatch.setattr(judged, "unfitted_parts", lambda *_, few=few: few)
+        assert (band_of(found, linear.CHANNELS, SD, ()) is not None) == is_told
+
+
+def test_the_spread_of_a_part_is_that_of_the_fit_without_it():
+    rng = np.random.default_rng(11)
+    runs = [with_error(f"p{k}", rng) for k in range(4)]
+    parts = unfitted_parts(fitted(runs), ())
+    for k, found in enumerate(parts):
+        rest = fitted([run for i, run in enumerate(runs) if i != k])
+        slopes = np.stack([linear.shapes(n, runs[k]).numpy()[..., 0] for n in ("mass", "gain")], -1)
+        slopes = slopes * [0.7, 1.5]  # by standardized coordinates
+        spread = np.einsum("tci,ij,tcj->tc", slopes, rest.covariance, slopes)
+        np.testing.assert_allclose(found.spread, spread, rtol=1e-6)
+
+
+class Growth:
+    """Readings that grow as exp(a + b)."""
+
+    bounds = np.full(2, -np.inf), np.full(2, np.inf)
+
+    def scaled(self, x):
+        return x
+
+    standardized = scaled
+
+    def stretch(self, x):
+        return np.ones(2)
+
+    def predict_many(self, run, points):
+        return torch.stack([torch.exp(p.sum()).reshape(1, 1) for p in points])
+
+
+def test_correlated_parameters_move_together():
+    """Each alone would move the reading twenty-fold; together they may move it by a seventh."""
+    correlation = np.array([[1.0, -0.999], [-0.999, 1.0]])
+    root = _principal_moves(correlation)
+    np.testing.assert_allclose(root @ root.T, correlation, atol=1e-12)
+    at = type("At", (), {"problem": Growth()})()
+    (changes,) = _changes(at, np.zeros(2), 3.0 * root.T, None)
+    assert np.sqrt(np.sum(changes**2)) == pytest.approx(3.0 * np.sqrt(0.002), rel=0.1)
+
+
+def test_moves_stay_within_bounds():
+    at = type("At", (), {"problem": Growth()})()
+    at.problem.bounds = np.full(2, -np.inf), np.array([0.0, np.inf])
+    (changes,) = _changes(at, np.zeros(2), np.eye(2) * 0.1, None)
+    assert changes == pytest.approx([1.0 - np.exp(-0.1), np.exp(0.1) - 1.0])
 
 
 def test_of_a_channel_that_no_part_measured_nothing_is_said():
@@ -138,3 +235,29 @@ def test_runs_that_chose_prove_no_band():
     assert band_words([row]) == "The 90 % band holds 91 % of 100 readings of unseen runs."
     assert not band_words([replace(row, use="select")])
     assert not band_words([replace(row, band=None)])
+
+
+def test_the_docs_say_what_the_band_is_made_from():
+    """The formula of the module, its level and its condition on parts."""
+    docs = Path(judged.__file__).parents[3] / "docs"
+    method = (docs / "diagnosis_method.md").read_text(encoding="utf-8")
+    formula = re.search(r"factor \* sqrt\((.*?)\)", judged.__doc__).group(1)
+    assert f"f √({formula.replace('^2', '²')})" in method
+    assert f"The factor f is the {100 * LEVEL:.0f} % quantile" in method
+    assert "Student" not in method.split("The **band**")[1].split("####")[0]
+    user = (docs / "diagnose.md").read_text(encoding="utf-8")
+    row = ErrorRow("a", "position", "m", 2.0, 1.0, 1.0, 200, 0, "test", 1.7, 180)
+    assert re.sub(r"\d+", "#", band_words([row])) in re.sub(r"\d+", "#", user)
+
+
+def test_the_docs_hold_the_table_that_the_benchmark_prints():
+    path = Path(judged.__file__).parents[3] / "docs/measured/README.md"
+    part = path.read_text(encoding="utf-8").split("### The band for unseen runs")[1].split("###")[0]
+    rows = [line.split(" | ") for line in part.splitlines() if line.startswith("| ")]
+    assert " | ".join(rows[0]) == diagnose_band.HEAD
+    named = {row[0].strip("| ") for row in rows[1:-1]}
+    left_out = {name for name in diagnose_band.NAMES if f"`{name}`" in part}
+    assert named | left_out == set(diagnose_band.NAMES) and not named & left_out
+    # what nothing was fitted to is held as promised
+    means = [float(cell.strip(" |%")) / 100.0 for cell in rows[-1][2:]]
+    assert all(0.85 <= mean <= 0.95 for mean in means)

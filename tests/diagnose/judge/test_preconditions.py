@@ -85,6 +85,17 @@ def with_posterior(g: Grounds, members: frozenset[int], nats: float) -> Grounds:
     return with_search(g, posteriors={**g.search.posteriors, Hypothesis(members): held})
 
 
+def with_little_beside_a_drift(g: Grounds, lead: float, added: float) -> Grounds:
+    """The cause has much evidence alone; beside the drift it hardly adds any."""
+    best = g.search.nats(Hypothesis(PUSHED))
+    held = g.search.posteriors[Hypothesis(PUSHED)]
+    both, drift = Hypothesis(PUSHED, 0), Hypothesis(frozenset(), 0)
+    posteriors = {both: best + lead, drift: best + lead - added}
+    beside = {h: replace(held, nats=nats, fit=None) for h, nats in posteriors.items()}
+    g = with_search(g, posteriors={**g.search.posteriors, **beside})
+    return with_decision(g, beside=both, lead=lead)
+
+
 def with_slope_error(g: Grounds, error: float) -> Grounds:
     made = g.search.simulations
     fitted = {**made.fitted, PUSHED: replace(made.fitted[PUSHED], slope_error=error)}
@@ -123,6 +134,7 @@ BROKEN = {
     "explains more beside it, 1790": lambda g: with_decision(
         g, beside=Hypothesis(PUSHED, 0), lead=1790.0
     ),
+    "explains more beside it, 9 nats against 5": lambda g: with_little_beside_a_drift(g, 9.0, 5.0),
     "its gradient check failed": lambda g: replace(g, gates=[*g.gates, WRONG]),
     "the gradient check of other failed": lambda g: replace(
         with_decision(g, rivals=(Hypothesis(OTHERS),)),

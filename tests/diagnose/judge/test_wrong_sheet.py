@@ -70,8 +70,10 @@ def test_what_a_cause_alone_explains_stays_its_name():
     assert (report.verdict, report.named, report.findings) == ("named", ("tug",), ())
 
 
-def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it():
-    report = diagnosed({}, (tug(0.0),), base=(9.0, 0.0))
+@pytest.mark.parametrize(("off", "typical"), [(9.0, 0.4), (30.0, 0.02)])
+def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it(off, typical):
+    """However unusual its size: of two with one misfit, priors alone do not say which it is."""
+    report = diagnosed({}, (replace(tug(0.0), typical=typical),), base=(off, 0.0))
     assert report.verdict == "ambiguous"
     row = causes(report)["tug"]
     assert (

@@ -140,7 +140,7 @@ def test_of_many_data_sheets_one_is_far_off_by_chance():
         made = [Parameter(f"p{k}@run_{r}", 1.0, 0.1) for k in range(num) for r in range(3)]
         limit = pull_limit(made)
         off = (np.abs(rng.normal(size=(20_000, num))) > limit).any(axis=1).mean()
-        assert off == pytest.approx(0.01 if num > 3 else 0.0027, abs=0.003)
+        assert off == pytest.approx(0.01, abs=0.003)
 
 
 def test_symbols_keep_their_case():

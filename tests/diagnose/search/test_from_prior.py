@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
+from diffsim.diagnose.search import search as searching
+from diffsim.diagnose.search.fit import Case, null_fit
+from diffsim.diagnose.search.fitted_sets import Search
+from diffsim.diagnose.search.search import _refit_from_prior, begin, search_sets
+from diffsim.diagnose.search.simulations import NONE, Simulations
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.systems.registry import setup_of
+from tests.diagnose import toy
 
 G, STEP, LATE, FRICTION = 9.81, 0.02, 0.07, 0.6
 T = STEP * np.arange(200)
@@ -87,3 +97,62 @@ def test_two_large_causes_are_named_although_neither_helps_alone():
     assert abs(rubs.value - FRICTION) < 0.03
     masses = {row.name: row for row in report.base if row.name in ("M", "m")}
     assert all(abs(row.pull) < 2.0 for row in masses.values())
+
+
+def begun(effort: SearchSettings, effects=(toy.BIAS, toy.DELAY, toy.DRAG)) -> Search:
+    """A search of the toy that has not fitted any set."""
+    study = toy.generate(4, {"delay": 0.03})
+    settings = DiagnosisSettings(search=effort)
+    null = null_fit(Case(study, toy.model(study.runs), effects, (), settings))
+    steps = null.case.model.simulations.steps
+    null = replace(null, case=replace(null.case, searching=steps))
+    return begin(null, Simulations(null.wide))
+
+
+@pytest.fixture
+def left(monkeypatch):
+    """Every fit of the plain model counts as far from its data sheet."""
+    monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
+
+
+def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
+    whole = _refit_from_prior(begun(SearchSettings()))[1]
+    assert not whole.is_cut_short and len(whole.fits) > 1
+    short = _refit_from_prior(begun(SearchSettings(refit_steps=1.0)))[1]
+    assert short.num_late == len(whole.fits) - 1 and set(short.fits) == {NONE}
+    assert short.is_cut_short
+
+
+def test_sets_of_an_earlier_round_are_weighed_again_though_the_budget_is_spent(left):
+    search = begun(SearchSettings(refit_steps=1.0))
+    made = Simulations(search.wide).under(search.null)
+    kept = _refit_from_prior(begun(SearchSettings()))[1].simulations.fitted
+    again = replace(search, simulations=replace(search.simulations, fitted={**made.fitted, **kept}))
+    after = _refit_from_prior(again)[1]
+    assert not after.is_cut_short and set(after.fits) == set(kept)
+
+
+def test_slopes_at_the_data_sheet_that_are_too_dear_are_counted(left):
+    center, search = _refit_from_prior(begun(SearchSettings(scan_steps=1.0)))
+    assert center is search.plain and search.num_late == 1 and search.is_cut_short
+    # what an earlier round has simulated costs nothing
+    made = _refit_from_prior(begun(SearchSettings()))[1].simulations
+    known = replace(search, num_late=0, simulations=replace(made, scan_steps=0))
+    assert _refit_from_prior(known)[1].simulations.at_prior is made.at_prior
+
+
+def test_scans_at_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
+    kinked = replace(toy.DRAG, scanned=True)
+    effects = (toy.BIAS, kinked)
+    search = _refit_from_prior(begun(SearchSettings(scan_points=0), effects))[1]
+    places = {place for place, _, _ in search.simulations.scans_late}
+    assert " at the data sheet" in places and search.is_cut_short
+    assert not search.simulations.place and not search.simulations.scans
+    assert not _refit_from_prior(begun(SearchSettings(), effects))[1].is_cut_short
+
+
+def test_a_search_that_runs_out_of_moves_is_cut_short(monkeypatch):
+    monkeypatch.setattr(searching, "has_left_prior", lambda fit: False)
+    assert not search_sets(begun(SearchSettings())).is_cut_short
+    short = search_sets(begun(SearchSettings(max_rounds=1)))
+    assert short.num_late == 1 and short.is_cut_short

@@ -37,7 +37,7 @@ def test_no_threshold_is_listed_twice():
 
 def test_a_value_that_is_taken_at_import_is_told():
     assert bound_early(Threshold("diagnose.checks.noise", "MAX_ORDER", JUDGE, "x"))
-    assert not bound_early(Threshold("diagnose.judge.gain", "LEAST", JUDGE, "x"))
+    assert not bound_early(Threshold("diagnose.judge.gain", "MIN_BLOCKS", JUDGE, "x"))
 
 
 def test_a_changed_threshold_reaches_all_that_import_it_and_comes_back():
@@ -66,7 +66,7 @@ def test_one_search_is_judged_with_every_threshold(case, monkeypatch):
 
     seen["made"] = store(case)
     monkeypatch.setattr(answers, "judge_again", spy)
-    chosen = [t for t in listed() if t.name in ("LEAST", "EXPLAINED", "SURE")]
+    chosen = [t for t in listed() if t.name in ("MEMORY", "EXPLAINED", "SURE")]
     monkeypatch.setattr(answers, "listed", lambda: chosen)
     found = judged(case)
     assert set(found) == {"plain", *(variant(t, f) for t in chosen for f in FACTORS)}
@@ -79,6 +79,14 @@ def test_a_stored_case_is_made_once(case, monkeypatch):
     monkeypatch.setattr(answers, "make", lambda *_: pytest.fail("the case was made again"))
     assert store(case) == made
     assert case_inputs(made, made["study"], "quick").study.runs
+
+
+def test_a_case_that_cannot_be_recorded_has_no_answers(case, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("step size is less than spacing between numbers")
+
+    monkeypatch.setattr(answers, "make", fail)
+    assert judged({**case, "index": 5}) == {}
 
 
 def brief(outcome, verdict="named", named=("lag",)):
@@ -105,14 +113,17 @@ def test_changes_are_counted_by_hand():
 def test_the_command_makes_so_many_answers_and_goes_on(tmp_path, monkeypatch):
     asked = []
 
+    def plain(item):
+        return {"plain": brief("right")} if item["index"] < 2 else {}  # the third is not recorded
+
     def fake(item):
         asked.append((item["key"], item["factor"], item["index"]))
         return brief("right")
 
     monkeypatch.setattr(command, "head", lambda: ("c" * 40, ""))
-    monkeypatch.setattr(command, "judged", lambda item: {"plain": brief("right")})
+    monkeypatch.setattr(command, "judged", plain)
     monkeypatch.setattr(command, "searched", fake)
-    call = ["--domain", "bench", "--n", "2", "--only", "KEEP_NATS", "--out", str(tmp_path)]
+    call = ["--domain", "bench", "--n", "3", "--only", "KEEP_NATS", "--out", str(tmp_path)]
     assert command.main([*call, "--most", "3"]) == 0
     assert len(asked) == 3
     assert command.main([*call, "--most", "3"]) == 0

@@ -8,13 +8,24 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.data import load_study
 from diffsim.systems.registry import setup_of
 from labs.rates import draw as draw_module
-from labs.rates.case import denied_names, make, row_of, truth_of
+from labs.rates.case import (
+    QUICK,
+    case_inputs,
+    denied_names,
+    diagnosed,
+    make,
+    row_of,
+    truth_of,
+    write_study,
+)
 from labs.rates.domains import DOMAINS, missing_package
 from labs.rates.draw import KINDS, LAMBDAS, Draw, draw, recordable
 from labs.rates.rig import Cause, drawn_direction
+from labs.rates.troubles import COLOR, TAILS
 from labs.systems import setup_of as setup_of_laboratory
 from labs.virtual import LABS
 
@@ -183,6 +194,40 @@ def test_laboratories_call_causes_as_libraries_do(system):
     for name, cause in rig.causes.items():
         places = {f"{name}_{k + 1}" for k in range(cause.components)}
         assert not cause.known or name in known or places <= known, (name, sorted(known))
+
+
+@pytest.mark.parametrize("trouble", [COLOR, TAILS])
+def test_a_sound_bench_is_sound_whatever_the_noise(trouble, tmp_path):
+    """Sweeps have no repeats: noise that remembers a sample was an unknown drift."""
+    stand = DOMAINS["bench"][1]
+    for seed in range(4):
+        write_study(stand.record(seed, {}, trouble), folder := tmp_path / f"{trouble}_{seed}")
+        made = {"setup_file": None, "without": ()}
+        report = diagnosed(case_inputs(made, folder, QUICK))
+        assert report.verdict == "none", (seed, report.headline)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "size", "lacks", "named"),
+    [
+        ("exponent_of_thrust", 0.016, "law_of_thrust", "zero_of_thrust"),
+        ("run_drift_of_thrust", 0.05, "drift_of_thrust", "hysteresis_loop_of_thrust"),
+        ("zero_of_thrust", 0.6, "", "zero_of_thrust"),
+        ("hysteresis_of_thrust", 0.008, "", "hysteresis_of_thrust"),
+    ],
+)
+def test_a_law_is_certain_only_where_no_other_law_of_the_same_would_do(
+    hidden, size, lacks, named, tmp_path
+):
+    """A power that nobody listed was a zero, for certain; a drift a loop of hysteresis."""
+    stand = DOMAINS["bench"][1]
+    write_study(stand.record(3, {hidden: (size,)}, ""), tmp_path / "study")
+    effects = inputs_of(load_study(tmp_path / "study"), seed=0).setup.effects
+    made = {"setup_file": None, "without": [e.name for e in effects if e.family == lacks]}
+    report = diagnosed(case_inputs(made, tmp_path / "study", QUICK))
+    certain = [row.name for row in report.causes if row.status == "certain"]
+    assert certain == ([] if lacks else [named])
+    assert named in {row.name for row in report.causes if row.status != "refuted"}
 
 
 def test_the_study_folder_does_not_name_what_is_hidden(tmp_path):
