@@ -179,9 +179,7 @@ class LawPort(Protocol):
         """What a unit at an entry does along the simulation of a problem's one run at a point."""
         ...
 
-    def courses(
-        self, problem: Problem, x: Array, variables: Sequence[Variable]
-    ) -> list[Array]:
+    def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:
         """Variables as a problem simulates them at a point, (num_samples, num_variables) for each
         of its runs."""
         ...

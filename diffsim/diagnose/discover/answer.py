@@ -56,14 +56,14 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
 
 
 def _row(c: Candidate) -> ScreenRow:
-    return ScreenRow(
-        c.entry.kind, c.entry.target, c.variable.name, c.nats, c.share, c.basis.wave
-    )
+    return ScreenRow(c.entry.kind, c.entry.target, c.variable.name, c.nats, c.share, c.basis.wave)
 
 
 def _curve(fitted: FittedLaw, found: FoundLaws) -> LawCurve:
     c, curve = fitted.candidate, fitted.curve
-    names = [w.name for w in found.laws if w.entry == c.entry and w.variable.name == c.variable.name]
+    names = [
+        w.name for w in found.laws if w.entry == c.entry and w.variable.name == c.variable.name
+    ]
     return LawCurve(
         names[0] if names else "",
         tuple(map(float, curve.u)),

@@ -192,7 +192,9 @@ def fit_forms(curve: Curve) -> list[FittedForm]:
 
 def _precision(covariance: Array) -> Array:
     """Inverse of a covariance, directions that the record does not tell without weight."""
-    return np.asarray(linalg.inv(covariance + 1e-9 * np.trace(covariance) * np.eye(len(covariance))))
+    return np.asarray(
+        linalg.inv(covariance + 1e-9 * np.trace(covariance) * np.eye(len(covariance)))
+    )
 
 
 def _fit(
@@ -239,9 +241,7 @@ def _starts(form: Form) -> list[tuple[float, ...]]:
     return starts if form.numbers else []
 
 
-def _in_units(
-    kind: str, value: float, sd: float, mid: float, half: float
-) -> tuple[float, float]:
+def _in_units(kind: str, value: float, sd: float, mid: float, half: float) -> tuple[float, float]:
     if kind == "place":
         return mid + half * value, half * sd
     if kind == "length":

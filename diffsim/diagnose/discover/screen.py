@@ -38,18 +38,24 @@ class Basis:
 
     Attributes:
         terms: Formulas of ``u``, one for each factor.
-        wave: Wave number of a sine and a cosine; 0: bumps.
+        wave: Wave number of a sine and a cosine; 0: none.
+        reach: Least and largest value of the variable, of others.
     """
 
     terms: tuple[str, ...]
     wave: float = 0.0
+    reach: tuple[float, float] = (0.0, 0.0)
 
     def values(self, u: Array) -> Array:
         """The terms at values of the variable, (len(u), num_terms)."""
         if self.wave:
             return np.stack([np.sin(self.wave * u), np.cos(self.wave * u)], 1)
-        centers, width = _read_bumps(self.terms)
-        return np.asarray(np.exp(-0.5 * ((u[:, None] - centers) / width) ** 2))
+        low, high = self.reach
+        if len(self.terms) < NUM_BUMPS:
+            z = (2.0 * u - low - high) / (high - low)
+            return np.stack([z, z**2], 1)
+        centers = np.linspace(low, high, NUM_BUMPS)
+        return np.asarray(np.exp(-0.5 * ((u[:, None] - centers) / (centers[1] - centers[0])) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,17 +80,24 @@ class Candidate:
     share: float
     typical: float
 
+    @property
+    def score(self) -> float:
+        """Nats that hold for what it was fitted to and for what was left out."""
+        return min(self.nats, self.gained)
+
 
 def bumps(low: float, high: float) -> Basis:
     """Bumps over a range."""
     centers = np.linspace(low, high, NUM_BUMPS)
     width = float(centers[1] - centers[0])
-    return Basis(tuple(f"exp(-0.5*(({VALUE} - {c!r})/{width!r})**2)" for c in centers.tolist()))
+    terms = tuple(f"exp(-0.5*(({VALUE} - {c!r})/{width!r})**2)" for c in centers.tolist())
+    return Basis(terms, reach=(low, high))
 
 
-def _read_bumps(terms: Sequence[str]) -> tuple[Array, float]:
-    parts = [t.removeprefix(f"exp(-0.5*(({VALUE} - ").split(")/") for t in terms]
-    return np.array([float(p[0]) for p in parts]), float(parts[0][1].split(")")[0])
+def trend(low: float, high: float) -> Basis:
+    """A line and a parabola over a range: what holds for runs that reach farther, too."""
+    z = f"((2*{VALUE} - {low + high!r})/{high - low!r})"
+    return Basis((z, f"{z}**2"), reach=(low, high))
 
 
 def _wave(k: float) -> Basis:
@@ -111,7 +124,7 @@ def screen_laws(followed: Followed, port: LawPort, progress: Progress) -> list[C
         for i, variable in enumerate(variables):
             u = [course[:, i] for course in courses]
             out += screen.weigh(variable, u)
-    return sorted(out, key=lambda c: -c.nats)
+    return sorted(out, key=lambda c: -c.score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +141,7 @@ class _AtEntry:
         found = _range_of(np.concatenate(u))
         if found is None:
             return
-        tried = [bumps(*found)]
+        tried = [trend(*found), bumps(*found)]
         if variable.is_turn and self.entry.kind != "input":
             tried += [_wave(k) for k in self._repeating(u)]
         for basis in tried:

@@ -20,17 +20,17 @@ from scipy import linalg
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import Followed, follow
 from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
-from diffsim.diagnose.discover.screen import Candidate, screen_laws
+from diffsim.diagnose.discover.screen import Candidate, bumps, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH
-from diffsim.identify.law import Law, LawPort, Shape
+from diffsim.identify.law import Entry, Law, LawPort, Shape
 from diffsim.identify.linearization import linearization_at
 
 Array = NDArray[np.float64]
-NUM_FITTED = 6  # laws of each screen that are fitted in the simulator
+NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
 TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
@@ -106,7 +106,7 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
     best: dict[tuple[str, str, str], Candidate] = {}
-    for c in sorted(every, key=lambda c: -c.nats):
+    for c in sorted(every, key=lambda c: -c.score):
         best.setdefault((c.entry.kind, c.entry.target, c.variable.name), c)
     return tuple(best.values())
 
@@ -115,6 +115,14 @@ def _choose(found: Sequence[Candidate]) -> list[Candidate]:
     """The best laws that hold for what was left out, of different entries and variables."""
     price = float(np.log(max(len(found), 1)))
     kept = [c for c in found if c.nats > KEEP_NATS + price and c.gained > KEEP_NATS]
+    plain: dict[Entry, float] = {}
+    for c in kept:
+        if not c.variable.memory:
+            plain[c.entry] = max(plain.get(c.entry, 0.0), c.score)
+    # a memory that lasts or is over at once is what it remembers
+    kept = [
+        c for c in kept if not c.variable.memory or c.score > plain.get(c.entry, 0.0) + KEEP_NATS
+    ]
     chosen: list[Candidate] = []
     for c in _best_of_each(kept):
         at = sum(c.entry == other.entry for other in chosen)
@@ -134,6 +142,8 @@ def _fit_law(followed: Followed, candidate: Candidate, port: LawPort) -> FittedL
     """A law fitted in the simulator from what the recordings tell; None where it cannot be."""
     fit = followed.fit
     variable = candidate.variable
+    if not candidate.basis.wave:  # a trend says where, not how
+        candidate = replace(candidate, basis=bumps(*candidate.basis.reach))
     effect = port.terms(
         candidate.entry, variable, candidate.basis.terms, "law", candidate.typical / PRIOR_WIDTH
     )
@@ -224,5 +234,13 @@ def _repeating(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law
     size = max(float(np.hypot(a, b)), 1e-300)
     term = "size*sin(wave_number*u + phase)"
     return Law(
-        "law", c.entry, c.variable, "periodic", term, size, c.entry.unit, {**shapes, **memory}, price
+        "law",
+        c.entry,
+        c.variable,
+        "periodic",
+        term,
+        size,
+        c.entry.unit,
+        {**shapes, **memory},
+        price,
     )

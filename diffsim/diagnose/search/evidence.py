@@ -155,9 +155,7 @@ class LaplaceEvidence:
         _, x, sd, chi2 = tried[best]
         # the unknown causes share what one more family may claim
         price_unknown = price + np.log(self.num_unknowns)
-        return SetPosterior(
-            mean - choice - price_unknown, x, sd, chi2, AMPLITUDES[best]
-        )
+        return SetPosterior(mean - choice - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
     def _gaussian(
         self,

@@ -18,7 +18,6 @@ from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
-from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
 from diffsim.systems.ode.law_effects import (
     check_laws,
     labels_of_laws,
@@ -26,6 +25,7 @@ from diffsim.systems.ode.law_effects import (
     law_scales,
     unknown_laws,
 )
+from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
 from diffsim.systems.ode.names import Reader
 
 MAX_EFFECTS = 6  # several quantities, each with causes of its own

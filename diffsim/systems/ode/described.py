@@ -450,9 +450,7 @@ def columns_of(study: Study, taken: Collection[str]) -> tuple[str, ...]:
         taken: Names that mean something else.
     """
     names = {c.name for c in study.channels} | set(taken)
-    return tuple(
-        c.name for c in study.columns if c.name.isidentifier() and c.name not in names
-    )
+    return tuple(c.name for c in study.columns if c.name.isidentifier() and c.name not in names)
 
 
 def _start_name(state: str, piece: Piece, run: str) -> str:

@@ -31,13 +31,13 @@ from diffsim.systems.ode.keys import (
     Store,
     read_names_as_text,
 )
-from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
 from diffsim.systems.ode.law_effects import (
     check_laws,
     labels_of_laws,
     law_effects,
     law_scales,
 )
+from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
 from diffsim.systems.ode.names import Reader, longest, where_of
 from diffsim.systems.ode.unknown import unknown_forces

@@ -263,9 +263,7 @@ class OwnEffect(Part):
         "stands for the size, {:.0%} for the size in percent",
     )
     also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
-    price: float = Field(
-        0.0, ge=0, description="Nats that its choice among other formulas costs"
-    )
+    price: float = Field(0.0, ge=0, description="Nats that its choice among other formulas costs")
 
     @model_validator(mode="after")
     def _check_one_way(self) -> OwnEffect:
@@ -301,7 +299,6 @@ class OwnEffects(EffectChoice):
     def formulas(self) -> tuple[OwnEffect, ...]:
         """Those that are written as formulas."""
         return tuple(block for block in self.own if isinstance(block, OwnEffect))
-
 
     def holds(self, blocks: Sequence[Mapping[str, Any]]) -> bool:
         """Whether causes of these names are among those of the description."""

@@ -17,7 +17,7 @@ from torch import Tensor
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.identify.law import SIZE, VALUE, Entry, Gains, HiddenState, Law, Memory, Variable
+from diffsim.identify.law import VALUE, Entry, Gains, HiddenState, Law, Memory, Variable
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
 from diffsim.identify.setup import DiagnosisSetup
@@ -281,9 +281,7 @@ class OdeLaws:
         assert isinstance(scene, OdeScene)
         return scene
 
-    def courses(
-        self, problem: Problem, x: Array, variables: Sequence[Variable]
-    ) -> list[Array]:
+    def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:
         """Variables as a problem simulates them, (num_samples, num_variables) for each run."""
         network = self.system.network
         out = []
