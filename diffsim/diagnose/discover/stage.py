@@ -99,9 +99,18 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
     # of several fits: what is said of the record with all that stands beside the law
     fitted.sort(key=lambda f: -_nats(f.fit))
     near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
-    laws = [law for f in near for law in _laws_of(f, price)][:MOST_LAWS]
+    laws = _without_twins([law for f in near for law in _laws_of(f, price)])[:MOST_LAWS]
     laws = [replace(law, name=f"law_{k + 1}") for k, law in enumerate(laws)]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+
+
+def _without_twins(laws: Sequence[Law]) -> list[Law]:
+    """Laws of different entries, variables or formulas: several fits may ask for one."""
+    first: dict[tuple[str, str, str, str], Law] = {}
+    for law in laws:
+        kind = law.term if law.form != "periodic" else law.form
+        first.setdefault((law.entry.kind, law.entry.target, law.variable.name, kind), law)
+    return list(first.values())
 
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
