@@ -18,6 +18,7 @@ from labs.unlisted.machine import Machine, simulate
 
 Array = NDArray[np.float64]
 STUDY, TRUTH = "study", "truth.yaml"
+VISIBLE = 3.0  # lambda below which nothing can be told
 AUTOCORRELATION, LOST = 0.6, 0.02  # of colored noise from sample to sample; of lost rows
 
 
@@ -167,11 +168,12 @@ def truth_of(case: Case, size: float, misfit: Misfit) -> dict[str, Any]:
     }
     if law is None or size == 0.0:
         return truth
+    is_nearly_line = misfit.strength * law.bend(size) < VISIBLE
     return truth | {
         "entry": [{"kind": kind, "target": target} for kind, target in law.entry],
         "variables": [list(names) for names in law.variables],
         "memory": list(law.memory),
-        "forms": list(law.forms),
+        "forms": [*law.forms, *(["line"] if is_nearly_line else [])],
         "numbers": {n: float(v) for n, v in law.numbers(size).items()},
         "alike": list(law.alike),
     }

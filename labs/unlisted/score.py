@@ -90,13 +90,13 @@ def _plain(name: str) -> str:
 def _held_numbers(
     true: Mapping[str, float], said: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, dict[str, Any]]:
-    """Numbers that truth and law both have; of an amplitude and a share the sign is a phase."""
+    """Numbers that truth and law both have; but for a threshold, signs depend on the writing."""
     out: dict[str, dict[str, Any]] = {}
     for name in true.keys() & said.keys():
         low, high, value = said[name]["low"], said[name]["high"], true[name]
         if low is None or high is None:
             continue
-        mirrored = name in ("amplitude", "share") and -high <= value <= -low
+        mirrored = name != "threshold" and -high <= value <= -low
         inside = low <= value <= high or mirrored
         out[name] = {"true": value, "low": low, "high": high, "inside": inside}
     return out

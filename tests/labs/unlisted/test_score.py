@@ -64,7 +64,7 @@ def test_a_right_law_is_right_and_each_size_is_held_for_itself():
         "amplitude": True, "wave_number": False
     }  # fmt: skip
     assert row["certain_and_wrong"] == [] and row["num_laws"] == 1
-    # of an amplitude the sign is a phase
+    # the sign of an amplitude is a phase
     numbers = {"amplitude": {"low": -2.2e-3, "high": -1.8e-3}}
     assert scored(TRUTH, report({**LAW, "numbers": numbers}))["sizes"]["amplitude"]["inside"]
 
