@@ -171,7 +171,7 @@ def unequal_spring(rng: Rng, machine: Machine) -> Law:
 
     return Law(
         (*entry, ("number", "stiffness")), STROKE, ("threshold",), 2.0, acts=acts, most=40.0,
-        numbers=lambda size: {"threshold": 0.0},
+        numbers=lambda size: {"threshold": 0.0, "amplitude": size},
     )  # fmt: skip
 
 
