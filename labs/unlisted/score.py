@@ -37,6 +37,7 @@ def scored(truth: Truth, report: Report) -> dict[str, Any]:
         "share_removed": gain if group != SOUND else None,
         "removed": gain >= REMOVED if group != SOUND else None,
         "false_find": is_false_find(truth, report) if group == SOUND else None,
+        "false_name": bool(laws or report.get("named")) if group == SOUND else None,
         "name_kept": is_name_kept(truth, report) if group == LISTED else None,
         "extra_cpu_s": (report.get("described") or {}).get("cpu_s"),
     }

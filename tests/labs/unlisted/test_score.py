@@ -114,7 +114,9 @@ def test_without_a_law_nothing_is_found_and_certain_names_are_wrong():
 def test_cases_with_nothing_hidden_and_with_a_cause_of_the_library():
     sound = {"group": "sound", "numbers_of_machine": {}}
     assert scored(sound, report(verdict="none"))["false_find"] is False
-    assert scored(sound, report(LAW))["false_find"] is True
+    assert scored(sound, report(LAW))["false_find"] and scored(sound, report(LAW))["false_name"]
+    unknown = scored(sound, report(verdict="unknown"))
+    assert unknown["false_find"] and not unknown["false_name"]
     assert scored(sound, report(LAW))["certain_and_wrong"] == ["law law_1"]
     open_answer = report(verdict="ambiguous", rivals=[["lag"], []])
     assert scored(sound, open_answer)["false_find"] is False
@@ -157,7 +159,8 @@ def test_a_case_is_recorded_scored_and_counted_on_the_page(tmp_path, monkeypatch
 def test_each_kind_comes_once_before_any_comes_again():
     plan = {"master": 1, "commit": "c", "effort": "quick"}
     assert list(items(("cogging", "slosh"), 3, plan)) == ["cogging_0", "slosh_0", "cogging_1"]
-    rows = [{"group": "sound", "false_find": True, "certain_and_wrong": [], "verdict": "named"}]
-    found = {rate.what: rate.hits for rate in rates(rows)}
-    assert found["something found where nothing is hidden"] == 1
+    row = {"group": "sound", "false_find": True, "false_name": False, "certain_and_wrong": []}
+    found = {rate.what: rate.hits for rate in rates([{**row, "verdict": "unknown"}])}
+    assert found["not `none` where nothing is hidden"] == 1
+    assert found["a law or a cause where nothing is hidden"] == 0
     assert isinstance(command.arguments(), argparse.ArgumentParser)
