@@ -40,6 +40,12 @@ TRUTH = {
 }
 
 
+ERRORS = [
+    {"before": 3.0, "after": 0.3, "noise": 2.0, "num_samples": 100},
+    {"before": 1.0, "after": 0.1, "noise": 1.0, "num_samples": 100},
+]
+
+
 def report(*laws, verdict="described", gain=0.97, causes=(), **more):
     return {
         "verdict": verdict,
@@ -58,8 +64,9 @@ def cause(name, origin="effect", status="certain"):
 
 
 def test_a_right_law_is_right_and_each_size_is_held_for_itself():
-    row = scored(TRUTH, report(LAW))
+    row = scored(TRUTH, report(LAW), ERRORS)
     assert row["place"] and row["variable"] and row["form"] and row["removed"]
+    assert row["share_removed"] == pytest.approx(0.99) and row["share_said"] == 0.97
     assert {n: s["inside"] for n, s in row["sizes"].items()} == {
         "amplitude": True, "wave_number": False
     }  # fmt: skip
@@ -137,7 +144,7 @@ def test_a_case_is_recorded_scored_and_counted_on_the_page(tmp_path, monkeypatch
         write(recorded(case, 2e-3), folder)
         place = case.machine.places[0]["name"]
         answer = report({**LAW, "entry": {"kind": "force", "target": place}, "numbers": {}})
-        return {**item, **judged(folder, answer), "cpu_s": 1.0}
+        return {**item, **judged(folder, answer, ERRORS), "cpu_s": 1.0, "judge_failure": ""}
 
     plan = {"master": 5, "commit": "c" * 40, "effort": "quick", "sealed": False,
             "why_not_sealed": "the seed was given.", "date": "2026-01-01",
