@@ -87,6 +87,8 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
     every: list[Candidate] = []
     fitted: list[FittedLaw] = []
     for fit in fits:
+        if fitted and max(_nats(f.fit) for f in fitted) > _nats(fit):
+            break  # a law explains more than the best set of causes
         followed = follow(fit, port)
         found = screen_laws(followed, port, progress)
         every += found
@@ -94,7 +96,7 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
             law = _fit_law(followed, candidate, port)
             if law is not None:
                 fitted.append(law)
-    num_tried = max(len(every) // len(fits), 1)
+    num_tried = max(len(every), 1)
     price = float(np.log(num_tried))
     # of several fits: what is said of the record with all that stands beside the law
     fitted.sort(key=lambda f: -_nats(f.fit))
