@@ -30,6 +30,7 @@ from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.discover.records import DESCRIBED
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.records import OutsideRow, band_words
@@ -300,13 +301,16 @@ def _faults(args: argparse.Namespace) -> None:
 
 
 def _next(args: argparse.Namespace) -> None:
-    inputs, out = _inputs(args, with_bank=True)
-    path = args.saved or out / REPORT_FILE
+    study = read_study(args.study)
+    path = args.saved or (args.out or Path(DIAGNOSES) / study.name) / REPORT_FILE
     saved = _read_json(path)
     if saved is None:
         raise FileNotFoundError(
             f"{path}: no such report; make one with `diffsim diagnose explain {args.study}`"
         )
+    if saved["verdict"] == DESCRIBED:  # its laws are causes of no library, but of the saved model
+        study = read_extended(path.parent).framed(study)
+    inputs, out = _inputs(args, study, with_bank=True)
     sets, why = rival_sets(saved)
     print(why)
     refined = saved["settings"].get("numerics")
