@@ -30,12 +30,12 @@ from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
-from diffsim.diagnose.discover.records import DESCRIBED
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.records import OutsideRow, band_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
+from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended

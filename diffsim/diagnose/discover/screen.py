@@ -19,7 +19,8 @@ from diffsim.diagnose.discover.follow import Followed
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
-from diffsim.identify.law import VALUE, Entry, Gains, LawPort, Variable
+from diffsim.identify.law import VALUE, Entry, Gains, Variable
+from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
 NUM_BUMPS = 11  # over the range of a variable, half overlapping
