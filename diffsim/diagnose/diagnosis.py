@@ -102,7 +102,8 @@ def diagnose(
     found = None
     if laws is not None and answer.leaves_room:
         fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
-        found = find_laws(fits, laws, progress or silent)
+        budget = answer.search.settings.refit_steps
+        found = find_laws(fits, laws, progress or silent, budget)
         answer = _with_laws(asked, answer, laws, found)
     frozen = answer.frozen
     # only now test runs are looked at, once

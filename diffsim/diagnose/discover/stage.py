@@ -80,23 +80,32 @@ class FoundLaws:
     num_tried: int
 
 
-def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLaws:
+def find_laws(
+    fits: Sequence[Fit], port: LawPort, progress: Progress, most_steps: float = np.inf
+) -> FoundLaws:
     """Laws that explain what fits leave.
 
     Args:
         fits: The plain model's fit, then that of the best set of causes where there is one.
         port: What the system offers to laws.
         progress: Receives stage, share done and message.
+        most_steps: Weighted steps after which no further law is fitted in the simulator.
     """
+    tally = fits[0].problem.model.simulations
+    begun = tally.steps
     every: list[Candidate] = []
     fitted: list[FittedLaw] = []
     for fit in fits:
         if fitted and max(_nats(f.fit) for f in fitted) > _nats(fit):
             break  # a law explains more than the best set of causes
+        if tally.steps - begun > most_steps:
+            break
         followed = follow(fit, port)
         found = screen_laws(followed, port, progress)
         every += found
         for candidate in _choose(found):
+            if fitted and tally.steps - begun > most_steps:
+                break
             law = _fit_law(followed, candidate, port)
             if law is not None:
                 fitted.append(law)
