@@ -100,7 +100,12 @@ def law_over_variable(
     u, middle, sd = (np.array(a)[kept] for a in (curve.u, curve.value, curve.sd))
     around = np.concatenate([u, u[::-1]])
     edge = np.concatenate([middle + Z90 * sd, (middle - Z90 * sd)[::-1]])
-    look = {"fill": "toself", "fillcolor": LINE, "line": {"width": 0}, "hoverinfo": "skip"}
+    look: dict[str, Any] = {
+        "fill": "toself",
+        "fillcolor": LINE,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
     drawn = [
         charts.line(around, edge, "90 % band", LINE, **look),
         charts.line(u, middle, "as the runs ask for it", INK),
@@ -135,10 +140,10 @@ def _at(law: DescribedLaw, values: dict[str, float], u: Array) -> Array:
 
 def _unit_in(study: Study, name: str) -> str:
     """SI unit of what a study names; nothing where it does not."""
-    for known in (*study.channels, *study.commands, *study.columns):
-        if known.name == name and known.unit:
-            return known.unit
-    return ""
+    units = {c.name: c.unit for c in study.channels}
+    units |= {c.name: c.unit or "" for c in study.commands}
+    units |= {c.name: c.unit or "" for c in study.columns}
+    return units.get(name, "")
 
 
 def _with_unit(words: str, unit: str) -> str:
@@ -157,7 +162,7 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
         ["on what it depends", ", ".join(law.variables)],
         ["form", law.form],
         ["formula", f"{law.formula}, {VALUE} being {law.variables[0]}"],
-        *_written(r, law),
+        *_write_rows(r, law),
         *([name.replace("_", " "), _number(n)] for name, n in law.numbers.items()),
         ["looks like", " or ".join(law.looks_like) or "–"],
         ["how sure", law.status],
@@ -168,7 +173,7 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
     return page.Table(columns=[law.name.replace("_", " "), ""], rows=rows, caption=caption)
 
 
-def _written(r: Report, law: DescribedLaw) -> list[list[str]]:
+def _write_rows(r: Report, law: DescribedLaw) -> list[list[str]]:
     """The formula with its numbers, as text and as LaTeX."""
     values = _values_of(r, law)
     written = values and write_formula(law.formula, values, {VALUE: law.variables[0]})
@@ -194,7 +199,7 @@ def _screen_table(answer: LawAnswer) -> page.Table:
             "nats over none",
             "wave number [1/SI unit]",
         ],
-        rows=[_screened(row) for row in shown],
+        rows=[_screen_row(row) for row in shown],
         caption=f"The best {len(shown)} of {answer.num_tried} laws without a form, smooth or "
         "periodic, by evidence and by runs left out. The choice among them has its price. In bold: "
         "the laws that the answer holds.",
@@ -202,7 +207,7 @@ def _screen_table(answer: LawAnswer) -> page.Table:
     )
 
 
-def _screened(row: ScreenRow) -> list[str]:
+def _screen_row(row: ScreenRow) -> list[str]:
     return [
         _enters({"kind": row.kind, "target": row.target}),
         row.variable,

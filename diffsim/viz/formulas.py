@@ -23,7 +23,7 @@ _CALLED = {"abs": "Abs", "min": "Min", "max": "Max"}  # where sympy has another 
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenFormula:
     """A formula with its numbers put in.
 
     Attributes:
@@ -37,7 +37,7 @@ class Written:
 
 def write_formula(
     formula: str, values: Mapping[str, float], words: Mapping[str, str]
-) -> Written | None:
+) -> WrittenFormula | None:
     """A formula with numbers in place of some names, and other names in words.
 
     Args:
@@ -61,7 +61,7 @@ def write_formula(
     text = str(made)
     for name, called in _CALLED.items():
         text = text.replace(f"{called}(", f"{name}(")
-    return Written(text, sympy.latex(made, symbol_names=upright))
+    return WrittenFormula(text, sympy.latex(made, symbol_names=upright))
 
 
 def _build(sympy: Any, node: Node, known: Mapping[str, Any]) -> Any | None:
@@ -85,4 +85,4 @@ def _upright(words: str) -> str:
     return rf"\mathrm{{{escaped}}}"
 
 
-__all__ = ["Written", "write_formula"]
+__all__ = ["WrittenFormula", "write_formula"]
