@@ -26,7 +26,7 @@ from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
 from diffsim.diagnose.discover.answer import with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.judge.gain import Validation, validation_of
-from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
+from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
@@ -50,9 +50,9 @@ from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.law import LawPort
 from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
+from diffsim.identify.setup import LawPort
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
-    asked = _Asked(study, bank, settings, progress, cache, seed)
+    asked = _Question(study, bank, settings, progress, cache, seed)
     answer = _answer(asked, model, effects, unknowns)
     found = None
     if laws is not None and answer.leaves_room:
@@ -111,7 +111,7 @@ def diagnose(
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _Question:
     """What a diagnosis is asked for, whatever causes are weighed."""
 
     study: Study
@@ -148,7 +148,7 @@ class _Answer:
         return self.found is not None and self.frozen.verdict in ("named", "ambiguous", "unknown")
 
 
-def _with_laws(asked: _Asked, answer: _Answer, port: LawPort, found: FoundLaws) -> _Answer:
+def _with_laws(asked: _Question, answer: _Answer, port: LawPort, found: FoundLaws) -> _Answer:
     """The answer of a search in which laws stand among the causes, if one of them is named."""
     if not found.laws:
         return answer
@@ -156,11 +156,12 @@ def _with_laws(asked: _Asked, answer: _Answer, port: LawPort, found: FoundLaws) 
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     again = _answer(asked, setup.model, setup.effects, setup.unknowns)
     names = {law.name for law in found.laws}
-    return again if names & set(again.frozen.best_names) else answer
+    is_held = again.frozen.verdict in NAMES and names & set(again.frozen.best_names)
+    return again if is_held else answer
 
 
 def _answer(
-    asked: _Asked, model: SimModel, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+    asked: _Question, model: SimModel, effects: Sequence[Effect], unknowns: Sequence[Unknown]
 ) -> _Answer:
     """Search among causes, and judge; no test run is looked at."""
     study, seed, bank, cache = asked.study, asked.seed, asked.bank, asked.cache

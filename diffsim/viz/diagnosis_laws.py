@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Study
-from diffsim.diagnose.discover.records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
+from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import opened
 from diffsim.identify.law import SIZE, VALUE, Entry, Where

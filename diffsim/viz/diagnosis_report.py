@@ -12,9 +12,9 @@ import numpy as np
 from diffsim.data.study import Channel
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
-from diffsim.diagnose.discover.records import DESCRIBED
 from diffsim.diagnose.judge.records import CERTAIN
 from diffsim.diagnose.say.force_map import ForceMap
+from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
 from diffsim.viz import diagnosis_charts as draw

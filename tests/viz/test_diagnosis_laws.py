@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffsim.diagnose.discover.records import (
+from diffsim.diagnose.judge.records import CauseRow, Interval
+from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
     LawAnswer,
@@ -15,7 +16,6 @@ from diffsim.diagnose.discover.records import (
     Number,
     ScreenRow,
 )
-from diffsim.diagnose.judge.records import CauseRow, Interval
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import formulas
 from diffsim.viz.diagnosis_laws import MOST_ROWS, Z90, laws_section

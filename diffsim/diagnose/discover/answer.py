@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from diffsim.diagnose.discover.look_alikes import look_alikes
-from diffsim.diagnose.discover.records import (
+from diffsim.diagnose.discover.screen import Candidate
+from diffsim.diagnose.discover.stage import FittedLaw, FoundLaws
+from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, CauseRow
+from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
     LawAnswer,
@@ -16,9 +19,6 @@ from diffsim.diagnose.discover.records import (
     Number,
     ScreenRow,
 )
-from diffsim.diagnose.discover.screen import Candidate
-from diffsim.diagnose.discover.stage import FittedLaw, FoundLaws
-from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.report import Report
 from diffsim.identify.law import Law
 

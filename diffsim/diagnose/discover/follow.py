@@ -20,8 +20,9 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
-from diffsim.identify.law import Entry, Gains, LawPort
+from diffsim.identify.law import Entry, Gains, Variable
 from diffsim.identify.linearization import linearization_at, measured_of, record_at, whitened
+from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
 MOST_KNOTS = 300  # of a run's course, over all its entries
@@ -84,7 +85,7 @@ class Followed:
             for problem, x in zip(self.problems, self.points, strict=True)
         ]
 
-    def courses(self, port: LawPort, variables: Sequence) -> list[Array]:  # type: ignore[type-arg]
+    def courses(self, port: LawPort, variables: Sequence[Variable]) -> list[Array]:
         """Variables along the recordings, (num_samples, num_variables) for each run."""
         out = []
         for problem, x in zip(self.problems, self.points, strict=True):
@@ -180,14 +181,14 @@ def _drive(fit: Fit, run: Run, port: LawPort) -> tuple[Problem, Array]:
         u = problem.scaled(x)
         gram = slopes.T @ slopes + np.eye(len(own))
         step = linalg.solve(gram, slopes.T @ r - u[own], assume_a="pos")
-        x, now = _shortened(problem, x, own, step, cost)
+        x, now = _shorten(problem, x, own, step, cost)
         if cost - now < SETTLED * now:
             break
         cost = now
     return problem, x
 
 
-def _shortened(
+def _shorten(
     problem: Problem, x: Array, own: Sequence[int], step: Array, cost: float
 ) -> tuple[Array, float]:
     """The farthest of a step's halves that lowers the cost; the start where none does."""

@@ -207,7 +207,8 @@ def _fit(
         size = float(shape @ target) / power if power > 0.0 else 0.0
         return np.asarray(target - size * shape)
 
-    best, cost = np.empty(0), 0.5 * float(off(()) @ off(())) if not form.numbers else np.inf
+    best: list[float] = []
+    cost = 0.5 * float(off(()) @ off(())) if not form.numbers else np.inf
     low = [b[0] for b in form.bounds]
     high = [b[1] for b in form.bounds]
     for start in _starts(form):
@@ -217,17 +218,17 @@ def _fit(
             except ValueError:  # no finite numbers from here
                 continue
         if ended.cost < cost:
-            best, cost, slopes = ended.x, float(ended.cost), ended.jac
+            best, cost, slopes = ended.x.tolist(), float(ended.cost), ended.jac
     if not np.isfinite(cost):
         return FittedForm(form, np.inf, 0.0)
-    shape = project @ form.shape(z, best)
+    shape = np.asarray(project @ form.shape(z, best))
     weighed = root @ shape
     size = float(weighed @ (root @ curve.factors)) / max(float(weighed @ weighed), 1e-300)
     numbers = {}
     if form.numbers:
         spread = np.sqrt(np.diag(linalg.pinv(slopes.T @ slopes)))
         for name, kind, value, sd in zip(form.numbers, form.scales, best, spread, strict=True):
-            numbers[name] = _in_units(kind, float(value), float(sd), mid, half)
+            numbers[name] = _in_units(kind, value, float(sd), mid, half)
     size *= _size_factor(form, half, best)
     u_low, u_high = float(curve.u[0]), float(curve.u[-1])
     term = form.term.format(low=repr(u_low), high=repr(u_high), mid=repr(mid))

@@ -26,8 +26,9 @@ from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH
-from diffsim.identify.law import Entry, Law, LawPort, Shape
+from diffsim.identify.law import Entry, Law, Shape
 from diffsim.identify.linearization import linearization_at
+from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator

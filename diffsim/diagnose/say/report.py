@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
-from diffsim.diagnose.discover.records import LawAnswer
 from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
+from diffsim.diagnose.say.law_records import LawAnswer
 from diffsim.diagnose.say.next_run import NextRun
 from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
 from diffsim.diagnose.say.wording import Answer

@@ -27,9 +27,7 @@ from diffsim.systems.ode.described import FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Place
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import READING, TIME, Change, filled, named
-from diffsim.systems.ode.place_effects import pushed
 from diffsim.systems.ode.scene import OdeScene, at_start
-from diffsim.systems.ode.unknown import apply_knots
 
 Array = NDArray[np.float64]
 LAWS = "laws"  # place of found laws in a study's frame
@@ -162,8 +160,8 @@ class OdeLaws:
     def _units(self) -> dict[str, str]:
         """Units of states, inputs, channels and recorded columns, as far as they are known."""
         out = {c.name: c.unit for c in self.study.channels}
-        recorded = (*self.study.commands, *self.study.columns)
-        out |= {c.name: c.unit for c in recorded if c.unit}
+        out |= {c.name: c.unit for c in self.study.commands if c.unit}
+        out |= {c.name: c.unit for c in self.study.columns if c.unit}
         for channel, text in self.keys.readings.items():
             out.setdefault(text.strip(), out[channel])
         for place in self.system.motion.places:
@@ -220,9 +218,11 @@ class OdeLaws:
 
         It stands beside all numbers of the model, so that none of them can undo it.
         """
-        driven = self._driven
+        driven = self._driven_states
         if not driven:
             return ()
+        from diffsim.systems.ode.unknown import apply_knots  # of no use on a bench
+
         count = min(most_knots // len(driven), max(len(run.time_s) // 2, 2))
         spacing = float(run.time_s[-1] - run.time_s[0]) / (count - 1)
         out = []
@@ -243,7 +243,7 @@ class OdeLaws:
         return tuple(out)
 
     @property
-    def _driven(self) -> list[str]:
+    def _driven_states(self) -> list[str]:
         motion = self.system.motion
         return [s for s, text in motion.rates.items() if text.strip() not in motion.states]
 
@@ -264,7 +264,7 @@ class OdeLaws:
         for name, plain in zip(ode.parameters, solver.parameters, strict=True):
             values[name] = unit if plain == probe else scene.values[plain].detach()
         formulas = (
-            [ode.rates[s] for s in self._driven],
+            [ode.rates[s] for s in self._driven_states],
             [ode.readings[c.name] for c in self.study.channels],
         )
         found = [[_slope(f, values, unit) for f in part] for part in formulas]
@@ -356,6 +356,8 @@ class OdeLaws:
         """The term added where it enters."""
         target = entry.target
         if entry.kind == "force":
+            from diffsim.systems.ode.place_effects import pushed  # of no use on a bench
+
             made = pushed(self._place(target), total, self.system.known)
             return replace(change, rates=made.rates, names=made.names)
         if entry.kind == "rate":
