@@ -67,7 +67,10 @@ def _picture(r: Report, law: DescribedLaw, curve: LawCurve) -> page.Chart:
     )
     values = _values_of(r, law)
     if values is not None:
-        caption += " Colored: the formula."
+        caption += (
+            " Colored: the formula, at the level of the line, since the model's own numbers take "
+            "up what is constant."
+        )
     kept = _seen_part(law, np.array(curve.u))
     return page.Chart(figure=law_over_variable(r.study, law, curve, values, kept), caption=caption)
 
@@ -113,13 +116,29 @@ def law_over_variable(
     if values is not None:
         color = {"color": EXTENDED, "width": 2.4, "dash": "dash"}
         fine = np.linspace(u[0], u[-1], NUM_FINE)
-        drawn.append(charts.line(fine, _at(law, values, fine), "formula", EXTENDED, line=color))
+        formula = _level_with(law, _at(law, values, fine), _at(law, values, u), middle, sd)
+        drawn.append(charts.line(fine, formula, "formula", EXTENDED, line=color))
     shown = charts.styled(charts.graph_objects().Figure(drawn), height=380)
     (variable,) = law.variables[:1]
     size = law.numbers.get("amplitude")
     shown.update_xaxes(title_text=_with_unit(variable, _unit_in(study, variable)))
-    shown.update_yaxes(title_text=_with_unit(_enters(law.entry), "" if size is None else size.unit))
+    shown.update_yaxes(
+        title_text=_with_unit(_term_at(law.entry), "" if size is None else size.unit)
+    )
     return shown
+
+
+def _level_with(law: DescribedLaw, formula: Array, at_u: Array, middle: Array, sd: Array) -> Array:
+    """A formula where the term lies that it was made from.
+
+    Both were fitted with numbers of their own. What is constant in a term may be theirs; of a
+    change of a number, a factor may.
+    """
+    weight = 1.0 / np.maximum(sd, 1e-3 * sd.max() + 1e-300) ** 2
+    if law.entry["kind"] == "number":
+        factor = np.sum(weight * (1.0 + middle) * (1.0 + at_u)) / np.sum(weight * (1.0 + at_u) ** 2)
+        return np.asarray(factor * (1.0 + formula) - 1.0)
+    return np.asarray(formula + np.sum(weight * (middle - at_u)) / np.sum(weight))
 
 
 def _values_of(r: Report, law: DescribedLaw) -> dict[str, float] | None:
@@ -152,6 +171,12 @@ def _with_unit(words: str, unit: str) -> str:
 
 def _enters(entry: dict[str, str]) -> str:
     return Entry(cast(Where, entry["kind"]), entry["target"], "-", 0.0).words
+
+
+def _term_at(entry: dict[str, str]) -> str:
+    return (
+        f"change of {entry['target']}, as a share" if entry["kind"] == "number" else _enters(entry)
+    )
 
 
 def _law_table(r: Report, law: DescribedLaw) -> page.Table:

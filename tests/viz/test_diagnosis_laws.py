@@ -122,6 +122,31 @@ def test_the_picture_holds_band_and_formula_over_three_periods():
     assert SENTENCE[1:] in chart.caption
 
 
+@pytest.mark.parametrize(
+    ("kind", "moved"),
+    [("number", lambda f: 1.3 * (1.0 + f) - 1.0), ("force", lambda f: f + 0.3)],
+)
+def test_the_formula_lies_on_what_other_numbers_of_the_model_moved(kind, moved):
+    """The term before it has a form was fitted with another drag, or another constant force."""
+    size, u = 0.5, np.linspace(0.0, 1.0, 101)
+    line = replace(
+        COGGING,
+        entry={"kind": kind, "target": "drag"},
+        variables=("temperature",),
+        form="line",
+        formula="size*u",
+        numbers={"amplitude": Number(size, 0.4, 0.6, "-")},
+    )
+    sd = np.where(u < 0.5, 0.01, 0.1)
+    curve = LawCurve("law_1", *(tuple(a.tolist()) for a in (u, moved(size * u), sd)))
+    answer = LawAnswer((line,), SCREEN, (curve,), 9)
+    chart = laws_section(described(answer, values={"law_1": size}))[0].content[0]
+    _, asked, formula = chart.figure.data
+    np.testing.assert_allclose(
+        np.interp(asked.x, formula.x, formula.y), np.array(asked.y), atol=1e-4
+    )
+
+
 def test_a_law_beside_the_best_set_has_no_numbers_to_draw():
     bare = replace(COGGING, numbers={}, status="possible")
     chart, table, _ = laws_section(described(replace(ANSWER, laws=(bare,)), values={}))[0].content
