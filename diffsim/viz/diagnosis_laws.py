@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Study
+from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import opened
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 MOST_ROWS = 15  # of the table of all that was weighed
 PERIODS = 3.0  # of a law that repeats, in its picture: more of them are a grey wall
 NUM_FINE = 400  # points of a formula's line
-Z90 = 1.6449  # standard deviations of a 90 % interval
 
 
 def laws_section(r: Report) -> list[page.Section]:
@@ -102,7 +102,7 @@ def law_over_variable(
     """
     u, middle, sd = (np.array(a)[kept] for a in (curve.u, curve.value, curve.sd))
     around = np.concatenate([u, u[::-1]])
-    edge = np.concatenate([middle + Z90 * sd, (middle - Z90 * sd)[::-1]])
+    edge = np.concatenate([middle + HALF_LEVEL * sd, (middle - HALF_LEVEL * sd)[::-1]])
     look: dict[str, Any] = {
         "fill": "toself",
         "fillcolor": LINE,
@@ -119,9 +119,8 @@ def law_over_variable(
         formula = _level_with(law, _at(law, values, fine), _at(law, values, u), middle, sd)
         drawn.append(charts.line(fine, formula, "formula", EXTENDED, line=color))
     shown = charts.styled(charts.graph_objects().Figure(drawn), height=380)
-    (variable,) = law.variables[:1]
     size = law.numbers.get("amplitude")
-    shown.update_xaxes(title_text=_with_unit(variable, _unit_in(study, variable)))
+    shown.update_xaxes(title_text=_with_unit(_value_of(law), _unit_in(study, _value_of(law))))
     shown.update_yaxes(
         title_text=_with_unit(_term_at(law.entry), "" if size is None else size.unit)
     )
@@ -165,6 +164,11 @@ def _unit_in(study: Study, name: str) -> str:
     return units.get(name, "")
 
 
+def _value_of(law: DescribedLaw) -> str:
+    """What the formula is of, in words: a variable, or what a hidden state keeps of it."""
+    return f"{law.memory} of {law.variables[0]}" if law.memory else law.variables[0]
+
+
 def _with_unit(words: str, unit: str) -> str:
     return f"{words} [{unit}]" if unit_of(unit) else words
 
@@ -186,7 +190,7 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
         ["where it enters", _enters(law.entry)],
         ["on what it depends", ", ".join(law.variables)],
         ["form", law.form],
-        ["formula", f"{law.formula}, {VALUE} being {law.variables[0]}"],
+        ["formula", f"{law.formula}, {VALUE} being {_value_of(law)}"],
         *_write_rows(r, law),
         *([name.replace("_", " "), _number(n)] for name, n in law.numbers.items()),
         ["looks like", " or ".join(law.looks_like) or "–"],
@@ -201,7 +205,7 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
 def _write_rows(r: Report, law: DescribedLaw) -> list[list[str]]:
     """The formula with its numbers, as text and as LaTeX."""
     values = _values_of(r, law)
-    written = values and write_formula(law.formula, values, {VALUE: law.variables[0]})
+    written = values and write_formula(law.formula, values, {VALUE: _value_of(law)})
     if not written:
         return []
     return [["with its numbers", written.text], ["as LaTeX", written.latex]]
@@ -215,7 +219,7 @@ def _number(number: Number) -> str:
 def _screen_table(answer: LawAnswer) -> page.Table:
     """What laws of all variables would explain at all places, before they have a form."""
     shown = answer.screen[:MOST_ROWS]
-    found = {_place_of(law) for law in answer.laws}
+    found = {_place_of(law) for law in answer.laws if not law.memory}
     return page.Table(
         columns=[
             "where it enters",
@@ -227,7 +231,7 @@ def _screen_table(answer: LawAnswer) -> page.Table:
         rows=[_screen_row(row) for row in shown],
         caption=f"The best {len(shown)} of {answer.num_tried} laws without a form, smooth or "
         "periodic, by evidence and by runs left out. The choice among them has its price. In bold: "
-        "the laws that the answer holds.",
+        "laws of the answer, but for those of hidden states.",
         emphasis=[i for i, s in enumerate(shown) if (s.kind, s.target, (s.variable,)) in found],
     )
 

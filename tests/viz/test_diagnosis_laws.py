@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffsim.diagnose.judge.records import CauseRow, Interval
+from diffsim.diagnose.judge.records import HALF_LEVEL, CauseRow, Interval
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
@@ -18,7 +18,7 @@ from diffsim.diagnose.say.law_records import (
 )
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import formulas
-from diffsim.viz.diagnosis_laws import MOST_ROWS, Z90, laws_section
+from diffsim.viz.diagnosis_laws import MOST_ROWS, laws_section
 from diffsim.viz.formulas import write_formula
 from tests.optional import needs
 from tests.viz.test_diagnosis_report import CAUSES, example, series
@@ -114,7 +114,7 @@ def test_the_picture_holds_band_and_formula_over_three_periods():
     reach = 2.0 * np.pi / WAVE * 3.0
     assert reach - 0.02 < np.ptp(asked.x) <= reach
     half = (max(band.y) - min(band.y)) / 2.0 - SIZE
-    assert half == pytest.approx(Z90 * 1e-4, rel=0.02)
+    assert half == pytest.approx(HALF_LEVEL * 1e-4, rel=0.02)
     expected = SIZE * np.sin(WAVE * np.array(formula.x) + PHASE)
     np.testing.assert_allclose(formula.y, expected, atol=1e-3 * SIZE)
     assert chart.figure.layout.xaxis.title.text == "angle"
@@ -145,6 +145,16 @@ def test_the_formula_lies_on_what_other_numbers_of_the_model_moved(kind, moved):
     np.testing.assert_allclose(
         np.interp(asked.x, formula.x, formula.y), np.array(asked.y), atol=1e-4
     )
+
+
+def test_a_law_of_a_hidden_state_says_what_the_formula_is_of():
+    heat = replace(COGGING, variables=("current",), memory="heat", formula="size*u")
+    chart, table, screen = laws_section(described(replace(ANSWER, laws=(heat,))))[0].content
+    assert chart.figure.layout.xaxis.title.text == "heat of current"
+    rows = dict(table.rows)
+    assert rows["hidden state"] == "heat" and rows["formula"] == "size*u, u being heat of current"
+    assert rows["with its numbers"] == "0.0022*(heat of current)"
+    assert not screen.emphasis
 
 
 def test_a_law_beside_the_best_set_has_no_numbers_to_draw():
