@@ -22,11 +22,12 @@ from diffsim.diagnose.say.law_records import (
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit
-from diffsim.identify.law import VALUE, Law
+from diffsim.identify.law import VALUE, Law, Variable
 
 MOST_ROWS = 40  # of the table
 POSSIBLE = "possible"  # of one of several laws
 
+PERIODS_SHOWN = 3.0  # of a law that repeats: more are a grey wall
 TURN = 2.0 * np.pi
 #: the number that says how a hidden state remembers
 MEMORIES = {
@@ -47,13 +48,13 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     answer = LawAnswer(
         laws,
         tuple(_row(c) for c in found.screened[:MOST_ROWS]),
-        tuple(_curve(f, found) for f in found.fitted),
+        tuple(_curve(f, laws) for f in found.fitted),
         found.num_tried,
     )
     if not laws or report.verdict not in ("named", "ambiguous"):
         return replace(report, described=answer)
     head = _headline(report, laws)
-    tail = report.headline.partition(": ")[2]
+    tail = report.headline.partition(": ")[2] or report.headline.partition(". ")[2]
     return replace(
         report,
         described=answer,
@@ -99,17 +100,25 @@ def _row(c: Candidate) -> ScreenRow:
     return ScreenRow(c.entry.kind, c.entry.target, c.variable.name, c.nats, c.share, c.basis.wave)
 
 
-def _curve(fitted: FittedLaw, found: FoundLaws) -> LawCurve:
+def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
+    """A missing term over its variable; of one that repeats a few periods in the middle."""
     c, curve = fitted.candidate, fitted.curve
-    names = [
-        w.name for w in found.laws if w.entry == c.entry and w.variable.name == c.variable.name
-    ]
-    return LawCurve(
-        names[0] if names else "",
-        tuple(map(float, curve.u)),
-        tuple(map(float, curve.values)),
-        tuple(map(float, curve.sd)),
-    )
+    place = (c.entry.kind, c.entry.target, (_word_of(c.variable),))
+    memory = c.variable.memory or None
+    names = [law.name for law in laws if _place_of(law) == place and law.memory == memory]
+    u = curve.u
+    if c.basis.wave:
+        middle, half = 0.5 * (u[0] + u[-1]), PERIODS_SHOWN * np.pi / c.basis.wave
+        u = np.linspace(max(middle - half, u[0]), min(middle + half, u[-1]), len(u))
+    basis = c.basis.values(u)
+    sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, curve.covariance, basis))
+    told = (u, basis @ curve.factors, sd)
+    return LawCurve(names[0] if names else "", *(tuple(a.tolist()) for a in told))
+
+
+def _word_of(variable: Variable) -> str:
+    """A variable, or what drives the hidden state that it is."""
+    return variable.of if variable.memory else variable.name
 
 
 def _described(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
@@ -135,7 +144,7 @@ def _described(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     return DescribedLaw(
         law.name,
         entry,
-        (law.variable.of if law.variable.memory else law.variable.name,),
+        (_word_of(law.variable),),
         law.variable.memory or None,
         law.form,
         law.term,
