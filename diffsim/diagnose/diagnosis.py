@@ -26,7 +26,7 @@ from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
 from diffsim.diagnose.discover.answer import with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.judge.gain import Validation, validation_of
-from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
+from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
@@ -156,7 +156,8 @@ def _with_laws(asked: _Question, answer: _Answer, port: LawPort, found: FoundLaw
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     again = _answer(asked, setup.model, setup.effects, setup.unknowns)
     names = {law.name for law in found.laws}
-    return again if names & set(again.frozen.best_names) else answer
+    is_held = again.frozen.verdict in NAMES and names & set(again.frozen.best_names)
+    return again if is_held else answer
 
 
 def _answer(

@@ -7,7 +7,7 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,11 @@ import yaml
 
 from labs.unlisted.catalog import KINDS
 from labs.unlisted.draw import drawn
-from labs.unlisted.record import STUDY, TRUTH, recorded, write
+from labs.unlisted.record import CLEAN, STUDY, TRUTH, recorded, write
 from labs.unlisted.score import scored
 
 Item = Mapping[str, Any]
-CASES, ANSWER = "cases", "answer"
+CASES, ANSWER, MODEL = "cases", "answer", "extended_model.yaml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -50,19 +50,23 @@ def solve(item: Item, out: Path) -> dict[str, Any]:
     folder = out / CASES / f"{item['kind']}_{item['turn']}"
     write(recorded(drawn(item["master"], item["kind"], item["turn"])), folder)
     report, cpu = diagnosed(folder, item["effort"])
-    return {**item, **judged(folder, report), "cpu_s": cpu}
+    errors, failure = errors_without_noise(folder)
+    return {**item, **judged(folder, report, errors), "cpu_s": cpu, "judge_failure": failure}
 
 
-def judged(folder: Path, report: Mapping[str, Any]) -> dict[str, Any]:
+def judged(
+    folder: Path, report: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     """Facts of a recorded case with the score of an answer.
 
     Args:
         folder: Of the case.
         report: The answer.
+        errors: Of its extended model on unseen runs without noise.
     """
     truth = yaml.safe_load((folder / TRUTH).read_text(encoding="utf-8"))
     facts = {name: truth[name] for name in ("case", "group", "machine", "dirt", "size", "lambda")}
-    return {**facts, **scored(truth, report)}
+    return {**facts, **scored(truth, report, errors)}
 
 
 def diagnosed(folder: Path, effort: str) -> tuple[dict[str, Any], float]:
@@ -72,21 +76,48 @@ def diagnosed(folder: Path, effort: str) -> tuple[dict[str, Any], float]:
         folder: Of the case.
         effort: Budget of the diagnosis.
     """
-    answer = folder / ANSWER
-    answer.mkdir(parents=True, exist_ok=True)
-    report = answer / "report.json"
+    report = folder / ANSWER / "report.json"
     report.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "diffsim", "diagnose", "explain", str(folder / STUDY),
-               "--out", str(answer), "--budget", effort, "--force"]  # fmt: skip
+    (folder / ANSWER / MODEL).unlink(missing_ok=True)
     before = _seconds_of_children()
-    with (answer / "log.txt").open("w", encoding="utf-8") as log:
-        one = dict.fromkeys(THREADS, "1")
-        subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **one})
+    log = _command(folder, "explain", STUDY, "--budget", effort, "--force")
     cpu = _seconds_of_children() - before
     if not report.is_file():
-        lines = (answer / "log.txt").read_text(encoding="utf-8").strip().splitlines()
-        return {"verdict": "failed", "error": lines[-1] if lines else "nothing was said"}, cpu
+        return {"verdict": "failed", "error": log[-1] if log else "nothing was said"}, cpu
     return json.loads(report.read_text(encoding="utf-8")), cpu
+
+
+def errors_without_noise(folder: Path) -> tuple[list[dict[str, Any]], str]:
+    """Errors on the unseen runs without noise, before and after, and why there are none.
+
+    The noise of a test run would move the share that a true model removes by a fifth.
+
+    Args:
+        folder: Of a case that was diagnosed.
+    """
+    model, judge = folder / ANSWER / MODEL, folder / ANSWER / "judge.json"
+    judge.unlink(missing_ok=True)
+    if not model.is_file():
+        return [], ""
+    log = _command(folder, "judge", CLEAN, "--model", str(model))
+    if not judge.is_file():
+        return [], " ".join(log)
+    return json.loads(judge.read_text(encoding="utf-8"))["errors"], ""
+
+
+def _command(folder: Path, verb: str, study: str, *more: str) -> list[str]:
+    """What a command of the diagnosis says, line by line; its results are in the answer."""
+    answer = folder / ANSWER
+    answer.mkdir(parents=True, exist_ok=True)
+    words = [sys.executable, "-m", "diffsim", "diagnose", verb, str(folder / study)]
+    path = answer / f"{verb}.log"
+    with path.open("w", encoding="utf-8") as log:
+        one = dict.fromkeys(THREADS, "1")
+        subprocess.run(
+            [*words, "--out", str(answer), *more],
+            stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **one},
+        )  # fmt: skip
+    return path.read_text(encoding="utf-8").strip().splitlines()
 
 
 def _seconds_of_children() -> float:

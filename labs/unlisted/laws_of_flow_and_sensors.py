@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labs.unlisted.machine import Law, Machine
+from labs.unlisted.machine import Law, Machine, Now
 
 Rng = np.random.Generator
 
@@ -13,11 +13,13 @@ def leak_above(rng: Rng, machine: Machine) -> Law:
     """A crack in the wall: it leaks above its level."""
     edge = machine.within("h", rng.uniform(0.4, 0.6))
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["pump"] = now["pump"] - size * np.maximum(now["h"] - edge, 0.0) / now["pump_gain"]
 
+    outlet = "hole" if "hole" in machine.numbers else "conductance"
     return Law(
-        (("rate", "h"), ("force", "tank"), ("input", "pump")), (("h",), ("level",)),
+        (("rate", "h"), ("force", "tank"), ("input", "pump"), ("number", outlet)),
+        (("h",), ("level",)),
         ("threshold",), 0.005, acts=acts, most=0.1, alike=("overflow",),
         numbers=lambda size: {"threshold": edge, "amplitude": size},
     )  # fmt: skip
@@ -27,12 +29,13 @@ def relief_valve(rng: Rng, machine: Machine) -> Law:
     """A valve opens above a pressure."""
     opens = machine.within("p", rng.uniform(0.4, 0.6))
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         flow = size * np.maximum(now["p"] - opens, 0.0)
         now["supply"] = now["supply"] - flow / now["supply_gain"]
 
     return Law(
-        (("rate", "p"), ("force", "vessel"), ("input", "supply")), (("p",), ("gauge",)),
+        (("rate", "p"), ("force", "vessel"), ("input", "supply"), ("number", "conductance")),
+        (("p",), ("gauge",)),
         ("threshold",), 5e-10, acts=acts, most=2e-8, alike=("overflow",),
         numbers=lambda size: {"threshold": opens},
     )  # fmt: skip
@@ -41,7 +44,7 @@ def relief_valve(rng: Rng, machine: Machine) -> Law:
 def floor_hole(rng: Rng, machine: Machine) -> Law:
     """A hole in the upper tank's floor: what it loses does not reach the lower one."""
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         lost = size * np.sqrt(np.maximum(now["upper"], 0.0))
         now["pump"] = now["pump"] - lost / now["pump_gain"]
 
@@ -56,14 +59,14 @@ def floor_hole(rng: Rng, machine: Machine) -> Law:
 def thin_oil(rng: Rng, machine: Machine) -> Law:
     """What flows through the long pipe gets thin as it warms."""
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["conductance"] = now["conductance"] * np.exp(size * (now["temp"] - 25.0))
 
     return Law(
         (("number", "conductance"), ("rate", "h"), ("force", "tank")),
         (("temp",), ("temp", "h"), ("temp", "level")),
         ("exponential", "reciprocal", "power", "product"), 0.005, acts=acts, most=0.04,
-        numbers=lambda size: {"rate": size}, columns=("temp",),
+        numbers=lambda size: {"rate": size}, columns=("temp",), bend=lambda size: 5.0 * size,
     )  # fmt: skip
 
 
@@ -71,7 +74,7 @@ def radiation(rng: Rng, machine: Machine) -> Law:
     """A black plate loses heat by radiation, too; ``size`` is the share of a black body."""
     per_black = 5.67e-8 * 0.05  # W/K^4 of 0.05 m^2
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         glow = per_black * ((now["warm"] + 273.15) ** 4 - 293.15**4)
         now["heater"] = now["heater"] - size * glow / now["heater_gain"]
 
@@ -85,11 +88,11 @@ def radiation(rng: Rng, machine: Machine) -> Law:
 def fan(rng: Rng, machine: Machine) -> Law:
     """Draught cools the plate; the recorder wrote its speed."""
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["loss"] = now["loss"] * (1.0 + size * np.sqrt(now["wind"]))
 
     return Law(
-        (("number", "loss"), ("rate", "warm")), (("wind",), ("warm", "wind")),
+        (("number", "loss"), ("rate", "warm"), ("input", "heater")), (("wind",), ("warm", "wind")),
         ("power", "product", "saturation"), 0.02, acts=acts, most=0.5,
         numbers=lambda size: {"exponent": 0.5}, columns=("wind",),
     )  # fmt: skip
@@ -98,7 +101,7 @@ def fan(rng: Rng, machine: Machine) -> Law:
 def cross_talk(rng: Rng, machine: Machine) -> Law:
     """One amplifier hears the other: x shows a share of y."""
 
-    def reads(now: dict, shown: dict, size: float) -> None:
+    def reads(now: Now, shown: Now, size: float) -> None:
         shown["read_x"] = shown["read_x"] + size * shown["read_y"]
 
     return Law(
@@ -110,7 +113,7 @@ def cross_talk(rng: Rng, machine: Machine) -> Law:
 def rotated_sensor(rng: Rng, machine: Machine) -> Law:
     """The camera is turned by a small angle."""
 
-    def reads(now: dict, shown: dict, size: float) -> None:
+    def reads(now: Now, shown: Now, size: float) -> None:
         x, y = shown["read_x"], shown["read_y"]
         shown["read_x"] = x * np.cos(size) + y * np.sin(size)
         shown["read_y"] = y * np.cos(size) - x * np.sin(size)
@@ -126,7 +129,7 @@ def rotated_sensor(rng: Rng, machine: Machine) -> Law:
 def skewed_drives(rng: Rng, machine: Machine) -> Law:
     """The drives are turned against the axes: x feels a share of what pushes y."""
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         east, north = now["drive_x"], now["drive_y"]
         now["drive_x"], now["drive_y"] = east + size * north, north - size * east
 
@@ -142,10 +145,10 @@ def creeping_cell(rng: Rng, machine: Machine) -> Law:
     """A load cell creeps: a share of its reading comes slowly."""
     time = rng.uniform(1.5, 4.0)
 
-    def reads(now: dict, shown: dict, size: float) -> None:
+    def reads(now: Now, shown: Now, size: float) -> None:
         shown["load"] = shown["load"] + size * now["creep"]
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         return {"creep": (now["stiffness"] * now["x"] - now["creep"]) / time}
 
     return Law(

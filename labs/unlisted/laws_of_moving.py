@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from labs.unlisted.machine import Law, Machine
+from labs.unlisted.machine import Law, Machine, Now, driven_place
 
 Rng = np.random.Generator
 SPEED, STROKE = (("v",), ("speed",)), (("x",), ("position",), ("drive",))
 
 
-def _at(machine: Machine, number: int = 0) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Name of what pushes at a place, and what says the same as that."""
-    place = machine.places[number]
-    return f"push_{place['name']}", (("force", place["name"]), ("rate", place["velocity"]))
-
-
 def wire_rope(rng: Rng, machine: Machine) -> Law:
     """A rope that slips within itself: a spring that gives after a distance (Dahl)."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     slips = machine.reach("x") * rng.uniform(0.06, 0.15)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * now["slip"] / slips
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         return {"slip": now["v"] - np.abs(now["v"]) * now["slip"] / slips}
 
     return Law(
@@ -36,14 +30,14 @@ def wire_rope(rng: Rng, machine: Machine) -> Law:
 
 def bouc_wen(rng: Rng, machine: Machine) -> Law:
     """A loop with rounded corners that loads otherwise than it unloads (Bouc and Wen)."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     slips = machine.reach("x") * rng.uniform(0.08, 0.2)
     power, beta = rng.uniform(1.3, 2.5), rng.uniform(0.5, 0.9)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * now["slip"] / slips
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         v, z = now["v"], now["slip"] / slips
         bend = beta * np.abs(v) * z * np.abs(z) ** (power - 1.0)
         return {"slip": v - bend - (1.0 - beta) * v * np.abs(z) ** power}
@@ -57,14 +51,14 @@ def bouc_wen(rng: Rng, machine: Machine) -> Law:
 
 def odd_relaxation(rng: Rng, machine: Machine) -> Law:
     """A spring in series with a damper whose force grows with the square of its speed."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     usual = machine.reach("x")
     time = rng.uniform(0.5, 1.5)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * now["stretch"]
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         q = now["stretch"] / usual
         return {"stretch": now["v"] - usual / time * q / np.sqrt(np.abs(q) + 1e-3)}
 
@@ -76,16 +70,17 @@ def odd_relaxation(rng: Rng, machine: Machine) -> Law:
 
 
 def _hidden_mass(machine: Machine, hertz: float, damping: float) -> Law:
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     wave = 2.0 * np.pi * hertz
 
-    def pull(now: dict, size: float) -> float:
+    def pull(now: Now, size: float) -> float:
         return size * (wave**2 * now["sway"] + 2.0 * damping * wave * now["sway_rate"])
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
+        now["mass"] = now["mass"] - size  # what swings was weighed with the rest
         now[push] = now[push] + pull(now, size)
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         swing = -(wave**2) * now["sway"] - 2.0 * damping * wave * now["sway_rate"]
         return {"sway": now["sway_rate"], "sway_rate": swing - rates["v"]}
 
@@ -93,7 +88,7 @@ def _hidden_mass(machine: Machine, hertz: float, damping: float) -> Law:
         entry, (*SPEED, *STROKE, ("force",), ("pull",), ("x", "v")), ("memory", "line"), 0.05,
         memory=("oscillator",), acts=acts, moves=moves, hidden={"sway": 0.0, "sway_rate": 0.0},
         most=0.5 * machine.numbers["mass"].value,
-        numbers=lambda size: {"frequency": hertz, "amplitude": size},
+        numbers=lambda size: {"frequency": hertz},
     )  # fmt: skip
 
 
@@ -104,15 +99,15 @@ def slosh(rng: Rng, machine: Machine) -> Law:
 
 def flexible_mode(rng: Rng, machine: Machine) -> Law:
     """A second mode of the structure, faster than the one of the model."""
-    return _hidden_mass(machine, machine.pace * rng.uniform(3.0, 5.0), rng.uniform(0.01, 0.03))
+    return _hidden_mass(machine, machine.pace * rng.uniform(2.2, 3.5), rng.uniform(0.01, 0.03))
 
 
 def magnet(rng: Rng, machine: Machine) -> Law:
     """A magnet pulls from one end of the stroke."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     gap = machine.reach("x") * rng.uniform(1.8, 2.2)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] + size / np.maximum(gap - now["x"], 0.1 * gap) ** 2
 
     return Law(
@@ -123,11 +118,11 @@ def magnet(rng: Rng, machine: Machine) -> Law:
 
 def wall(rng: Rng, machine: Machine) -> Law:
     """A wall nearby draws the propeller."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     low, high = machine.extents["h"]
     length = (high - low) * rng.uniform(0.15, 0.3)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * np.exp(-np.maximum(now["h"] - low, -0.5 * length) / length)
 
     return Law(
@@ -138,15 +133,15 @@ def wall(rng: Rng, machine: Machine) -> Law:
 
 def ground_cushion(rng: Rng, machine: Machine) -> Law:
     """Near the ground a rotor gives more thrust."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
     low, radius = machine.extents["h"][0], rng.uniform(0.06, 0.1)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         height = np.maximum(now["h"], 0.5 * low)
         now["thrust"] = now["thrust"] * (1.0 + size * (radius / height) ** 2)
 
     return Law(
-        (("input", "thrust"), ("number", "thrust_gain"), *entry),
+        (("number", "thrust_gain"), *entry),
         (("h",), ("height",), ("h", "thrust"), ("height", "thrust")),
         ("reciprocal", "power", "exponential", "product"), 0.1, acts=acts, most=1.0,
         numbers=lambda size: {"exponent": -2.0}, alike=("ground_effect",),
@@ -155,38 +150,38 @@ def ground_cushion(rng: Rng, machine: Machine) -> Law:
 
 def cable(rng: Rng, machine: Machine) -> Law:
     """A cable comes taut beyond a place, and pulls back from there."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
     taut = machine.extents["x"][1] * rng.uniform(0.3, 0.5)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * np.maximum(now["x"] - taut, 0.0)
 
     return Law(
-        entry, STROKE, ("threshold",), 10.0, acts=acts, most=200.0,
+        (*entry, ("number", "stiffness")), STROKE, ("threshold",), 10.0, acts=acts, most=200.0,
         numbers=lambda size: {"amplitude": size, "threshold": taut}, alike=("stop_above",),
     )  # fmt: skip
 
 
 def unequal_spring(rng: Rng, machine: Machine) -> Law:
     """Stiffer in compression than in tension."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * np.minimum(now["x"], 0.0)
 
     return Law(
         (*entry, ("number", "stiffness")), STROKE, ("threshold",), 2.0, acts=acts, most=40.0,
-        numbers=lambda size: {"threshold": 0.0},
+        numbers=lambda size: {"threshold": 0.0, "amplitude": size},
     )  # fmt: skip
 
 
 def screw(rng: Rng, machine: Machine) -> Law:
     """A screw that runs out of round: friction depends on the place, once a pitch."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
     wave = 2.0 * np.pi / (machine.reach("x") * rng.uniform(0.4, 0.8))
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["damping"] = now["damping"] * (1.0 + size * np.sin(wave * now["x"] + phase))
 
     return Law(
@@ -198,23 +193,23 @@ def screw(rng: Rng, machine: Machine) -> Law:
 
 def warm_damping(rng: Rng, machine: Machine) -> Law:
     """The oil of the damper gets thin as it warms; the recorder wrote its temperature."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["damping"] = now["damping"] * np.exp(-size * (now["temp"] - 25.0))
 
     return Law(
         (("number", "damping"), *entry), (("temp",), ("temp", "v"), ("temp", "rate")),
         ("exponential", "reciprocal", "power", "product"), 0.01, acts=acts, most=0.06,
-        numbers=lambda size: {"rate": -size}, columns=("temp",),
+        numbers=lambda size: {"rate": -size}, columns=("temp",), bend=lambda size: 5.0 * size,
     )  # fmt: skip
 
 
 def warm_spring(rng: Rng, machine: Machine) -> Law:
     """A spring of plastic gets softer as it warms."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["stiffness"] = now["stiffness"] * (1.0 - size * (now["temp"] - 25.0))
 
     return Law(
@@ -226,9 +221,9 @@ def warm_spring(rng: Rng, machine: Machine) -> Law:
 
 def bellows(rng: Rng, machine: Machine) -> Law:
     """Air pressure acts on a bellows; the recorder wrote the weather."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] + size * (now["ambient"] - 1013.0)
 
     return Law(
@@ -239,16 +234,16 @@ def bellows(rng: Rng, machine: Machine) -> Law:
 
 def worn_spring(rng: Rng, machine: Machine) -> Law:
     """Stiffness falls with the work done; each run has a fresh spring."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
     x = machine.reach("x")
     span = machine.step_s * machine.count
     usual = 2.0 * machine.numbers["stiffness"].value * x**2 * machine.pace * span
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["fresh"] = now["stiffness"]
         now["stiffness"] = now["stiffness"] * np.exp(-size * now["work"])
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         return {"work": np.abs(now["fresh"] * now["x"] * now["v"]) / usual}
 
     return Law(
@@ -260,13 +255,13 @@ def worn_spring(rng: Rng, machine: Machine) -> Law:
 
 def aging_friction(rng: Rng, machine: Machine) -> Law:
     """Friction grows while the slider is slow, and is lost within a time when it is fast."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
     time, slow = rng.uniform(0.5, 1.5), 0.3 * machine.reach("v")
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["friction"] = now["friction"] * (1.0 + size * now["age"])
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         return {"age": (np.exp(-((now["v"] / slow) ** 2)) - now["age"]) / time}
 
     return Law(
@@ -278,13 +273,13 @@ def aging_friction(rng: Rng, machine: Machine) -> Law:
 
 def warm_tire(rng: Rng, machine: Machine) -> Law:
     """Tires roll easier as the work of rolling warms them."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
     time, usual = rng.uniform(25.0, 60.0), machine.reach("v")
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["rolling"] = now["rolling"] * (1.0 - size * now["heat"])
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         return {"heat": (np.abs(now["v"]) / usual - now["heat"]) / time}
 
     return Law(
@@ -296,27 +291,28 @@ def warm_tire(rng: Rng, machine: Machine) -> Law:
 
 def head_wind(rng: Rng, machine: Machine) -> Law:
     """Drag of the hull's upper part against the wind that the mast recorded."""
-    push, entry = _at(machine)
+    push, entry = driven_place(machine)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         air = now["v"] + now["wind"]
         now[push] = now[push] - size * air * np.abs(air)
 
     return Law(
-        entry, (("v", "wind"), ("log", "wind"), ("wind",)), ("square", "product", "power"), 0.05,
-        acts=acts, columns=("wind",), numbers=lambda size: {"amplitude": size},
+        (*entry, ("number", "drag")), (("v", "wind"), ("log", "wind"), ("wind",)),
+        ("square", "product", "power"), 0.05, acts=acts, columns=("wind",),
+        numbers=lambda size: {"amplitude": size},
     )  # fmt: skip
 
 
 def advance(rng: Rng, machine: Machine) -> Law:
     """A propeller gives less thrust the faster the boat is."""
-    _, entry = _at(machine)
+    _, entry = driven_place(machine)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["thrust"] = now["thrust"] * (1.0 - size * now["v"])
 
     return Law(
-        (("input", "thrust"), ("number", "thrust_gain"), *entry),
+        (("number", "thrust_gain"), *entry),
         (("v",), ("log",), ("v", "thrust"), ("log", "thrust")), ("line", "product"), 0.02,
         acts=acts, numbers=lambda size: {"rate": -size}, most=0.15,
     )  # fmt: skip

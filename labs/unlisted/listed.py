@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labs.unlisted.machine import Law, Machine
+from labs.unlisted.machine import Law, Machine, Now
 
 Rng = np.random.Generator
 
@@ -15,7 +15,7 @@ def dry_friction(rng: Rng, machine: Machine) -> Law:
     push, speed = f"push_{place['name']}", place["velocity"]
     fades = 2e-3 * machine.reach(speed)
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * np.tanh(now[speed] / fades)
 
     return Law((), (), (), 0.02, acts=acts, alike=("dry_friction",))
@@ -25,10 +25,10 @@ def lag(rng: Rng, machine: Machine) -> Law:
     """The drive lags; ``size`` is its time."""
     (drive,) = machine.drives
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now["asked"], now[drive] = now[drive], now["late"]
 
-    def moves(now: dict, rates: dict, size: float) -> dict:
+    def moves(now: Now, rates: Now, size: float) -> Now:
         return {"late": (now["asked"] - now["late"]) / size}
 
     start = machine.drives[drive].middle
@@ -39,7 +39,7 @@ def lag(rng: Rng, machine: Machine) -> Law:
 def sensor_scale(rng: Rng, machine: Machine) -> Law:
     """A tachometer shows too much."""
 
-    def reads(now: dict, shown: dict, size: float) -> None:
+    def reads(now: Now, shown: Now, size: float) -> None:
         shown["speed"] = shown["speed"] * (1.0 + size)
 
     return Law((), (), (), 0.02, reads=reads, alike=("sensor_scale",), most=0.3)
@@ -50,7 +50,7 @@ def cubic_spring(rng: Rng, machine: Machine) -> Law:
     place = machine.places[0]
     push, x = f"push_{place['name']}", place["position"]
 
-    def acts(now: dict, size: float) -> None:
+    def acts(now: Now, size: float) -> None:
         now[push] = now[push] - size * now[x] ** 3
 
     return Law((), (), (), 100.0, acts=acts, alike=("cubic_stiffness",))

@@ -127,6 +127,8 @@ class Law:
         moves: What is now, and the machine's rates -> rates of its own states.
         columns: Recorded columns that it needs.
         alike: Causes of a library that say the same.
+        bend: Size -> how far the form departs from a line within its range, as a share of what
+            it does; a line says the same where so little cannot be seen.
     """
 
     entry: tuple[tuple[str, str], ...]
@@ -142,6 +144,18 @@ class Law:
     moves: Callable[[Now, dict[str, Any], float], dict[str, Any]] = lambda now, rates, size: {}
     columns: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
+    bend: Callable[[float], float] = lambda size: np.inf
+
+
+def driven_place(machine: Machine) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Name of what pushes where the first command acts, and what no data tells from that.
+
+    Args:
+        machine: With a place; a force there, the velocity's rate and the command say the same.
+    """
+    place, drive = machine.places[0], next(iter(machine.drives))
+    entry = (("force", place["name"]), ("rate", place["velocity"]), ("input", drive))
+    return f"push_{place['name']}", entry
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         rows: Scored cases.
     """
     hidden = [r for r in rows if r["group"] == UNLISTED]
+    sound = [r for r in rows if r["group"] == SOUND]
     inside = [n["inside"] for r in hidden for n in r["sizes"].values()]
     return [
         _rate("place and variable right", ">= 85 %",
@@ -34,10 +35,12 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         _rate("certain and wrong", "<= 3 %", [bool(r["certain_and_wrong"]) for r in rows]),
         _rate("80 % of the error above the noise removed on unseen runs", ">= 75 %",
               [r["removed"] for r in hidden]),
-        _rate("something found where nothing is hidden", "<= 2 %",
-              [r["false_find"] for r in rows if r["group"] == SOUND]),
+        _rate("not `none` where nothing is hidden", "<= 2 %", [r["false_find"] for r in sound]),
+        _rate("a law or a cause where nothing is hidden", "", [r["false_name"] for r in sound]),
         _rate("name kept where the library has the cause", "all",
               [r["name_kept"] for r in rows if r["group"] == LISTED]),
+        _rate("extended model that cannot be judged", "none",
+              [bool(r["judge_failure"]) for r in rows if r["group"] != SOUND]),
         _rate("no answer", "none", [r["verdict"] == "failed" for r in rows]),
     ]  # fmt: skip
 
@@ -91,7 +94,8 @@ def _lines(rows: Sequence[Row], plan: Mapping[str, Any]) -> list[str]:
         "",
         "Bounds are Clopper and Pearson's. A form counts where place and variable are right, sizes "
         "where the form is. *Certain and wrong* is a law with another place or variable, a cause "
-        "of the library that is not the one hidden, or a data sheet far from the truth.",
+        "of the library that is not the one hidden, or a data sheet far from the truth. What is "
+        "removed is held against unseen runs without noise.",
         "",
         "## Cases",
         "",

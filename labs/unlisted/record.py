@@ -17,7 +17,8 @@ from labs.unlisted.draw import Case, Misfit, sized
 from labs.unlisted.machine import Machine, simulate
 
 Array = NDArray[np.float64]
-STUDY, TRUTH = "study", "truth.yaml"
+STUDY, CLEAN, TRUTH = "study", "without_noise", "truth.yaml"
+VISIBLE = 3.0  # lambda below which nothing can be told
 AUTOCORRELATION, LOST = 0.6, 0.02  # of colored noise from sample to sample; of lost rows
 
 
@@ -28,11 +29,13 @@ class Recording:
     Attributes:
         study: Content of ``study.yaml``.
         tables: Columns by name, by file.
+        clean: The same, without the noise of unseen runs: for the score alone.
         truth: What is hidden.
     """
 
     study: Mapping[str, Any]
     tables: Mapping[str, Mapping[str, Array]]
+    clean: Mapping[str, Mapping[str, Array]]
     truth: Mapping[str, Any]
 
 
@@ -45,26 +48,31 @@ def recorded(case: Case, size: float | None = None) -> Recording:
     """
     size, misfit = sized(case) if size is None else (size, Misfit(0.0, {}))
     clean = simulate(case.machine, case.numbers, case.courses, case.law, size)
-    return Recording(_study(case), _tables(case, clean), truth_of(case, size, misfit))
+    tables = _tables(case, clean)
+    return Recording(
+        _study(case), tables, _without_noise(case, tables, clean), truth_of(case, size, misfit)
+    )
 
 
 def write(recording: Recording, folder: Path) -> None:
-    """Write ``study/`` with tables and description, and ``truth.yaml`` beside it.
+    """Write ``study/``; beside it ``truth.yaml``, and ``without_noise/``, the same study.
 
     Args:
         recording: Of a case.
         folder: Of the case; made.
     """
-    (folder / STUDY).mkdir(parents=True, exist_ok=True)
-    for name, columns in recording.tables.items():
-        rows = np.column_stack(list(columns.values()))
-        header = ",".join(columns)
-        path = folder / STUDY / name
-        np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.9g")
-    for path, content in ((folder / STUDY / "study.yaml", recording.study),
-                          (folder / TRUTH, recording.truth)):  # fmt: skip
-        text = yaml.safe_dump(content, sort_keys=False, width=100)
-        path.write_text(text, encoding="utf-8")
+    for part, tables in ((STUDY, recording.tables), (CLEAN, recording.clean)):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+        _write_yaml(folder / part / "study.yaml", recording.study)
+        for name, columns in tables.items():
+            rows, header = np.column_stack(list(columns.values())), ",".join(columns)
+            path = folder / part / name
+            np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.9g")
+    _write_yaml(folder / TRUTH, recording.truth)
+
+
+def _write_yaml(path: Path, content: Mapping[str, Any]) -> None:
+    path.write_text(yaml.safe_dump(content, sort_keys=False, width=100), encoding="utf-8")
 
 
 def _study(case: Case) -> dict[str, Any]:
@@ -132,6 +140,20 @@ def _tables(case: Case, clean: Array) -> dict[str, dict[str, Array]]:
     return tables
 
 
+def _without_noise(
+    case: Case, tables: Mapping[str, Mapping[str, Array]], clean: Array
+) -> dict[str, dict[str, Array]]:
+    """The tables, those of unseen runs as the channels would show them without noise."""
+    machine, out = case.machine, {file: dict(table) for file, table in tables.items()}
+    for k, (file, table) in enumerate(tables.items()):
+        if case.uses[k] != "test":
+            continue
+        rows = np.rint(table["time"] / machine.step_s).astype(int)
+        shown = zip(machine.dials.items(), clean[:, k], strict=True)
+        out[file] |= {name: d.per_si * course[rows] for (name, d), course in shown}
+    return out
+
+
 def _unit_noise(rng: np.random.Generator, count: int, dirt: str) -> Array:
     """White, or with the same variance colored."""
     from scipy.signal import lfilter
@@ -167,11 +189,12 @@ def truth_of(case: Case, size: float, misfit: Misfit) -> dict[str, Any]:
     }
     if law is None or size == 0.0:
         return truth
+    is_nearly_line = misfit.strength * law.bend(size) < VISIBLE
     return truth | {
         "entry": [{"kind": kind, "target": target} for kind, target in law.entry],
         "variables": [list(names) for names in law.variables],
         "memory": list(law.memory),
-        "forms": list(law.forms),
+        "forms": [*law.forms, *(["line"] if is_nearly_line else [])],
         "numbers": {n: float(v) for n, v in law.numbers(size).items()},
         "alike": list(law.alike),
     }

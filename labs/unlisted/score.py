@@ -14,16 +14,19 @@ Truth = Mapping[str, Any]
 REMOVED = 0.8  # share of the error above the noise that a good model removes
 
 
-def scored(truth: Truth, report: Report) -> dict[str, Any]:
+def scored(
+    truth: Truth, report: Report, errors: Sequence[Mapping[str, Any]] = ()
+) -> dict[str, Any]:
     """What of an answer is right, in types that JSON has; None: it does not apply.
 
     Args:
         truth: Of the case, as ``truth.yaml`` has it.
         report: The answer; ``{"verdict": "failed"}`` where there is none.
+        errors: Of its extended model on the unseen runs without noise; none without a model.
     """
     group, laws = truth["group"], _laws(report)
     hits = best_hits(truth, laws) if group == UNLISTED else {}
-    gain = (report.get("gain") or {}).get("value", 0.0)
+    gain = share_removed(errors)
     wrong = certain_and_wrong(truth, report)
     return {
         "verdict": report["verdict"],
@@ -35,11 +38,24 @@ def scored(truth: Truth, report: Report) -> dict[str, Any]:
         "num_laws": len(laws),
         "certain_and_wrong": wrong,
         "share_removed": gain if group != SOUND else None,
+        "share_said": (report.get("gain") or {}).get("value", 0.0),
         "removed": gain >= REMOVED if group != SOUND else None,
         "false_find": is_false_find(truth, report) if group == SOUND else None,
+        "false_name": bool(laws or report.get("named")) if group == SOUND else None,
         "name_kept": is_name_kept(truth, report) if group == LISTED else None,
         "extra_cpu_s": (report.get("described") or {}).get("cpu_s"),
     }
+
+
+def share_removed(errors: Sequence[Mapping[str, Any]]) -> float:
+    """Share of the plain model's squared error that is gone, each kind in its noise.
+
+    Args:
+        errors: On runs without noise: all of it is error above the noise.
+    """
+    before = sum(e["num_samples"] * (e["before"] / e["noise"]) ** 2 for e in errors)
+    after = sum(e["num_samples"] * (e["after"] / e["noise"]) ** 2 for e in errors)
+    return 1.0 - after / before if before else 0.0
 
 
 def _laws(report: Report) -> list[Mapping[str, Any]]:
@@ -90,13 +106,13 @@ def _plain(name: str) -> str:
 def _held_numbers(
     true: Mapping[str, float], said: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, dict[str, Any]]:
-    """Numbers that truth and law both have; of an amplitude and a share the sign is a phase."""
+    """Numbers that truth and law both have; but for a threshold, signs depend on the writing."""
     out: dict[str, dict[str, Any]] = {}
     for name in true.keys() & said.keys():
         low, high, value = said[name]["low"], said[name]["high"], true[name]
         if low is None or high is None:
             continue
-        mirrored = name in ("amplitude", "share") and -high <= value <= -low
+        mirrored = name != "threshold" and -high <= value <= -low
         inside = low <= value <= high or mirrored
         out[name] = {"true": value, "low": low, "high": high, "inside": inside}
     return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import FittedLaw, FoundLaws
-from diffsim.diagnose.judge.records import CERTAIN, LIKELY
+from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
@@ -23,15 +23,15 @@ from diffsim.diagnose.say.report import Report
 from diffsim.identify.law import Law
 
 MOST_ROWS = 40  # of the table
+POSSIBLE = "possible"  # of one of several laws
 Z90 = 1.6449  # standard deviations of a 90 % interval
 
 
 def with_laws_said(report: Report, found: FoundLaws) -> Report:
     """A report with what the stage found; its verdict where a law is among the named causes."""
     by_name = {law.name: law for law in found.laws}
-    rows = [row for row in report.causes if row.name in by_name]
-    held = [row for row in rows if row.status in (CERTAIN, LIKELY)]
-    laws = tuple(_described(report, by_name[row.name], row.status) for row in held)
+    rows = [row for row in report.causes if row.name in by_name and _is_held(row, by_name)]
+    laws = tuple(_described(report, by_name[row.name], row) for row in rows)
     answer = LawAnswer(
         laws,
         tuple(_row(c) for c in found.screened[:MOST_ROWS]),
@@ -40,11 +40,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     )
     if not laws or report.verdict not in ("named", "ambiguous"):
         return replace(report, described=answer)
-    others = [r for r in report.causes if r.name in report.named and r.name not in by_name]
-    said = "; ".join(law.sentence for law in laws)
-    also = f", beside {', '.join(r.name for r in others)}" if others else ""
-    probably = "" if all(law.status == CERTAIN for law in laws) else "probably "
-    head = f"No cause of the library explains it: {probably}{said}{also}."
+    head = _headline(report, laws)
     tail = report.headline.partition(": ")[2]
     return replace(
         report,
@@ -53,6 +49,38 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
         headline=f"{head} {tail[:1].upper()}{tail[1:]}".strip(),
         sentences=(head, *report.sentences),
     )
+
+
+def _is_held(row: CauseRow, laws: Mapping[str, Law]) -> bool:
+    """Whether a law is said, if only that one of several laws acts."""
+    if row.status == UNTOLD:
+        return set(row.rivals) <= set(laws)
+    return row.status in (CERTAIN, LIKELY)
+
+
+def _headline(report: Report, laws: Sequence[DescribedLaw]) -> str:
+    """The best law and what cannot be told from it, beside causes of the library."""
+    best, *rest = sorted(laws, key=lambda law: law.name not in report.named)
+    is_sure = best.status == CERTAIN
+    same = [law for law in rest if _place_of(law) == _place_of(best)]
+    others = [law for law in rest if law not in same and law.status == POSSIBLE]
+    beside = [law for law in rest if law.status in (CERTAIN, LIKELY)]
+    said = best.sentence
+    if same:
+        said += f" (or {', '.join(law.formula for law in same)})"
+    if others:
+        said += f"; or else {others[0].sentence}"
+    if beside:
+        said += f"; and {beside[0].sentence}"
+    known = {law.name for law in laws}
+    names = [row.words for row in report.causes if row.name in report.named]
+    names = [n for n in names if n not in {k.replace("_", " ") for k in known}]
+    also = f", beside {' and '.join(names)}" if names else ""
+    return f"No cause of the library explains it: {'' if is_sure else 'probably '}{said}{also}."
+
+
+def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:
+    return law.entry["kind"], law.entry["target"], law.variables
 
 
 def _row(c: Candidate) -> ScreenRow:
@@ -72,13 +100,16 @@ def _curve(fitted: FittedLaw, found: FoundLaws) -> LawCurve:
     )
 
 
-def _described(report: Report, law: Law, status: str) -> DescribedLaw:
+def _described(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     fit = report.best
+    status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
     numbers = {}
     for short, name, unit in (
         ("amplitude", law.name, law.unit),
         *((s, f"{s}_of_{law.name}", shape.unit) for s, shape in law.shapes.items()),
     ):
+        if name not in fit.values:  # of a law beside the best set
+            continue
         value, sd = fit.values[name], fit.sd[name] * report.interval_factor
         value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
         short = {"lasting": "time"}.get(short, short)
@@ -100,29 +131,31 @@ def _described(report: Report, law: Law, status: str) -> DescribedLaw:
 
 
 def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str]) -> str:
-    at, on = law.entry.words, law.variable.name
-    size = numbers["amplitude"]
-    unit = "" if size.unit == "-" else f" {size.unit}"
-    amount = f"{size.value:.3g}{unit} ({size.low:.3g} to {size.high:.3g})"
+    what, on = _what(law), law.variable.name
+    size = numbers.get("amplitude")
+    unit = "" if law.unit == "-" else f" {law.unit}"
+    amount = "" if size is None else f", {size.value:.3g}{unit} ({size.low:.3g} to {size.high:.3g})"
     like = f"; looks like {' or '.join(looks)}" if looks else ""
     if law.form == "periodic":
-        k = numbers["wave_number"].value
+        k = numbers["wave_number"].value if "wave_number" in numbers else np.nan
         turns = (
             f"{k:.4g} times a turn of {on}"
             if law.variable.unit == "rad"
             else f"every {2.0 * np.pi / k:.3g} {law.variable.unit} of {on}"
         )
-        return f"a {_what(law)} at {at} that repeats {turns}, {amount}{like}"
+        return f"{what} that repeats {turns}{amount}{like}"
     memory = numbers.get("time") or numbers.get("swing_rate") or numbers.get("slip_reach")
     lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
-    return f"a {_what(law)} at {at} that depends on {on}{lasts}, {law.form}: {law.term}{like}"
+    return f"{what} that depends on {on}{lasts}, {law.form}: {law.term}{like}"
 
 
 def _what(law: Law) -> str:
-    return {
-        "force": "torque" if "N m" in law.unit else "force",
-        "rate": "flow",
-        "number": "change",
-        "input": "change",
-        "reading": "error",
-    }[law.entry.kind]
+    """What a law adds, and where."""
+    target = law.entry.target
+    if law.entry.kind == "force":
+        return f"a {'torque' if 'N m' in law.entry.unit else 'force'} at {target}"
+    if law.entry.kind == "rate":
+        return f"a flow into {target}"
+    if law.entry.kind == "reading":
+        return f"an error of the reading {target}"
+    return f"a change of {target}"

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, sparse
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
@@ -42,6 +42,7 @@ class Followed:
         missing: Whitened record less what the model without a course would show, (num_valid,).
         responses: Whitened response to each knot of each run's courses [per unit], (num_valid of
             the run, num_courses * num_knots).
+        to_knots: What makes of values at samples a course, for each run, (num_knots, num_samples).
         jacobian: Whitened slopes by the coordinates of the fit, (num_valid, n).
         chi2: Misfit with the course.
     """
@@ -51,6 +52,7 @@ class Followed:
     points: tuple[Array, ...]
     missing: Array
     responses: tuple[Array, ...]
+    to_knots: tuple[sparse.csr_array, ...]
     jacobian: Array
     chi2: float
 
@@ -70,10 +72,9 @@ class Followed:
             own = problem.whiten(run, read.reshape(-1, values.shape[1]))
             if num_courses:
                 each = np.split(responses, num_courses, axis=1)
-                knots = _knots(run, each[0].shape[1])
                 for course, rate in zip(each, gain.rates.T, strict=True):
                     if rate.any():
-                        own = own + course @ _at(knots, run, rate[:, None] * values)
+                        own = own + course @ (self.to_knots[k] @ (rate[:, None] * values))
             parts.append(own)
         return np.concatenate(parts)
 
@@ -97,8 +98,8 @@ def _knots(run: Run, count: int) -> Array:
     return np.linspace(0.0, float(run.time_s[-1] - run.time_s[0]), count)
 
 
-def _at(knots: Array, run: Run, values: Array) -> Array:
-    """Values at samples as a course of the same impulse, (num_knots, m).
+def _to_knots(knots: Array, run: Run) -> sparse.csr_array:
+    """Matrix that makes of values at samples a course of the same impulse, (K, num_samples).
 
     Each sample's impulse goes to the knots beside it: of what changes faster than the knots, its
     mean is left, as of what it drives.
@@ -108,11 +109,10 @@ def _at(knots: Array, run: Run, values: Array) -> Array:
     share = np.clip((seconds - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
     lasts = np.gradient(seconds)
     lasts[[0, -1]] *= 0.5
-    out, weight = np.zeros((len(knots), values.shape[1])), np.zeros(len(knots))
-    for place, part in ((right - 1, (1.0 - share) * lasts), (right, share * lasts)):
-        np.add.at(out, place, part[:, None] * values)
-        np.add.at(weight, place, part)
-    return np.asarray(out / weight[:, None])
+    rows, columns = np.concatenate([right - 1, right]), np.tile(np.arange(len(seconds)), 2)
+    parts = np.concatenate([(1.0 - share) * lasts, share * lasts])
+    made = sparse.csr_array((parts, (rows, columns)), shape=(len(knots), len(seconds)))
+    return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(made.sum(1)).ravel()) @ made)
 
 
 def follow(fit: Fit, port: LawPort) -> Followed:
@@ -144,6 +144,7 @@ def follow(fit: Fit, port: LawPort) -> Followed:
         tuple(points),
         np.concatenate(missing),
         tuple(responses),
+        tuple(_to_knots(_knots(p.runs[0], _num_knots(p)), p.runs[0]) for p in problems),
         np.concatenate(slopes),
         chi2,
     )
@@ -151,6 +152,10 @@ def follow(fit: Fit, port: LawPort) -> Followed:
 
 def _courses_of(problem: Problem) -> list[Effect]:
     return [e for e in problem.effects if e.family == COURSE]
+
+
+def _num_knots(problem: Problem) -> int:
+    return max((len(e.components) for e in _courses_of(problem)), default=2)
 
 
 def _units_of(problem: Problem) -> Array:

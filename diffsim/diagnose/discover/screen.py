@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 NUM_BUMPS = 11  # over the range of a variable, half overlapping
 FEWEST_PERIODS = 2.0  # over the range: fewer are no repetition, bumps follow them
 MOST_NUMBERS = 4000  # wave numbers that are tried
+MOST_WORK = 2.5e9  # wave numbers by knots and samples, for a variable at an entry: a second or two
 SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a period
 CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
@@ -165,7 +166,8 @@ class _AtEntry:
             return []
         # a quarter of a period more over the range tells two numbers apart
         spacing = 0.5 * np.pi / reach
-        highest = min(np.pi / fastest, spacing * MOST_NUMBERS)
+        work = sum(r.size for r in self.followed.responses) + len(every)
+        highest = min(np.pi / fastest, spacing * min(MOST_NUMBERS, MOST_WORK / work))
         numbers = np.arange(2.0 * np.pi * FEWEST_PERIODS / reach, highest, spacing)
         if len(numbers) < 3:
             return []

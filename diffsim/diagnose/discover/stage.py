@@ -88,6 +88,8 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
     every: list[Candidate] = []
     fitted: list[FittedLaw] = []
     for fit in fits:
+        if fitted and max(_nats(f.fit) for f in fitted) > _nats(fit):
+            break  # a law explains more than the best set of causes
         followed = follow(fit, port)
         found = screen_laws(followed, port, progress)
         every += found
@@ -95,14 +97,23 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
             law = _fit_law(followed, candidate, port)
             if law is not None:
                 fitted.append(law)
-    num_tried = max(len(every) // len(fits), 1)
+    num_tried = max(len(every), 1)
     price = float(np.log(num_tried))
     # of several fits: what is said of the record with all that stands beside the law
     fitted.sort(key=lambda f: -_nats(f.fit))
     near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
-    laws = [law for f in near for law in _laws_of(f, price)][:MOST_LAWS]
+    laws = _without_twins([law for f in near for law in _laws_of(f, price)])[:MOST_LAWS]
     laws = [replace(law, name=f"law_{k + 1}") for k, law in enumerate(laws)]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+
+
+def _without_twins(laws: Sequence[Law]) -> list[Law]:
+    """Laws of different entries, variables or formulas: several fits may ask for one."""
+    first: dict[tuple[str, str, str, str], Law] = {}
+    for law in laws:
+        kind = law.term if law.form != "periodic" else law.form
+        first.setdefault((law.entry.kind, law.entry.target, law.variable.name, kind), law)
+    return list(first.values())
 
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:

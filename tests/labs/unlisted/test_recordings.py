@@ -39,6 +39,11 @@ def test_a_study_passes_its_check_and_does_not_tell_the_truth(tmp_path, capsys):
     truth = yaml.safe_load((tmp_path / "truth.yaml").read_text())
     assert {"kind": "number", "target": "damping"} in truth["entry"]
     assert ["temp"] in truth["variables"] and truth["numbers"]["rate"] == -2e-3
+    noisy, clean = (np.loadtxt(tmp_path / part / "run_8.csv", delimiter=",", skiprows=1)
+                    for part in ("study", "without_noise"))  # fmt: skip
+    shown = 1 + np.arange(len(case.machine.dials))
+    assert np.array_equal(np.delete(noisy, shown, 1), np.delete(clean, shown, 1))
+    assert np.all((noisy - clean)[:, shown].std(axis=0) > 0.0)
     uses = [run["use"] for run in yaml.safe_load(said)["runs"]]
     assert uses.count("fit") == 5 and uses.count("select") == 2 and "test" in uses
 

@@ -40,6 +40,12 @@ TRUTH = {
 }
 
 
+ERRORS = [
+    {"before": 3.0, "after": 0.3, "noise": 2.0, "num_samples": 100},
+    {"before": 1.0, "after": 0.1, "noise": 1.0, "num_samples": 100},
+]
+
+
 def report(*laws, verdict="described", gain=0.97, causes=(), **more):
     return {
         "verdict": verdict,
@@ -58,13 +64,14 @@ def cause(name, origin="effect", status="certain"):
 
 
 def test_a_right_law_is_right_and_each_size_is_held_for_itself():
-    row = scored(TRUTH, report(LAW))
+    row = scored(TRUTH, report(LAW), ERRORS)
     assert row["place"] and row["variable"] and row["form"] and row["removed"]
+    assert row["share_removed"] == pytest.approx(0.99) and row["share_said"] == 0.97
     assert {n: s["inside"] for n, s in row["sizes"].items()} == {
         "amplitude": True, "wave_number": False
     }  # fmt: skip
     assert row["certain_and_wrong"] == [] and row["num_laws"] == 1
-    # of an amplitude the sign is a phase
+    # the sign of an amplitude is a phase
     numbers = {"amplitude": {"low": -2.2e-3, "high": -1.8e-3}}
     assert scored(TRUTH, report({**LAW, "numbers": numbers}))["sizes"]["amplitude"]["inside"]
 
@@ -114,7 +121,9 @@ def test_without_a_law_nothing_is_found_and_certain_names_are_wrong():
 def test_cases_with_nothing_hidden_and_with_a_cause_of_the_library():
     sound = {"group": "sound", "numbers_of_machine": {}}
     assert scored(sound, report(verdict="none"))["false_find"] is False
-    assert scored(sound, report(LAW))["false_find"] is True
+    assert scored(sound, report(LAW))["false_find"] and scored(sound, report(LAW))["false_name"]
+    unknown = scored(sound, report(verdict="unknown"))
+    assert unknown["false_find"] and not unknown["false_name"]
     assert scored(sound, report(LAW))["certain_and_wrong"] == ["law law_1"]
     open_answer = report(verdict="ambiguous", rivals=[["lag"], []])
     assert scored(sound, open_answer)["false_find"] is False
@@ -135,7 +144,7 @@ def test_a_case_is_recorded_scored_and_counted_on_the_page(tmp_path, monkeypatch
         write(recorded(case, 2e-3), folder)
         place = case.machine.places[0]["name"]
         answer = report({**LAW, "entry": {"kind": "force", "target": place}, "numbers": {}})
-        return {**item, **judged(folder, answer), "cpu_s": 1.0}
+        return {**item, **judged(folder, answer, ERRORS), "cpu_s": 1.0, "judge_failure": ""}
 
     plan = {"master": 5, "commit": "c" * 40, "effort": "quick", "sealed": False,
             "why_not_sealed": "the seed was given.", "date": "2026-01-01",
@@ -157,7 +166,8 @@ def test_a_case_is_recorded_scored_and_counted_on_the_page(tmp_path, monkeypatch
 def test_each_kind_comes_once_before_any_comes_again():
     plan = {"master": 1, "commit": "c", "effort": "quick"}
     assert list(items(("cogging", "slosh"), 3, plan)) == ["cogging_0", "slosh_0", "cogging_1"]
-    rows = [{"group": "sound", "false_find": True, "certain_and_wrong": [], "verdict": "named"}]
-    found = {rate.what: rate.hits for rate in rates(rows)}
-    assert found["something found where nothing is hidden"] == 1
+    row = {"group": "sound", "false_find": True, "false_name": False, "certain_and_wrong": []}
+    found = {rate.what: rate.hits for rate in rates([{**row, "verdict": "unknown"}])}
+    assert found["not `none` where nothing is hidden"] == 1
+    assert found["a law or a cause where nothing is hidden"] == 0
     assert isinstance(command.arguments(), argparse.ArgumentParser)
