@@ -15,11 +15,11 @@ from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.core.threads import one_thread
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import NoiseFloor
-from diffsim.diagnose.discover.records import DESCRIBED
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_of
 from diffsim.diagnose.judge.gain import Gain, gain
 from diffsim.diagnose.judge.records import CERTAIN, EFFECT
+from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
 from diffsim.diagnose.say.report import fit_to_dict, save_model
 from diffsim.diagnose.search.fit import Case, null_fit
