@@ -287,6 +287,7 @@ class Weigher:
         if len(own):
             inner = gram[np.ix_(own, own)] + np.eye(len(own))
             gram = gram - gram[:, own] @ linalg.solve(inner, gram[own], assume_a="pos")
+            gram[own] = gram[:, own] = 0.0  # they are fitted: nobody fits them again
         return np.asarray(gram)
 
 
