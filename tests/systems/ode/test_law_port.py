@@ -65,7 +65,8 @@ def test_gains_are_those_of_the_equations(setup, table):
     problem = replace(problem, runs=problem.runs[:1])
     x = np.array([0.4, -0.7, *np.zeros(problem.num_base - 2)])
     names = [p.name for p in setup.model.base]
-    values = {p.name: float(p.value_at(torch.tensor(q))) for p, q in zip(setup.model.base, x)}
+    at = torch.from_numpy(x)
+    values = {p.name: float(p.value_at(at[k])) for k, p in enumerate(setup.model.base)}
     assert names[:2] == ["J", "c"] and values["J"] != 0.01
     inertia, torque = values["J"], problem.runs[0].command["torque"]
     (path,) = port.courses(problem, x, [Variable("speed", "speed"), Variable("angle", "angle")])
