@@ -134,7 +134,7 @@ def certain_and_wrong(truth: Truth, report: Report) -> list[str]:
     bases = {row["name"]: row for row in report.get("base", [])}
     for cause in report.get("causes", []):
         name = cause["name"]
-        if cause["status"] != CERTAIN:
+        if cause["status"] != CERTAIN or name in {law["name"] for law in _laws(report)}:
             continue
         if cause["origin"] == EFFECT and not _is_alike(name, truth):
             wrong.append(name)

@@ -10,7 +10,7 @@ import numpy as np
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import FittedLaw, FoundLaws
-from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, CauseRow
+from diffsim.diagnose.judge.records import CERTAIN, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
@@ -24,7 +24,17 @@ from diffsim.identify.law import Law
 
 MOST_ROWS = 40  # of the table
 POSSIBLE = "possible"  # of one of several laws
-Z90 = 1.6449  # standard deviations of a 90 % interval
+
+TURN = 2.0 * np.pi
+#: the number that says how a hidden state remembers
+MEMORIES = {
+    "": (),
+    "heat": ("time",),
+    "relaxation": ("time",),
+    "slip": ("threshold",),
+    "oscillator": ("frequency",),
+    "work": (),
+}
 
 
 def with_laws_said(report: Report, found: FoundLaws) -> Report:
@@ -112,14 +122,18 @@ def _described(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
             continue
         value, sd = fit.values[name], fit.sd[name] * report.interval_factor
         value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
-        short = {"lasting": "time"}.get(short, short)
-        numbers[short] = Number(value_shown, value_shown - Z90 * sd, value_shown + Z90 * sd, unit)
+        if short == "swing_rate":
+            short, value_shown, sd, unit = "frequency", value / TURN, sd / TURN, "Hz"
+        short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
+        numbers[short] = Number(
+            value_shown, value_shown - HALF_LEVEL * sd, value_shown + HALF_LEVEL * sd, unit
+        )
     entry = {"kind": law.entry.kind, "target": law.entry.target}
     looks = look_alikes(law)
     return DescribedLaw(
         law.name,
         entry,
-        (law.variable.name,),
+        (law.variable.of if law.variable.memory else law.variable.name,),
         law.variable.memory or None,
         law.form,
         law.term,
@@ -144,7 +158,7 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str]) -> str
             else f"every {2.0 * np.pi / k:.3g} {law.variable.unit} of {on}"
         )
         return f"{what} that repeats {turns}{amount}{like}"
-    memory = numbers.get("time") or numbers.get("swing_rate") or numbers.get("slip_reach")
+    memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
     lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
     return f"{what} that depends on {on}{lasts}, {law.form}: {law.term}{like}"
 
