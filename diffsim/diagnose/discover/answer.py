@@ -41,7 +41,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     """A report with what the stage found; its verdict where a law is among the named causes."""
     by_name = {law.name: law for law in found.laws}
     rows = [row for row in report.causes if row.name in by_name and _is_held(row, by_name)]
-    laws = tuple(_described(report, by_name[row.name], row) for row in rows)
+    laws = tuple(_describe(report, by_name[row.name], row) for row in rows)
     answer = LawAnswer(
         laws,
         tuple(_row(c) for c in found.screened[:MOST_ROWS]),
@@ -110,7 +110,7 @@ def _curve(fitted: FittedLaw, found: FoundLaws) -> LawCurve:
     )
 
 
-def _described(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
+def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     fit = report.best
     status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
     numbers = {}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.discover.follow import Followed, follow
+from diffsim.diagnose.discover.follow import FollowedRecord, follow
 from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
 from diffsim.diagnose.discover.screen import Candidate, bumps, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
@@ -150,7 +150,7 @@ def _is_twin(c: Candidate, other: Candidate) -> bool:
     return c.variable == other.variable and c.basis == other.basis and is_close
 
 
-def _fit_law(followed: Followed, candidate: Candidate, port: LawPort) -> FittedLaw | None:
+def _fit_law(followed: FollowedRecord, candidate: Candidate, port: LawPort) -> FittedLaw | None:
     """A law fitted in the simulator from what the recordings tell; None where it cannot be."""
     fit = followed.fit
     variable = candidate.variable
@@ -172,7 +172,9 @@ def _fit_law(followed: Followed, candidate: Candidate, port: LawPort) -> FittedL
     return FittedLaw(candidate, ended, curve, nats, forms)
 
 
-def _start(followed: Followed, candidate: Candidate, port: LawPort, problem: Problem) -> Array:
+def _start(
+    followed: FollowedRecord, candidate: Candidate, port: LawPort, problem: Problem
+) -> Array:
     """Coordinates that the recordings ask for, by the slopes along them."""
     j, x = followed.jacobian, followed.fit.x
     u = [c[:, 0] for c in followed.courses(port, [candidate.variable])]
@@ -212,10 +214,10 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
         return [_repeating(fitted, price, memory)]
     best = fitted.forms[0].nats if fitted.forms else 0.0
     kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
-    return [_formed(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+    return [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
 
 
-def _formed(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[str, Shape]) -> Law:
+def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[str, Shape]) -> Law:
     c = fitted.candidate
     shapes = {
         name: Shape(value, max(WIDE * sd, 0.05 * abs(value) + 1e-12), "-")
