@@ -156,8 +156,13 @@ def _with_laws(asked: _Question, answer: _Answer, port: LawPort, found: FoundLaw
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     again = _answer(asked, setup.model, setup.effects, setup.unknowns)
     names = {law.name for law in found.laws}
-    is_held = again.frozen.verdict in NAMES and names & set(again.frozen.best_names)
-    return again if is_held else answer
+    if again.frozen.verdict in NAMES:
+        return again if names & set(again.frozen.best_names) else answer
+    held = {effect.name for effect in again.frozen.best.problem.effects}
+    before, now = answer.frozen.gain, again.frozen.gain
+    is_better = now is not None and (before is None or now.low > before.value)
+    is_open = answer.frozen.verdict == again.frozen.verdict == "unknown"
+    return again if is_open and names & held and is_better else answer
 
 
 def _answer(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
-from diffsim.diagnose.discover.stage import FittedLaw, FoundLaws
+from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
 from diffsim.diagnose.judge.records import CERTAIN, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
@@ -20,7 +21,8 @@ from diffsim.diagnose.say.law_records import (
     ScreenRow,
 )
 from diffsim.diagnose.say.report import Report
-from diffsim.identify.law import Law
+from diffsim.identify import Fit
+from diffsim.identify.law import VALUE, Law
 
 MOST_ROWS = 40  # of the table
 POSSIBLE = "possible"  # of one of several laws
@@ -138,13 +140,13 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
         law.form,
         law.term,
         numbers,
-        _sentence(law, numbers, looks),
+        _sentence(law, numbers, looks, fit),
         looks,
         status,
     )
 
 
-def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str]) -> str:
+def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
     what, on = _what(law), law.variable.name
     size = numbers.get("amplitude")
     unit = "" if law.unit == "-" else f" {law.unit}"
@@ -160,7 +162,23 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str]) -> str
         return f"{what} that repeats {turns}{amount}{like}"
     memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
     lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
-    return f"{what} that depends on {on}{lasts}, {law.form}: {law.term}{like}"
+    formula = (
+        "a curve without a formula"
+        if law.form == TABLE
+        else f"{law.form}: {_write_formula(law, fit)}"
+    )
+    return f"{what} that depends on {on}{lasts}, {formula}{like}"
+
+
+def _write_formula(law: Law, fit: Fit) -> str:
+    """A law's formula with its variable and the numbers of a fit; of another one with names."""
+    values = {"size": law.name, **{s: f"{s}_of_{law.name}" for s in law.shapes}}
+    text = law.term
+    for short, name in values.items():
+        if name in fit.values:
+            text = re.sub(rf"\b{short}\b", f"{fit.values[name]:.3g}", text)
+    text = re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", text)
+    return re.sub(rf"\b{VALUE}\b", law.variable.name, text)
 
 
 def _what(law: Law) -> str:

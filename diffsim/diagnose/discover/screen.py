@@ -92,7 +92,7 @@ def bumps(low: float, high: float) -> Basis:
     """Bumps over a range."""
     centers = np.linspace(low, high, NUM_BUMPS)
     width = float(centers[1] - centers[0])
-    terms = tuple(f"exp(-0.5*(({VALUE} - {c!r})/{width!r})**2)" for c in centers.tolist())
+    terms = tuple(f"exp(-0.5*(({VALUE} - {c:.9g})/{width:.9g})**2)" for c in centers.tolist())
     return Basis(terms, reach=(low, high))
 
 

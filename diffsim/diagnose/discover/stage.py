@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,8 @@ NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
 TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
+TABLE = "table"  # a form that is no formula
+TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
 NUM_POINTS = 101  # of a curve
 BEHIND_NATS = 30.0  # behind the best fitted law: formulas of others are not weighed
@@ -103,8 +106,16 @@ def find_laws(fits: Sequence[Fit], port: LawPort, progress: Progress) -> FoundLa
     fitted.sort(key=lambda f: -_nats(f.fit))
     near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
     laws = _without_twins([law for f in near for law in _laws_of(f, price)])[:MOST_LAWS]
-    laws = [replace(law, name=f"law_{k + 1}") for k, law in enumerate(laws)]
+    laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+
+
+def _name(laws: Sequence[Law], k: int) -> str:
+    """A plain name such as "law_of_angle_at_shaft", numbered where several share it."""
+    names = [f"law_of_{law.variable.name}_at_{law.entry.target}" for law in laws[: k + 1]]
+    plain = [re.sub(r"\W+", "_", name).strip("_") for name in names]
+    before = plain.count(plain[k]) - 1
+    return plain[k] if before == 0 else f"{plain[k]}_{before + 1}"
 
 
 def _without_twins(laws: Sequence[Law]) -> list[Law]:
@@ -214,7 +225,21 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
         return [_repeating(fitted, price, memory)]
     best = fitted.forms[0].nats if fitted.forms else 0.0
     kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
+    if best > TABLE_PRICE * len(c.basis.terms):  # no formula is nearly as good as the curve itself
+        return [_make_table(fitted, price, memory)]
     return [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+
+
+def _make_table(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:
+    """The curve itself, whose height is fitted."""
+    c, curve = fitted.candidate, fitted.curve
+    height = float(np.abs(curve.values).max())
+    parts = [
+        f"{a / height:.6g}*{term}" for a, term in zip(curve.factors, c.basis.terms, strict=True)
+    ]
+    term = f"size*({' + '.join(parts)})"
+    price += TABLE_PRICE * len(parts)
+    return Law("law", c.entry, c.variable, TABLE, term, height, c.entry.unit, memory, price)
 
 
 def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[str, Shape]) -> Law:
