@@ -163,14 +163,12 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: F
     memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
     lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
     formula = (
-        "a curve without a formula"
-        if law.form == TABLE
-        else f"{law.form}: {_write_formula(law, fit)}"
+        "a curve without a formula" if law.form == TABLE else f"{law.form}: {_write_term(law, fit)}"
     )
     return f"{what} that depends on {on}{lasts}, {formula}{like}"
 
 
-def _write_formula(law: Law, fit: Fit) -> str:
+def _write_term(law: Law, fit: Fit) -> str:
     """A law's formula with its variable and the numbers of a fit; of another one with names."""
     values = {"size": law.name, **{s: f"{s}_of_{law.name}" for s in law.shapes}}
     text = law.term
