@@ -44,7 +44,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     """A report with what the stage found; its verdict where a law is among the named causes."""
     by_name = {law.name: law for law in found.laws}
     rows = [row for row in report.causes if row.name in by_name and _is_held(row, by_name)]
-    laws = tuple(_described(report, by_name[row.name], row) for row in rows)
+    laws = tuple(_describe(report, by_name[row.name], row) for row in rows)
     answer = LawAnswer(
         laws,
         tuple(_row(c) for c in found.screened[:MOST_ROWS]),
@@ -121,7 +121,7 @@ def _word_of(variable: Variable) -> str:
     return variable.of if variable.memory else variable.name
 
 
-def _described(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
+def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     fit = report.best
     status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
     numbers = {}
@@ -172,12 +172,12 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: F
     memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
     lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
     formula = (
-        "a curve without a formula" if law.form == TABLE else f"{law.form}: {_written(law, fit)}"
+        "a curve without a formula" if law.form == TABLE else f"{law.form}: {_write_term(law, fit)}"
     )
     return f"{what} that depends on {on}{lasts}, {formula}{like}"
 
 
-def _written(law: Law, fit: Fit) -> str:
+def _write_term(law: Law, fit: Fit) -> str:
     """A law's formula with its variable and the numbers of a fit; of another one with names."""
     values = {"size": law.name, **{s: f"{s}_of_{law.name}" for s in law.shapes}}
     text = law.term

@@ -32,7 +32,7 @@ SETTLED = 0.01  # of the misfit, that a last step takes away
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class FollowedRecord:
     """Simulations that lie on the recordings, and what the model without a course misses there.
 
     Attributes:
@@ -115,7 +115,7 @@ def _to_knots(knots: Array, run: Run) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(made.sum(1)).ravel()) @ made)
 
 
-def follow(fit: Fit, port: LawPort) -> Followed:
+def follow(fit: Fit, port: LawPort) -> FollowedRecord:
     """Simulations of a fit's runs that lie on the recordings.
 
     Args:
@@ -138,7 +138,7 @@ def follow(fit: Fit, port: LawPort) -> Followed:
         # by standardized coordinates, as a fit's own slopes
         slopes.append(columns[:, :count] * problem.stretch(x)[:count])
         chi2 += float(r @ r)
-    return Followed(
+    return FollowedRecord(
         fit,
         tuple(problems),
         tuple(points),

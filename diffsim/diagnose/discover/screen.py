@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
-from diffsim.diagnose.discover.follow import Followed
+from diffsim.diagnose.discover.follow import FollowedRecord
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
@@ -106,7 +106,7 @@ def _wave(k: float) -> Basis:
     return Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k)
 
 
-def screen_laws(followed: Followed, port: LawPort, progress: Progress) -> list[Candidate]:
+def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> list[Candidate]:
     """All laws without a form, by their evidence, the best first.
 
     Args:
@@ -133,7 +133,7 @@ def screen_laws(followed: Followed, port: LawPort, progress: Progress) -> list[C
 class _AtEntry:
     """Laws at one entry."""
 
-    followed: Followed
+    followed: FollowedRecord
     weigher: Weigher
     entry: Entry
     gains: Sequence[Gains]
@@ -212,7 +212,7 @@ class Weigher:
     folds: Array
 
     @classmethod
-    def of(cls, followed: Followed) -> Weigher:
+    def of(cls, followed: FollowedRecord) -> Weigher:
         """Of simulations that lie on the recordings."""
         j, fit = followed.jacobian, followed.fit
         factor = linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True)
@@ -287,6 +287,7 @@ class Weigher:
         if len(own):
             inner = gram[np.ix_(own, own)] + np.eye(len(own))
             gram = gram - gram[:, own] @ linalg.solve(inner, gram[own], assume_a="pos")
+            gram[own] = gram[:, own] = 0.0  # they are fitted: nobody fits them again
         return np.asarray(gram)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.discover.follow import Followed, follow
+from diffsim.diagnose.discover.follow import FollowedRecord, follow
 from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
 from diffsim.diagnose.discover.screen import Candidate, bumps, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
@@ -170,7 +170,7 @@ def _is_twin(c: Candidate, other: Candidate) -> bool:
     return c.variable == other.variable and c.basis == other.basis and is_close
 
 
-def _fit_law(followed: Followed, candidate: Candidate, port: LawPort) -> FittedLaw | None:
+def _fit_law(followed: FollowedRecord, candidate: Candidate, port: LawPort) -> FittedLaw | None:
     """A law fitted in the simulator from what the recordings tell; None where it cannot be."""
     fit = followed.fit
     variable = candidate.variable
@@ -192,7 +192,9 @@ def _fit_law(followed: Followed, candidate: Candidate, port: LawPort) -> FittedL
     return FittedLaw(candidate, ended, curve, nats, forms)
 
 
-def _start(followed: Followed, candidate: Candidate, port: LawPort, problem: Problem) -> Array:
+def _start(
+    followed: FollowedRecord, candidate: Candidate, port: LawPort, problem: Problem
+) -> Array:
     """Coordinates that the recordings ask for, by the slopes along them."""
     j, x = followed.jacobian, followed.fit.x
     u = [c[:, 0] for c in followed.courses(port, [candidate.variable])]
@@ -233,11 +235,11 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     best = fitted.forms[0].nats if fitted.forms else 0.0
     kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
     if best > TABLE_PRICE * len(c.basis.terms):  # no formula is nearly as good as the curve itself
-        return [_tabled(fitted, price, memory)]
-    return [_formed(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+        return [_make_table(fitted, price, memory)]
+    return [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
 
 
-def _tabled(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:
+def _make_table(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:
     """The curve itself, whose height is fitted."""
     c, curve = fitted.candidate, fitted.curve
     height = float(np.abs(curve.values).max())
@@ -249,7 +251,7 @@ def _tabled(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:
     return Law("law", c.entry, c.variable, TABLE, term, height, c.entry.unit, memory, price)
 
 
-def _formed(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[str, Shape]) -> Law:
+def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[str, Shape]) -> Law:
     c = fitted.candidate
     shapes = {
         name: Shape(value, max(WIDE * sd, 0.05 * abs(value) + 1e-12), "-")

@@ -98,30 +98,33 @@ def _make_change(
 
     rates: dict[str, Expression] = {}
     factors: dict[str, Expression] = {}
-    new, readings = {}, {}
-    changes = dict(block.changes)
+    made: dict[str, Expression] = {}
     key = "changes"
     target = block.adds_to or block.multiplies
     if target is not None:
-        operator = "+" if block.adds_to else "*"
+        key, operator = ("adds_to", "+") if block.adds_to else ("multiplies", "*")
+        term = read("term", str(block.term))
         if target in states:
-            into = rates if block.adds_to else factors
-            into[target] = read("term", str(block.term))
+            (rates if block.adds_to else factors)[target] = term
         else:
-            changes[target] = f"{target} {operator} ({block.term})"
-            key = "adds_to" if block.adds_to else "multiplies"
-    for name, text in changes.items():
-        if name in channels:
-            readings[name] = filled(read(f"changes.{name}", text), {name: named(READING)})
-        elif name in known and name not in states:
-            new[name] = read(f"changes.{name}", text)
-        else:
+            parts_of_new = {"before": named(target), "term": term}
+            made[target] = filled(parse_expression(f"before {operator} term"), parts_of_new)
+    new, readings = {}, {}
+    for name in (*made, *block.changes):
+        is_known = name in channels or (name in known and name not in states)
+        if not is_known:
             reader.report(
                 f"{where}.{key}",
                 f"{name!r} is no state, definition, input, parameter or channel of the model"
                 if name not in states
                 else f"{name!r} is a state: change its rate by adds_to or multiplies",
             )
+            continue
+        formula = made[name] if name in made else read(f"changes.{name}", block.changes[name])
+        if name in channels:
+            readings[name] = filled(formula, {name: named(READING)})
+        else:
+            new[name] = formula
     rates_of_own = {
         own_states[s]: read(f"states.{s}.rate", b.rate) for s, b in block.states.items()
     }
