@@ -35,6 +35,7 @@ from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.records import OutsideRow, band_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
+from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
@@ -154,6 +155,7 @@ def _explain(args: argparse.Namespace) -> None:
             settings=setup.settings,
             progress=progress,
             cache=cache,
+            laws=setup.laws,
         )
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
@@ -299,13 +301,16 @@ def _faults(args: argparse.Namespace) -> None:
 
 
 def _next(args: argparse.Namespace) -> None:
-    inputs, out = _inputs(args, with_bank=True)
-    path = args.saved or out / REPORT_FILE
+    study = read_study(args.study)
+    path = args.saved or (args.out or Path(DIAGNOSES) / study.name) / REPORT_FILE
     saved = _read_json(path)
     if saved is None:
         raise FileNotFoundError(
             f"{path}: no such report; make one with `diffsim diagnose explain {args.study}`"
         )
+    if saved["verdict"] == DESCRIBED:  # its laws are causes of no library, but of the saved model
+        study = read_extended(path.parent).framed(study)
+    inputs, out = _inputs(args, study, with_bank=True)
     sets, why = rival_sets(saved)
     print(why)
     refined = saved["settings"].get("numerics")

@@ -59,7 +59,7 @@ def choose_columns(
     columns, units = [], {}
     for header in _headers_that_tell(runs, used):
         said = column_of(header)
-        name = next(n for n in _numbered(said.base) if n not in names)
+        name = next(n for n in _count_up(said.base) if n not in names)
         names.add(name)
         units[header] = said.unit
         columns.append(Column(name, said.unit and to_si(said.unit).unit, header))
@@ -106,7 +106,7 @@ def _is_clock(header: str, runs: Sequence[Run]) -> bool:
     return any(np.ptp(by) < _EVEN * np.median(by) for by in (steps, rates))
 
 
-def _numbered(name: str) -> Iterator[str]:
+def _count_up(name: str) -> Iterator[str]:
     """A name, then name_2, name_3 and so on."""
     yield name
     number = 2

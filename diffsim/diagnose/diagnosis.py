@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,10 @@ from diffsim.diagnose.checks.gates import (
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
+from diffsim.diagnose.discover.answer import with_laws_said
+from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.judge.gain import Validation, validation_of
-from diffsim.diagnose.judge.judge import Decision, Judgment, decision_of, judge
+from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
@@ -44,12 +46,13 @@ from diffsim.diagnose.search.fit import (
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import begin, search_sets, with_numerics
-from diffsim.diagnose.search.simulations import NONE, Simulations
+from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
+from diffsim.identify.setup import LawPort
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -69,6 +72,7 @@ def diagnose(
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
     cache: str | Path | None = None,
+    laws: LawPort | None = None,
 ) -> Report:
     """Find what the simulator gets wrong.
 
@@ -85,6 +89,7 @@ def diagnose(
         progress: Receives stage, share done and message.
         cache: Folder for what was simulated: after an interruption, the same call goes on from
             there. The model's name stands for its code; empty the folder after changing that.
+        laws: Where laws that no library holds may enter; None: they are not looked for.
 
     Returns:
         The verdict with its evidence.
@@ -92,9 +97,84 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
+    asked = _Question(study, bank, settings, progress, cache, seed)
+    answer = _answer(asked, model, effects, unknowns)
+    found = None
+    if laws is not None and answer.leaves_room:
+        fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
+        budget = answer.search.settings.refit_steps
+        found = find_laws(fits, laws, progress or silent, budget)
+        answer = _with_laws(asked, answer, laws, found)
+    frozen = answer.frozen
+    # only now test runs are looked at, once
+    report = tested(frozen, study, seed)
+    return report if found is None else with_laws_said(report, found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """What a diagnosis is asked for, whatever causes are weighed."""
+
+    study: Study
+    bank: Sequence[Run]
+    settings: DiagnosisSettings | None
+    progress: Progress | None
+    cache: str | Path | None
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """An answer before test runs.
+
+    Attributes:
+        frozen: The report.
+        search: Behind it; None where nothing was searched.
+        best: Set of causes with the best evidence.
+    """
+
+    frozen: Report
+    found: Search | None = None
+    best: Members = NONE
+
+    @property
+    def search(self) -> Search:
+        """What was searched."""
+        assert self.found is not None
+        return self.found
+
+    @property
+    def leaves_room(self) -> bool:
+        """Whether something is missing, whatever its name may be."""
+        return self.found is not None and self.frozen.verdict in ("named", "ambiguous", "unknown")
+
+
+def _with_laws(asked: _Question, answer: _Answer, port: LawPort, found: FoundLaws) -> _Answer:
+    """The answer of a search in which laws stand among the causes, if one of them is named."""
+    if not found.laws:
+        return answer
+    setup = port.setup_with([port.block(law) for law in found.laws])
+    setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
+    again = _answer(asked, setup.model, setup.effects, setup.unknowns)
+    names = {law.name for law in found.laws}
+    if again.frozen.verdict in NAMES:
+        return again if names & set(again.frozen.best_names) else answer
+    held = {effect.name for effect in again.frozen.best.problem.effects}
+    before, now = answer.frozen.gain, again.frozen.gain
+    is_better = now is not None and (before is None or now.low > before.value)
+    is_open = answer.frozen.verdict == again.frozen.verdict == "unknown"
+    return again if is_open and names & held and is_better else answer
+
+
+def _answer(
+    asked: _Question, model: SimModel, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+) -> _Answer:
+    """Search among causes, and judge; no test run is looked at."""
+    study, seed, bank, cache = asked.study, asked.seed, asked.bank, asked.cache
     gates = (*data_gate(study), *cuts_gate(model))
     # from here to the end of the search nothing can look at a test run: there is none
-    case = _make_case(study.without_tests(), model, effects, unknowns, settings, progress)
+    known = study.without_tests()
+    case = _make_case(known, model, effects, unknowns, asked.settings, asked.progress)
     case = replace(case, num_tests=len(study.test_runs))
     case.progress("null fit", 0.0, "the model without effects")
     case, once = coarsen_first_look(case)
@@ -104,8 +184,7 @@ def diagnose(
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = screen(checks.center.evidence)
-        frozen = report_of(null, checks, Judgment(decision), screened, seed, bank)
-        return tested(frozen, study, seed)
+        return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))
     null = replace(null, case=replace(null.case, searching=model.simulations.steps))
     search, renewal = _renew_correction(search_rounds(null, simulations))
     checks, null = checks.joined(renewal), search.null
@@ -117,8 +196,7 @@ def diagnose(
     late = tuple(budget_gates(num_unscanned, search.num_late, search.settings))
     checks, judgment = _judge_search(search, checks.joined(late), validation, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, validation)
-    # only now test runs are looked at, once
-    return tested(frozen, study, seed)
+    return _Answer(frozen, judgment.search or search, judgment.decision.best)
 
 
 def search_rounds(null: Null, simulations: Simulations) -> Search:

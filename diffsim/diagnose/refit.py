@@ -19,6 +19,7 @@ from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_of
 from diffsim.diagnose.judge.gain import Gain, gain
 from diffsim.diagnose.judge.records import CERTAIN, EFFECT
+from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
 from diffsim.diagnose.say.report import fit_to_dict, save_model
 from diffsim.diagnose.search.fit import Case, null_fit
@@ -31,7 +32,7 @@ from diffsim.identify.numerics import Numerics
 
 Array = NDArray[np.float64]
 CORRELATED = 0.8
-SETTLED = ("none", "data_sheet", "named")  # verdicts that may leave nothing open
+SETTLED = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +183,7 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
             known = [*known, ()]
         surely = f"{_words(named)} {_is_or_are(named)} certain; " if verdict == "named" else ""
         return known, f"{surely}open: " + ", or ".join(_words(s) for s in known if s) + note
-    if verdict == "named" and not _unsure_of(report):
+    if verdict in ("named", DESCRIBED) and not _unsure_of(report):
         return [named], f"nothing is open: {_words(named)} {_is_or_are(named)} certain"
     for row in report["hypotheses"]:
         rival = tuple(row["effects"])

@@ -93,6 +93,7 @@ class Effect:
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
         shown_unit: Unit in which a user reads the size, such as "mm"; None: ``unit``.
         shown_times: What a size is multiplied by to be read in it; None: as the units say.
+        price: Nats that the choice of its form among others costs, beside that of its family.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Effect:
     needs: Needs = needs_nothing
     shown_unit: str | None = None
     shown_times: float | None = None
+    price: float = 0.0
 
     def __post_init__(self) -> None:
         require_choice(f"effect {self.name}: kind", self.kind, KINDS)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.law import Entry, Gains, Law, Variable
 from diffsim.identify.model import SimModel
+from diffsim.identify.problem import Problem
 from diffsim.identify.unknown import Unknown
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +30,7 @@ class DiagnosisSetup:
         unknowns: Generic causes of this system; drifts of channels are added by ``diagnose``.
         bank: Runs that could be recorded next.
         settings: Effort of the diagnosis, such as the largest set and the derivatives.
+        laws: Where laws that nobody listed may enter; None: the system offers nothing.
         study: Study to diagnose, where a setup cuts or combines the recordings; None: the study as
             recorded.
     """
@@ -30,4 +40,58 @@ class DiagnosisSetup:
     unknowns: tuple[Unknown, ...] = ()
     bank: tuple[Run, ...] = ()
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
+    laws: LawPort | None = None
     study: Study | None = None
+
+
+class LawPort(Protocol):
+    """What a system offers to laws that nobody listed."""
+
+    @property
+    def entries(self) -> Sequence[Entry]:
+        """Places where a term may be added."""
+        ...
+
+    def variables(self) -> Sequence[Variable]:
+        """What a term may depend on."""
+        ...
+
+    def drives(self, run: Run, most_knots: int) -> Sequence[Effect]:
+        """Free courses over a run, by which its simulation can be led along the recording; a
+        component for each knot, at most so many in all."""
+        ...
+
+    def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains:
+        """What a unit at an entry does along the simulation of a problem's one run at a point."""
+        ...
+
+    def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:
+        """Variables as a problem simulates them at a point, (num_samples, num_variables) for each
+        of its runs."""
+        ...
+
+    def terms(
+        self, entry: Entry, variable: Variable, terms: Sequence[str], name: str, typical: float
+    ) -> Effect:
+        """An effect whose components are the factors of terms, formulas of ``u``.
+
+        Args:
+            entry: Where the sum of the terms is added.
+            variable: What ``u`` is.
+            terms: A formula for each component.
+            name: Name of the effect.
+            typical: Factor that would be no surprise.
+        """
+        ...
+
+    def block(self, law: Law) -> Mapping[str, Any]:
+        """A law as a user would write it among the causes of his own."""
+        ...
+
+    def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> LawPort:
+        """The same for a study of more runs, whose setup another function makes."""
+        ...
+
+    def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
+        """The system with laws among its candidate causes."""
+        ...

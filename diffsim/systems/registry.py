@@ -8,6 +8,7 @@ entry points of the group ``diffsim.systems``.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -123,7 +124,10 @@ def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup
     whole = described.setup(replace(study, frame={**seen.model.frame, **study.frame}))
     of_all = {effect.name: effect for effect in whole.effects}
     effects = tuple(_with_own_components(e, of_all.get(e.name, e)) for e in seen.effects)
-    return replace(seen, model=whole.model, effects=effects, study=whole.study)
+    laws = seen.laws
+    if laws is not None:
+        laws = laws.made_by(partial(_setup_without_tests, described), study)
+    return replace(seen, model=whole.model, effects=effects, laws=laws, study=whole.study)
 
 
 def _with_own_components(effect: Effect, of_all: Effect) -> Effect:

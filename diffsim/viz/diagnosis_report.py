@@ -14,11 +14,13 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
 from diffsim.diagnose.judge.records import CERTAIN
 from diffsim.diagnose.say.force_map import ForceMap
+from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
+from diffsim.viz.diagnosis_laws import laws_section
 from diffsim.viz.diagnosis_motion import moving_runs
 from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_number, runs_section
 from diffsim.viz.diagnosis_series import (
@@ -37,6 +39,7 @@ TONES = {
     "data_sheet": "good",
     "named": "good",
     "ambiguous": "fair",
+    DESCRIBED: "good",
     "unknown": "fair",
     "unrepeatable": "bad",
     "numerical": "bad",
@@ -47,12 +50,16 @@ MEANINGS = {
     "data_sheet": "no cause is missing; a number of the data sheet is off",
     "named": "one or more causes are certain",
     "ambiguous": "causes that these recordings cannot tell apart",
+    DESCRIBED: "a law that is not in the library",
     "unknown": "something is missing that is not in the library",
     "unrepeatable": "repeats scatter far beyond the sensor's noise",
     "numerical": "time step, mesh or tolerance still move the record",
 }
 """Verdicts in words, as ``docs/diagnose.md`` has them."""
-LIKELY_ONLY = "one or more causes are likely, none is certain"
+LIKELY_ONLY = {
+    "named": "one or more causes are likely, none is certain",
+    DESCRIBED: "a law that is not in the library; likely, not certain",
+}
 MAX_LISTED = 3  # names or sets in a sentence; the tables have all
 
 
@@ -73,15 +80,18 @@ def diagnosis_page(report: Report) -> page.Report:
     channels = with_noise(report.study.channels, report.noise["sd"])
     extended = report.best if report.best is not report.null else None
     runs = predicted_runs(report.study, report.null, extended, bands=report.bands)
+    laws, is_described = laws_section(report), report.verdict == DESCRIBED
     return page.Report(
         title=f"Diagnosis of {report.study.name}",
         subtitle=f"Recorded runs against the model “{report.model.name}”",
         verdict=[report.headline or report.sentences[0]],
         numbers=_numbers(report),
         sections=[
+            *(laws if is_described else []),
             _errors(report),
             _test_runs(report, runs, channels),
             _causes(report),
+            *([] if is_described else laws),
             _data_sheet(report),
             _residuals(report, runs, channels),
             _force_map(report.force_map),
@@ -126,11 +136,11 @@ def _pairs(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
 def _numbers(r: Report) -> list[page.Number]:
     """Verdict, then error before and after on unseen runs in the recordings' unit, then gain."""
     certain = {row.name for row in r.causes if row.status == CERTAIN}
-    is_likely_only = r.verdict == "named" and certain.isdisjoint(r.named)
+    is_likely_only = r.verdict in ("named", DESCRIBED) and certain.isdisjoint(r.named)
     verdict = page.Number(
         label="verdict",
         value=r.verdict.replace("_", " "),
-        note=LIKELY_ONLY if is_likely_only else MEANINGS[r.verdict],
+        note=LIKELY_ONLY[r.verdict] if is_likely_only else MEANINGS[r.verdict],
         tone="fair" if is_likely_only else TONES[r.verdict],
     )
     gained = [] if r.gain is None else [gain_number(r.gain)]
@@ -312,7 +322,7 @@ def _blind(report: Report) -> page.Section:
 def _next_run(r: Report) -> page.Section:
     title = "Which run to record next"
     if r.next_run is None:
-        alone = r.verdict in ("none", "data_sheet", "named") and not r.rivals
+        alone = r.verdict in ("none", "data_sheet", "named", DESCRIBED) and not r.rivals
         text = (
             "Nothing is open. The command “diffsim diagnose next” says which run would narrow "
             "what is known."

@@ -60,6 +60,20 @@ def test_a_camera_is_late_and_a_belt_has_play(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_law_of_a_motor_that_cogs_is_found(tmp_path):
+    story = load_story("diagnose/cogging_motor.py")
+    report = story.main(tmp_path)
+    assert report.verdict == "described", report.sentences
+    (law,) = report.described.laws
+    assert law.entry == {"kind": "force", "target": "shaft"} and law.variables == ("angle",)
+    hidden = {"amplitude": story.COGGING_NM, "wave_number": story.TEETH}
+    for name, truth in hidden.items():
+        assert law.numbers[name].low <= truth <= law.numbers[name].high, name
+    story.draw(report, tmp_path / "law.png")
+    assert (tmp_path / "law.png").stat().st_size > 5000
+
+
+@pytest.mark.slow
 def test_a_mujoco_model_lacks_a_spring(tmp_path):
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
     size, sd = found("mujoco_pendulum", tmp_path, "added_spring_at_hinge")

@@ -18,6 +18,7 @@ from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
+from diffsim.diagnose.say.law_records import LawAnswer
 from diffsim.diagnose.say.next_run import NextRun
 from diffsim.diagnose.say.tables import EffectRow, HypothesisRow
 from diffsim.diagnose.say.wording import Answer
@@ -57,6 +58,8 @@ class Report(Answer):
         band: What bands of unseen runs are made from; None: nothing tells of them.
         bands: Half of the width of the band by unseen run, (num_samples, num_channels) [unit of the
             channel].
+        described: Laws that nobody listed, and the table that they were chosen from; None: they
+            were not looked for.
     """
 
     hypotheses: tuple[HypothesisRow, ...]
@@ -81,6 +84,7 @@ class Report(Answer):
     interval_factor: float = 1.0
     band: Band | None = None
     bands: Mapping[str, Array] = field(default_factory=dict)
+    described: LawAnswer | None = None
 
     @property
     def chi2_null(self) -> float:
@@ -136,7 +140,7 @@ class Report(Answer):
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
         for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
             plain[name] = [asdict(row) for row in plain[name]]
-        for name in ("next_run", "force_map", "gain", "before_test"):
+        for name in ("next_run", "force_map", "gain", "before_test", "described"):
             value = getattr(self, name)
             plain[name] = None if value is None else asdict(value)
         plain["band"] = None if self.band is None else self.band.to_dict()

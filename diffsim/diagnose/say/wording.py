@@ -37,7 +37,17 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.identify.effect import is_of_run
 
-VERDICTS = ("none", "data_sheet", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
+VERDICTS = (
+    "none",
+    "data_sheet",
+    "named",
+    "ambiguous",
+    "described",
+    "unknown",
+    "unrepeatable",
+    "numerical",
+)
+MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 _RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
 

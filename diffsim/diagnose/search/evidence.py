@@ -142,10 +142,11 @@ class LaplaceEvidence:
         """
         price = price_of_family(self.num_families)
         members = sorted(hypothesis.effects)
+        choice = sum(price + self.problem.effects[i].price for i in members)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
         if hypothesis.unknown is None:
             nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0, wide)
-            return SetPosterior(nats - len(members) * price, x, sd, chi2, 0.0)
+            return SetPosterior(nats - choice, x, sd, chi2, 0.0)
         extra = self.unknown_columns[hypothesis.unknown]
         tried = [self._gaussian(free, members, extra, a, wide) for a in AMPLITUDES]
         evidences = np.array([t[0] for t in tried])
@@ -154,9 +155,7 @@ class LaplaceEvidence:
         _, x, sd, chi2 = tried[best]
         # the unknown causes share what one more family may claim
         price_unknown = price + np.log(self.num_unknowns)
-        return SetPosterior(
-            mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best]
-        )
+        return SetPosterior(mean - choice - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
     def _gaussian(
         self,

@@ -35,7 +35,7 @@ from diffsim.systems.ode.names import (
     scalars,
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
-from diffsim.systems.ode.own_effects import own_effects
+from diffsim.systems.ode.own_effects import own_effects, shape_name
 from diffsim.systems.ode.pieces import Piece, pieces_of
 from diffsim.systems.ode.scene import OdeScene
 from diffsim.systems.quantities import START_IN_PLAY
@@ -98,6 +98,7 @@ class FormulaSystem:
         numbers = (*self.quantities, *facts, *data_names(study, keys.rest))
         between = (*keys.define, *keys.tables)
         self.known = (TIME, *motion.states, *self.input_held, *between, *numbers)
+        self.columns = columns_of(study, self.known)
         self.starts = {s: self._parse_start(s, v, numbers) for s, v in motion.states.items()}
         self.inputs = self._list_inputs(numbers)
         rates = self._parse_formulas("rates", motion.rates)
@@ -107,7 +108,8 @@ class FormulaSystem:
             self._check_events()
         states = tuple(motion.states)
         own = keys.effects.formulas
-        self.own = own_effects(own, study, self.known, states, reader) if own else ()
+        every = (*self.known, *self.columns)
+        self.own = own_effects(own, study, every, states, reader) if own else ()
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._parse_definitions(), self.input_held, limits)
         self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
@@ -232,6 +234,8 @@ class FormulaSystem:
         if motion != DescribedMotion():
             given |= self._list_quantities_of_motion()
         given |= {clock_of(name): q for name, q in motion.clocks.items()}
+        for block in self.keys.effects.formulas:
+            given |= {shape_name(block, s): q for s, q in block.shapes.items()}
         if motion.states and self._may_have_play():
             given[PLAY_START] = START_IN_PLAY
         if motion.states and (self._given or motion.places):
@@ -401,6 +405,11 @@ class FormulaSystem:
             inputs={n: self._evaluate_input(n, run, grid, known, values) for n in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
             ranges=self.keys.ranges,
+            columns={
+                n: grid.resampled(v, held=False)
+                for n, v in run.columns.items()
+                if n in self.columns
+            },
             restarts=tuple(
                 (p.time, {s: values[_start_name(s, p, run.name)] for s in p.start})
                 for p in self.pieces.get(run.name, ())
@@ -431,6 +440,17 @@ class FormulaSystem:
         if (late := known.get(f"{name}_delay")) is not None:
             u = (held_delayed if held else delayed)(u, grid, late)
         return u
+
+
+def columns_of(study: Study, taken: Collection[str]) -> tuple[str, ...]:
+    """What was recorded beside commands and channels and may stand in formulas of own causes.
+
+    Args:
+        study: Study with the recordings.
+        taken: Names that mean something else.
+    """
+    names = {c.name for c in study.channels} | set(taken)
+    return tuple(c.name for c in study.columns if c.name.isidentifier() and c.name not in names)
 
 
 def _start_name(state: str, piece: Piece, run: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -238,6 +238,9 @@ class OwnEffect(Part):
         "the name itself is the old value",
     )
     states: dict[str, OwnState] = Field({}, description="States that the effect needs")
+    shapes: dict[str, AnyQuantity] = Field(
+        {}, description="Further numbers of these formulas, fitted where they have a prior"
+    )
     size: str = Field("size", description="Name of the size in these formulas")
     per: str | None = Field(
         None, description="Fact of the runs: a size for each value of it, beside a common one"
@@ -246,6 +249,9 @@ class OwnEffect(Part):
     typical: float = Field(gt=0, description="Size that would be no surprise")
     signed: bool = Field(True, description="Whether the size may be negative")
     smooth: bool = Field(True, description="False where the response has a kink at size 0")
+    scanned: bool = Field(
+        False, description="Whether the typical size, up and down, is tried before a fit from zero"
+    )
     family: str = Field("own", description="Effects of one family are alternatives of each other")
     kind: Literal["force", "actuator", "sensor", "material", "environment"] = Field(
         "force", description=f"Where it enters, one of {', '.join(KINDS[:-1])}"
@@ -257,6 +263,7 @@ class OwnEffect(Part):
         "stands for the size, {:.0%} for the size in percent",
     )
     also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
+    price: float = Field(0.0, ge=0, description="Nats that its choice among other formulas costs")
 
     @model_validator(mode="after")
     def _check_one_way(self) -> OwnEffect:
@@ -292,6 +299,16 @@ class OwnEffects(EffectChoice):
     def formulas(self) -> tuple[OwnEffect, ...]:
         """Those that are written as formulas."""
         return tuple(block for block in self.own if isinstance(block, OwnEffect))
+
+    def holds(self, blocks: Sequence[Mapping[str, Any]]) -> bool:
+        """Whether causes of these names are among those of the description."""
+        return {str(b["name"]) for b in blocks} <= {block.name for block in self.formulas}
+
+    def joined(self, blocks: Sequence[Mapping[str, Any]]) -> OwnEffects:
+        """The choice with further causes that are written as formulas, which are always judged."""
+        more = tuple(OwnEffect.model_validate(dict(b)) for b in blocks)
+        only = (*self.only, *(b.name for b in more)) if self.only else ()
+        return self.model_copy(update={"own": (*self.own, *more), "only": only})
 
 
 class FormulaKeys(Description):

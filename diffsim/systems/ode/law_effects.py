@@ -95,7 +95,7 @@ def unknown_laws(
         read = network.with_readings({"x": parse_expression(law.of, known)})
         for name in network.channels_with(law.name):
             said = f"unknown law of {name} over {law.of}"
-            out[said] = UnknownLaw(places[name], said, _Followed(model, read))
+            out[said] = UnknownLaw(places[name], said, _FollowedPath(model, read))
             if law.sweeps:
                 said = f"unknown course of {name} over a sweep"
                 out[said] = UnknownLaw(places[name], said, _share_of_samples)
@@ -107,7 +107,7 @@ def _share_of_samples(run: Run) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Followed:
+class _FollowedPath:
     """Gives x of a law in a run, by the plain model as it is described.
 
     Attributes:

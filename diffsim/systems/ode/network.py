@@ -125,8 +125,12 @@ class Network:
                 before = bodies.get(name, Name(_RAW.format(name)))
                 # what is made of the name means in its new formula what it was before
                 old = _ResolvedFormulas(bodies)
-                parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
-                circular = {n: e for n, e in parts.items() if name in _list_needed_by(n, bodies)}
+                circular = {
+                    # with what the name was before, also where that is an input or a parameter
+                    n: _substitute_names(old(Name(n)), {name: before}, {})
+                    for n in formula.names
+                    if n != name and n in bodies and name in _list_needed_by(n, bodies)
+                }
                 bodies[name] = _substitute_names(formula.root, {**circular, name: before}, {})
             for channel, formula in change.readings.items():
                 readings[channel] = _substitute_names(

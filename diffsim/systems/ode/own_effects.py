@@ -9,6 +9,7 @@ from diffsim.systems.ode.applying import RunGroups, by_formulas_in, symbol
 from diffsim.systems.ode.keys import OwnEffect
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import READING, Change, filled, named
+from diffsim.systems.ode.scene import at_start
 
 
 def own_effects(
@@ -52,7 +53,10 @@ def _make_effect(
         typical=block.typical,
         signed=block.signed,
         smooth=block.smooth,
+        scanned=block.scanned,
+        tries=(-1.0, 1.0) if block.scanned else (),
         also_looks_like=block.also_looks_like,
+        price=block.price,
         words=None if block.words is None else block.words.format,
         components=groups.components,
         apply=by_formulas_in(
@@ -78,44 +82,66 @@ def _make_change(
     reader: Reader,
 ) -> Change:
     channels = [c.name for c in study.channels]
-    names = tuple(dict.fromkeys((*known, *channels, *block.states, block.size)))
+    names = tuple(dict.fromkeys((*known, *channels, *block.states, *block.shapes, block.size)))
     own_states = {s: f"{s} of {block.name}" for s in block.states}
     parts = {block.size: named(symbol(block.name))} | {s: named(n) for s, n in own_states.items()}
+    parts |= {s: named(shape_name(block, s)) for s in block.shapes}
+    recorded = {c.name for c in study.columns}
+
+    begins = {s: named(at_start(s)) for s in states}
+    used: set[str] = set()
 
     def read(key: str, text: str) -> Expression:
-        return filled(reader.parse(f"{where}.{key}", text, names), parts)
+        found = reader.parse(f"{where}.{key}", text, names)
+        used.update(found.names)
+        return filled(found, parts)
 
     rates: dict[str, Expression] = {}
     factors: dict[str, Expression] = {}
-    new, readings = {}, {}
-    changes = dict(block.changes)
+    made: dict[str, Expression] = {}
     key = "changes"
     target = block.adds_to or block.multiplies
     if target is not None:
-        operator = "+" if block.adds_to else "*"
+        key, operator = ("adds_to", "+") if block.adds_to else ("multiplies", "*")
+        term = read("term", str(block.term))
         if target in states:
-            into = rates if block.adds_to else factors
-            into[target] = read("term", str(block.term))
+            (rates if block.adds_to else factors)[target] = term
         else:
-            changes[target] = f"{target} {operator} ({block.term})"
-            key = "adds_to" if block.adds_to else "multiplies"
-    for name, text in changes.items():
-        if name in channels:
-            readings[name] = filled(read(f"changes.{name}", text), {name: named(READING)})
-        elif name in known and name not in states:
-            new[name] = read(f"changes.{name}", text)
-        else:
+            parts_of_new = {"before": named(target), "term": term}
+            made[target] = filled(parse_expression(f"before {operator} term"), parts_of_new)
+    new, readings = {}, {}
+    for name in (*made, *block.changes):
+        is_known = name in channels or (name in known and name not in states)
+        if not is_known:
             reader.report(
                 f"{where}.{key}",
                 f"{name!r} is no state, definition, input, parameter or channel of the model"
                 if name not in states
                 else f"{name!r} is a state: change its rate by adds_to or multiplies",
             )
+            continue
+        formula = made[name] if name in made else read(f"changes.{name}", block.changes[name])
+        if name in channels:
+            readings[name] = filled(formula, {name: named(READING)})
+        else:
+            new[name] = formula
+    rates_of_own = {
+        own_states[s]: read(f"states.{s}.rate", b.rate) for s, b in block.states.items()
+    }
     return Change(
         rates=rates,
         factors=factors,
         names=new,
         readings=readings,
-        states={own_states[s]: read(f"states.{s}.rate", b.rate) for s, b in block.states.items()},
-        starts={own_states[s]: parse_expression(b.start) for s, b in block.states.items()},
+        states=rates_of_own,
+        starts={
+            own_states[s]: filled(parse_expression(b.start), begins | parts)
+            for s, b in block.states.items()
+        },
+        inputs=tuple(sorted(used & recorded)),
     )
+
+
+def shape_name(block: OwnEffect, shape: str) -> str:
+    """Name of the base parameter that a number of a cause's formulas is."""
+    return f"{shape}_of_{block.name}"

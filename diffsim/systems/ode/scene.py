@@ -33,6 +33,7 @@ class OdeScene:
         readers: What effects do to channels, by their indices.
         channels: Names of the channels in order.
         ranges: Least and largest value that the sensor of a channel can show, by channel.
+        columns: What was recorded beside commands and channels, by name, (num_times,).
         restarts: Times at which the system's states begin anew, with their values; states that
             effects have added go on.
     """
@@ -47,6 +48,7 @@ class OdeScene:
     readers: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    columns: Mapping[str, Tensor] = field(default_factory=dict)
     restarts: tuple[tuple[float, Mapping[str, Tensor]], ...] = ()
 
     def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
@@ -146,7 +148,7 @@ class OdeScene:
         states = list(solver.ode.rates)
         starts = self._stack_starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
-        inputs = [self.inputs[n] for n in solver.inputs]
+        inputs = [self.inputs[n] if n in self.inputs else self.columns[n] for n in solver.inputs]
         restarts = [v for _, values in self.restarts for v in values.values()]
         lead = np.broadcast_shapes(
             *(v.shape for v in (*starts, *restarts, *parameters)), *(u.shape[:-1] for u in inputs)

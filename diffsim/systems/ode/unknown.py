@@ -90,7 +90,7 @@ def _make_of(
         typical=typical,
         also_looks_like=("anything",),
         components=tuple(f"knot_{k}" for k in range(count)),
-        apply=partial(_apply_knots, name=name, change=change, spacing=spacing),
+        apply=partial(apply_knots, name=name, change=change, spacing=spacing),
     )
     knots = np.linspace(0.0, longest, count)
     make = partial(_make_of, longest, name, said, change, unit, typical, most=most)
@@ -98,7 +98,7 @@ def _make_of(
     return UnknownForce(effect, smooth, said, make if most else None, most)
 
 
-def _apply_knots(
+def apply_knots(
     scene: OdeScene, size: Tensor, run: Run, *, name: str, change: Change, spacing: float
 ) -> OdeScene:
     place = (scene.grid.times - scene.grid.times[0]) / spacing

@@ -247,6 +247,25 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
         np.testing.assert_allclose(found, truth, rtol=1e-6)
 
 
+def test_a_form_chosen_among_many_pays_for_the_choice():
+    """By its price exactly, alone and beside others; a set without it pays nothing."""
+    effects, runs = (linear.line("push"), linear.line("wind")), pushed(2.0)
+    dear = (replace(effects[0], price=4.25), effects[1])
+    free, paid = (
+        linearized(linear.problem(e, runs), np.zeros(4), (UnknownDrift(0, "a"),), 3)
+        for e in (effects, dear)
+    )
+    for members, unknown, price in [
+        ((), None, 0.0),
+        ((1,), None, 0.0),
+        ((0,), None, 4.25),
+        ((0, 1), None, 4.25),
+        ((0,), 0, 4.25),
+    ]:
+        asked = Hypothesis(frozenset(members), unknown)
+        np.testing.assert_allclose(free.weigh(asked).nats - paid.weigh(asked).nats, price)
+
+
 def test_every_effect_and_unknown_pays_for_being_chosen():
     effects = (linear.line("push"), linear.line("pull"))
     h = np.random.default_rng(0).normal(size=(60, 3))

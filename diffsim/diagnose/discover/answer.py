@@ -1,0 +1,200 @@
+"""What a report says of laws that nobody listed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from diffsim.diagnose.discover.look_alikes import look_alikes
+from diffsim.diagnose.discover.screen import Candidate
+from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
+from diffsim.diagnose.judge.records import CERTAIN, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
+from diffsim.diagnose.say.law_records import (
+    DESCRIBED,
+    DescribedLaw,
+    LawAnswer,
+    LawCurve,
+    Number,
+    ScreenRow,
+)
+from diffsim.diagnose.say.report import Report
+from diffsim.identify import Fit
+from diffsim.identify.law import VALUE, Law, Variable
+
+MOST_ROWS = 40  # of the table
+POSSIBLE = "possible"  # of one of several laws
+
+PERIODS_SHOWN = 3.0  # of a law that repeats: more are a grey wall
+TURN = 2.0 * np.pi
+#: the number that says how a hidden state remembers
+MEMORIES = {
+    "": (),
+    "heat": ("time",),
+    "relaxation": ("time",),
+    "slip": ("threshold",),
+    "oscillator": ("frequency",),
+    "work": (),
+}
+
+
+def with_laws_said(report: Report, found: FoundLaws) -> Report:
+    """A report with what the stage found; its verdict where a law is among the named causes."""
+    by_name = {law.name: law for law in found.laws}
+    rows = [row for row in report.causes if row.name in by_name and _is_held(row, by_name)]
+    laws = tuple(_describe(report, by_name[row.name], row) for row in rows)
+    answer = LawAnswer(
+        laws,
+        tuple(_row(c) for c in found.screened[:MOST_ROWS]),
+        tuple(_curve(f, laws) for f in found.fitted),
+        found.num_tried,
+    )
+    if not laws or report.verdict not in ("named", "ambiguous"):
+        return replace(report, described=answer)
+    head = _headline(report, laws)
+    tail = report.headline.partition(": ")[2] or report.headline.partition(". ")[2]
+    return replace(
+        report,
+        described=answer,
+        verdict=DESCRIBED,
+        headline=f"{head} {tail[:1].upper()}{tail[1:]}".strip(),
+        sentences=(head, *report.sentences),
+    )
+
+
+def _is_held(row: CauseRow, laws: Mapping[str, Law]) -> bool:
+    """Whether a law is said, if only that one of several laws acts."""
+    if row.status == UNTOLD:
+        return set(row.rivals) <= set(laws)
+    return row.status in (CERTAIN, LIKELY)
+
+
+def _headline(report: Report, laws: Sequence[DescribedLaw]) -> str:
+    """The best law and what cannot be told from it, beside causes of the library."""
+    best, *rest = sorted(laws, key=lambda law: law.name not in report.named)
+    is_sure = best.status == CERTAIN
+    same = [law for law in rest if _place_of(law) == _place_of(best)]
+    others = [law for law in rest if law not in same and law.status == POSSIBLE]
+    beside = [law for law in rest if law.status in (CERTAIN, LIKELY)]
+    said = best.sentence
+    if same:
+        said += f" (or {', '.join(law.formula for law in same)})"
+    if others:
+        said += f"; or else {others[0].sentence}"
+    if beside:
+        said += f"; and {beside[0].sentence}"
+    known = {law.name for law in laws}
+    names = [row.words for row in report.causes if row.name in report.named]
+    names = [n for n in names if n not in {k.replace("_", " ") for k in known}]
+    also = f", beside {' and '.join(names)}" if names else ""
+    return f"No cause of the library explains it: {'' if is_sure else 'probably '}{said}{also}."
+
+
+def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:
+    return law.entry["kind"], law.entry["target"], law.variables
+
+
+def _row(c: Candidate) -> ScreenRow:
+    return ScreenRow(c.entry.kind, c.entry.target, c.variable.name, c.nats, c.share, c.basis.wave)
+
+
+def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
+    """A missing term over its variable; of one that repeats a few periods in the middle."""
+    c, curve = fitted.candidate, fitted.curve
+    place = (c.entry.kind, c.entry.target, (_word_of(c.variable),))
+    memory = c.variable.memory or None
+    names = [law.name for law in laws if _place_of(law) == place and law.memory == memory]
+    u = curve.u
+    if c.basis.wave:
+        middle, half = 0.5 * (u[0] + u[-1]), PERIODS_SHOWN * np.pi / c.basis.wave
+        u = np.linspace(max(middle - half, u[0]), min(middle + half, u[-1]), len(u))
+    basis = c.basis.values(u)
+    sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, curve.covariance, basis))
+    told = (u, basis @ curve.factors, sd)
+    return LawCurve(names[0] if names else "", *(tuple(a.tolist()) for a in told))
+
+
+def _word_of(variable: Variable) -> str:
+    """A variable, or what drives the hidden state that it is."""
+    return variable.of if variable.memory else variable.name
+
+
+def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
+    fit = report.best
+    status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
+    numbers = {}
+    for short, name, unit in (
+        ("amplitude", law.name, law.unit),
+        *((s, f"{s}_of_{law.name}", shape.unit) for s, shape in law.shapes.items()),
+    ):
+        if name not in fit.values:  # of a law beside the best set
+            continue
+        value, sd = fit.values[name], fit.sd[name] * report.interval_factor
+        value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
+        if short == "swing_rate":
+            short, value_shown, sd, unit = "frequency", value / TURN, sd / TURN, "Hz"
+        short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
+        numbers[short] = Number(
+            value_shown, value_shown - HALF_LEVEL * sd, value_shown + HALF_LEVEL * sd, unit
+        )
+    entry = {"kind": law.entry.kind, "target": law.entry.target}
+    looks = look_alikes(law)
+    return DescribedLaw(
+        law.name,
+        entry,
+        (_word_of(law.variable),),
+        law.variable.memory or None,
+        law.form,
+        law.term,
+        numbers,
+        _sentence(law, numbers, looks, fit),
+        looks,
+        status,
+    )
+
+
+def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
+    what, on = _what(law), law.variable.name
+    size = numbers.get("amplitude")
+    unit = "" if law.unit == "-" else f" {law.unit}"
+    amount = "" if size is None else f", {size.value:.3g}{unit} ({size.low:.3g} to {size.high:.3g})"
+    like = f"; looks like {' or '.join(looks)}" if looks else ""
+    if law.form == "periodic":
+        k = numbers["wave_number"].value if "wave_number" in numbers else np.nan
+        turns = (
+            f"{k:.4g} times a turn of {on}"
+            if law.variable.unit == "rad"
+            else f"every {2.0 * np.pi / k:.3g} {law.variable.unit} of {on}"
+        )
+        return f"{what} that repeats {turns}{amount}{like}"
+    memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
+    lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
+    formula = (
+        "a curve without a formula" if law.form == TABLE else f"{law.form}: {_write_term(law, fit)}"
+    )
+    return f"{what} that depends on {on}{lasts}, {formula}{like}"
+
+
+def _write_term(law: Law, fit: Fit) -> str:
+    """A law's formula with its variable and the numbers of a fit; of another one with names."""
+    values = {"size": law.name, **{s: f"{s}_of_{law.name}" for s in law.shapes}}
+    text = law.term
+    for short, name in values.items():
+        if name in fit.values:
+            text = re.sub(rf"\b{short}\b", f"{fit.values[name]:.3g}", text)
+    text = re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", text)
+    return re.sub(rf"\b{VALUE}\b", law.variable.name, text)
+
+
+def _what(law: Law) -> str:
+    """What a law adds, and where."""
+    target = law.entry.target
+    if law.entry.kind == "force":
+        return f"a {'torque' if 'N m' in law.entry.unit else 'force'} at {target}"
+    if law.entry.kind == "rate":
+        return f"a flow into {target}"
+    if law.entry.kind == "reading":
+        return f"an error of the reading {target}"
+    return f"a change of {target}"

@@ -1,0 +1,212 @@
+"""A simulation that follows the recordings, driven by whatever is missing.
+
+What a law depends on must be told along the way that was really gone: a torque that repeats with
+the angle is not seen along an angle that has run away. So a free course enters wherever something
+can push, run by run, until the simulation lies on the record. All slopes are taken there. Taking
+the course's own part out again gives the record as the model without it would miss it, and that is
+what laws are weighed by. The course is a detour: its size and its smoothness tell nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
+from diffsim.identify import Fit, Problem
+from diffsim.identify.effect import PRIOR_WIDTH, Effect
+from diffsim.identify.law import Entry, Gains, Variable
+from diffsim.identify.linearization import linearization_at, measured_of, record_at, whitened
+from diffsim.identify.setup import LawPort
+
+Array = NDArray[np.float64]
+MOST_KNOTS = 300  # of a run's course, over all its entries
+MAX_STEPS = 8
+COURSE = "course"  # family of what drives a simulation along a recording
+SETTLED = 0.01  # of the misfit, that a last step takes away
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedRecord:
+    """Simulations that lie on the recordings, and what the model without a course misses there.
+
+    Attributes:
+        fit: Fit that they start from.
+        problems: One for each run, with the course that drives it.
+        points: Standardized coordinates of each, the course's own included.
+        missing: Whitened record less what the model without a course would show, (num_valid,).
+        responses: Whitened response to each knot of each run's courses [per unit], (num_valid of
+            the run, num_courses * num_knots).
+        to_knots: What makes of values at samples a course, for each run, (num_knots, num_samples).
+        jacobian: Whitened slopes by the coordinates of the fit, (num_valid, n).
+        chi2: Misfit with the course.
+    """
+
+    fit: Fit
+    problems: tuple[Problem, ...]
+    points: tuple[Array, ...]
+    missing: Array
+    responses: tuple[Array, ...]
+    to_knots: tuple[sparse.csr_array, ...]
+    jacobian: Array
+    chi2: float
+
+    def columns_of(self, gains: Sequence[Gains], terms: Sequence[Array]) -> Array:
+        """Whitened response to terms of a law, (num_valid, num_terms); nothing is simulated.
+
+        Args:
+            gains: What a unit at the law's entry does in each run.
+            terms: Terms at the samples of each run, (num_samples, num_terms).
+        """
+        parts = []
+        for k, (gain, values) in enumerate(zip(gains, terms, strict=True)):
+            problem, responses = self.problems[k], self.responses[k]
+            run = problem.runs[0]
+            num_courses = len(_courses_of(problem))
+            read = gain.readings[:, :, None] * values[:, None, :]
+            own = problem.whiten(run, read.reshape(-1, values.shape[1]))
+            if num_courses:
+                each = np.split(responses, num_courses, axis=1)
+                for course, rate in zip(each, gain.rates.T, strict=True):
+                    if rate.any():
+                        own = own + course @ (self.to_knots[k] @ (rate[:, None] * values))
+            parts.append(own)
+        return np.concatenate(parts)
+
+    def gains(self, port: LawPort, entry: Entry) -> list[Gains]:
+        """What a unit at an entry does in each run."""
+        return [
+            port.gains(problem, x, entry)
+            for problem, x in zip(self.problems, self.points, strict=True)
+        ]
+
+    def courses(self, port: LawPort, variables: Sequence[Variable]) -> list[Array]:
+        """Variables along the recordings, (num_samples, num_variables) for each run."""
+        out = []
+        for problem, x in zip(self.problems, self.points, strict=True):
+            out += port.courses(problem, x, variables)
+        return out
+
+
+def _knots(run: Run, count: int) -> Array:
+    """Times of the knots of a run's course since its start [s]."""
+    return np.linspace(0.0, float(run.time_s[-1] - run.time_s[0]), count)
+
+
+def _to_knots(knots: Array, run: Run) -> sparse.csr_array:
+    """Matrix that makes of values at samples a course of the same impulse, (K, num_samples).
+
+    Each sample's impulse goes to the knots beside it: of what changes faster than the knots, its
+    mean is left, as of what it drives.
+    """
+    seconds = run.time_s - run.time_s[0]
+    right = np.clip(np.searchsorted(knots, seconds), 1, len(knots) - 1)
+    share = np.clip((seconds - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
+    lasts = np.gradient(seconds)
+    lasts[[0, -1]] *= 0.5
+    rows, columns = np.concatenate([right - 1, right]), np.tile(np.arange(len(seconds)), 2)
+    parts = np.concatenate([(1.0 - share) * lasts, share * lasts])
+    made = sparse.csr_array((parts, (rows, columns)), shape=(len(knots), len(seconds)))
+    return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(made.sum(1)).ravel()) @ made)
+
+
+def follow(fit: Fit, port: LawPort) -> FollowedRecord:
+    """Simulations of a fit's runs that lie on the recordings.
+
+    Args:
+        fit: Fit of a set of causes.
+        port: What the system offers to laws.
+    """
+    problems, points, missing, slopes, chi2 = [], [], [], [], 0.0
+    responses = []
+    for run in fit.problem.runs:
+        problem, x = _drive(fit, run, port)
+        count = len(fit.x)
+        at = linearization_at(problem, x)
+        columns = whitened(problem, at.columns)
+        r = whitened(problem, measured_of(problem) - at.record)
+        moved = problem.scaled(x)[count:]
+        problems.append(problem)
+        points.append(x)
+        missing.append(r + columns[:, count:] @ moved)
+        responses.append(columns[:, count:] / _units_of(problem))
+        # by standardized coordinates, as a fit's own slopes
+        slopes.append(columns[:, :count] * problem.stretch(x)[:count])
+        chi2 += float(r @ r)
+    return FollowedRecord(
+        fit,
+        tuple(problems),
+        tuple(points),
+        np.concatenate(missing),
+        tuple(responses),
+        tuple(_to_knots(_knots(p.runs[0], _num_knots(p)), p.runs[0]) for p in problems),
+        np.concatenate(slopes),
+        chi2,
+    )
+
+
+def _courses_of(problem: Problem) -> list[Effect]:
+    return [e for e in problem.effects if e.family == COURSE]
+
+
+def _num_knots(problem: Problem) -> int:
+    return max((len(e.components) for e in _courses_of(problem)), default=2)
+
+
+def _units_of(problem: Problem) -> Array:
+    """What a scaled coordinate of each knot is in units of its course, (num_knots in all,)."""
+    parts = [np.full(len(e.components), PRIOR_WIDTH * e.typical) for e in _courses_of(problem)]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _drive(fit: Fit, run: Run, port: LawPort) -> tuple[Problem, Array]:
+    """A run with its course, and the coordinates at which it lies on the record."""
+    plain = replace(fit.problem, runs=(run,))
+    courses = tuple(port.drives(run, MOST_KNOTS))
+    if not courses:
+        return plain, fit.x
+    problem = replace(plain, effects=(*plain.effects, *courses))
+    own = [i for effect in courses for i in problem.columns_of(effect)]
+    x = np.concatenate([fit.x, np.zeros(len(own))])
+    cost = _cost(problem, x, own)
+    for _ in range(MAX_STEPS):
+        at = linearization_at(problem, x, own)
+        slopes = whitened(problem, at.columns)
+        r = whitened(problem, measured_of(problem) - at.record)
+        u = problem.scaled(x)
+        gram = slopes.T @ slopes + np.eye(len(own))
+        step = linalg.solve(gram, slopes.T @ r - u[own], assume_a="pos")
+        x, now = _shorten(problem, x, own, step, cost)
+        if cost - now < SETTLED * now:
+            break
+        cost = now
+    return problem, x
+
+
+def _shorten(
+    problem: Problem, x: Array, own: Sequence[int], step: Array, cost: float
+) -> tuple[Array, float]:
+    """The farthest of a step's halves that lowers the cost; the start where none does."""
+    u = problem.scaled(x)
+    for k in range(6):
+        tried = u.copy()
+        tried[list(own)] += step * 0.5**k
+        at = problem.standardized(tried)
+        now = _cost(problem, at, own)
+        if now < cost:
+            return at, now
+    return x, cost
+
+
+def _cost(problem: Problem, x: Array, own: Sequence[int]) -> float:
+    try:
+        r = whitened(problem, measured_of(problem) - record_at(problem, x))
+    except DiffsimError:
+        return np.inf
+    with np.errstate(over="ignore"):
+        return float(r @ r + np.sum(problem.scaled(x)[list(own)] ** 2))

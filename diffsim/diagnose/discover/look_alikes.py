@@ -1,0 +1,64 @@
+"""What laws look like: where one enters, on what it depends and its form, in the field's words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diffsim.identify.law import Law
+
+
+@dataclass(frozen=True)
+class LookAlike:
+    """A row of the table; an empty column fits everything.
+
+    Attributes:
+        kinds: Kinds of entries.
+        memory: Kind of the hidden state; "-": none.
+        forms: Kinds of formulas.
+        units: Units of the variable.
+        words: What such a law may be.
+    """
+
+    words: tuple[str, ...]
+    kinds: tuple[str, ...] = ()
+    memory: str = ""
+    forms: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+
+    def fits(self, law: Law) -> bool:
+        """Whether a law is of this kind."""
+        memory = law.variable.memory or "-"
+        return (
+            (not self.kinds or law.entry.kind in self.kinds)
+            and (not self.memory or memory == self.memory)
+            and (not self.forms or law.form in self.forms)
+            and (not self.units or law.variable.unit in self.units)
+        )
+
+
+_PUSH, _NUMBER, _READ = ("force", "rate"), ("number",), ("reading",)
+_ANGLE, _HEAT, _VOLT = ("rad",), ("K", "degC"), ("V",)
+TABLE: tuple[LookAlike, ...] = (
+    LookAlike(("cogging", "eccentric gear", "unbalance"), _PUSH, "-", ("periodic",), _ANGLE),
+    LookAlike(("ripple of the commutation", "gear"), _NUMBER, "-", ("periodic",), _ANGLE),
+    LookAlike(("eccentric encoder", "eccentric gear"), _READ, "-", ("periodic",), _ANGLE),
+    LookAlike(("something that repeats",), forms=("periodic",)),
+    LookAlike(("winding that warms", "oil or tire that warms"), memory="heat"),
+    LookAlike(("hysteresis", "friction that remembers (Dahl)"), _PUSH, "slip"),
+    LookAlike(("slosh", "absorber", "flexible part"), _PUSH, "oscillator"),
+    LookAlike(("wear", "running in"), memory="work"),
+    LookAlike(("creep of a load cell", "slow sensor"), _READ, "relaxation"),
+    LookAlike(("relaxing material", "slow actuator"), memory="relaxation"),
+    LookAlike(("what warms changes it", "viscosity"), _NUMBER, "-", (), _HEAT),
+    LookAlike(("thermal drift of the sensor",), _READ, "-", (), _HEAT),
+    LookAlike(("supply that sags",), _NUMBER, "-", (), _VOLT),
+    LookAlike(("cross-talk", "misaligned axes"), _READ, "-", ("line",)),
+    LookAlike(("magnet", "ground effect", "wall"), _PUSH, "-", ("reciprocal",)),
+    LookAlike(("stop", "valve that opens", "cable that catches"), _PUSH, "-", ("threshold",)),
+    LookAlike(("iron that saturates", "limit"), (), "-", ("saturation",)),
+)
+
+
+def look_alikes(law: Law) -> tuple[str, ...]:
+    """What a law may be, by the first row of the table that fits."""
+    return next((row.words for row in TABLE if row.fits(law)), ())

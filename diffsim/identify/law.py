@@ -1,0 +1,165 @@
+"""Laws that nobody listed: where one may enter, on what it may depend, and how it is written.
+
+An entry is a place of the model where a term may be added, a variable what the term may depend on.
+A law is a term of one variable at one entry. Systems that can be extended by laws offer a
+``setup.LawPort``; the diagnosis asks it for entries and variables and knows nothing of the system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Where = Literal["force", "rate", "number", "input", "reading"]
+Memory = Literal["", "heat", "slip", "oscillator", "relaxation", "work"]
+VALUE = "u"  # what the variable is called in the formula of a term
+SIZE = "size"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A place of the model where a term may be added.
+
+    Attributes:
+        kind: "force" at a place, "rate" of a state, "number" (the term is added to its factor 1),
+            "input" or "reading".
+        target: Name of the place, state, number, input or channel.
+        unit: Unit of the term.
+        scale: Usual magnitude there [unit]: a term of a tenth of it would be no surprise.
+        channel: Index of the channel, of a reading.
+    """
+
+    kind: Where
+    target: str
+    unit: str
+    scale: float
+    channel: int = -1
+
+    @property
+    def words(self) -> str:
+        """The entry as a reader sees it, such as "force at shaft"."""
+        if self.kind == "force":
+            return f"force at {self.target}"
+        if self.kind == "number":
+            return self.target
+        return f"{self.kind} of {self.target}"
+
+
+@dataclass(frozen=True)
+class HiddenState:
+    """A state that a variable needs beside those of the model.
+
+    Attributes:
+        rate: Formula of its rate.
+        start: Formula of its start value.
+    """
+
+    rate: str
+    start: str = "0"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a law may depend on.
+
+    Attributes:
+        name: Name in words, such as "angle" or "heat of current^2".
+        formula: Formula in the names of the model, of recorded columns and hidden states.
+        unit: Unit of it.
+        columns: Recorded columns that the formula needs.
+        states: Hidden states that it needs, by name.
+        memory: Kind of the hidden state; "": none.
+        of: What drives the hidden state.
+        numbers: Numbers of the hidden states, tried values by name; fitted later.
+        number_units: Their units.
+        is_turn: Whether laws that repeat are tried: states, readings and time, not what is hidden.
+    """
+
+    name: str
+    formula: str
+    unit: str = "-"
+    columns: tuple[str, ...] = ()
+    states: Mapping[str, HiddenState] = field(default_factory=dict)
+    memory: Memory = ""
+    of: str = ""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    number_units: Mapping[str, str] = field(default_factory=dict)
+    is_turn: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What a unit at an entry does in a run, at its samples, where the simulation is.
+
+    Attributes:
+        rates: To each rate that has a course (``LawPort.drives``), (num_samples, num_courses).
+        readings: To each channel at once, (num_samples, num_channels).
+    """
+
+    rates: Array
+    readings: Array
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A number of a law beside its size.
+
+    Attributes:
+        value: Most probable value before it is fitted in the simulator.
+        sd: Its standard deviation.
+        unit: Unit.
+        lower, upper: Bounds.
+    """
+
+    value: float
+    sd: float
+    unit: str = "-"
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True)
+class Law:
+    """A term of one variable at one entry.
+
+    Attributes:
+        name: Plain name, such as "law_1".
+        entry: Where it is added.
+        variable: On what it depends.
+        form: Kind of the formula: "line", "periodic", "power", ...
+        term: Formula of ``u`` (the variable), ``size`` and the shapes.
+        typical: Size that would be no surprise.
+        unit: Unit of the size.
+        shapes: Numbers of the formula and of hidden states beside the size.
+        price: Nats that the choice among all that was tried costs.
+        signed: Whether the size may be negative.
+    """
+
+    name: str
+    entry: Entry
+    variable: Variable
+    form: str
+    term: str
+    typical: float
+    unit: str
+    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    price: float = 0.0
+    signed: bool = True
+
+
+__all__ = [
+    "SIZE",
+    "VALUE",
+    "Entry",
+    "HiddenState",
+    "Law",
+    "Memory",
+    "Shape",
+    "Variable",
+    "Where",
+]

@@ -1,0 +1,471 @@
+"""Where a law that nobody listed may enter a system of formulas, and on what it may depend."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.identify.law import VALUE, Entry, Gains, HiddenState, Law, Memory, Variable
+from diffsim.identify.model import SimModel
+from diffsim.identify.problem import Problem
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.whitening import WhiteNoise
+from diffsim.systems.ode.applying import symbol
+from diffsim.systems.ode.described import FormulaSystem
+from diffsim.systems.ode.keys import FormulaKeys, Place
+from diffsim.systems.ode.library import Library
+from diffsim.systems.ode.network import READING, TIME, Change, filled, named
+from diffsim.systems.ode.scene import OdeScene, at_start
+
+Array = NDArray[np.float64]
+LAWS = "laws"  # place of found laws in a study's frame
+USUAL_FACTOR = 0.1  # of a number: what a law may do to it without surprise
+#: shares of the longest run that memories are tried to last
+LASTING = (0.03, 0.1, 0.3, 1.0)
+#: shares of the way that a slipping spring is tried to give way after
+GIVING_WAY = (0.03, 0.1, 0.3)
+#: periods that hidden masses are tried to swing with, as shares of the longest run
+SWINGING = (0.02, 0.04, 0.08, 0.16)
+LIGHTLY = 0.05  # damping ratio of a hidden mass that nobody knows
+
+_HIDDEN = "hidden"  # what a hidden state is called in blocks
+_RATE = "hidden_rate"
+_LASTING, _REACH, _SWING = "lasting", "slip_reach", "swing_rate"
+
+
+Described = TypeVar("Described", bound=FormulaKeys)
+
+
+def with_laws(described: Described, blocks: Sequence[Mapping[str, Any]]) -> Described:
+    """A description with found laws among its own causes."""
+    return described.model_copy(update={"effects": described.effects.joined(blocks)})
+
+
+def frame_of_laws(study: Study) -> dict[str, Any]:
+    """What a model's frame says of laws that were found."""
+    blocks = study.frame.get(LAWS)
+    return {LAWS: blocks} if blocks else {}
+
+
+@dataclass(frozen=True, eq=False)
+class OdeLaws:
+    """Entries and variables of a described system (``identify.law.LawPort``).
+
+    Attributes:
+        system: The description with its formulas parsed.
+        library: Names and usual magnitudes; None on a bench, where nothing moves.
+        study: Study with the recordings.
+        model: Plain model.
+        make: Function (study) -> setup, of a study whose frame holds laws.
+    """
+
+    system: FormulaSystem
+    library: Library | None
+    study: Study
+    model: SimModel
+    make: Callable[[Study], DiagnosisSetup]
+    whole: Study | None = None
+
+    def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> OdeLaws:
+        """The same for a study of more runs, whose setup another function makes."""
+        return replace(self, make=make, whole=study)
+
+    @property
+    def keys(self) -> FormulaKeys:
+        """Keys of the description."""
+        return self.system.keys
+
+    @property
+    def entries(self) -> Sequence[Entry]:
+        """Places, rates that nothing else tells, numbers, inputs and channels."""
+        return tuple(self._list_entries())
+
+    def _list_entries(self) -> Iterator[Entry]:
+        motion, library = self.system.motion, self.library
+        places = () if library is None else library.places
+        for place, scale in places:
+            yield Entry("force", place.name, place.unit, scale.force)
+        mechanical = {n for p, _ in places for n in (p.position, p.velocity)}
+        for state, text in motion.rates.items():
+            # the rate of a position is a velocity by definition
+            if state in mechanical or text.strip() in motion.states:
+                continue
+            yield Entry("rate", state, "1/s", self._usual_rate(state))
+        used = self._names_in_use()
+        for name, q in self.keys.parameters.items():
+            if name in used and q.value != 0.0:
+                yield Entry("number", name, "-", 1.0)
+        for name in self.system.input_held if motion.states else ():
+            assert library is not None
+            reach = library.scales.of_commands((name,))["reach"]
+            unit = next((c.unit for c in self.study.commands if c.name == name), None)
+            yield Entry("input", name, unit or "-", reach)
+        for k, channel in enumerate(self.study.channels):
+            column = [run.measured[:, k] for run in self.study.fit_runs]
+            usual = float(np.nanstd(np.concatenate(column))) or 1.0
+            yield Entry("reading", channel.name, channel.unit, usual, k)
+
+    def _names_in_use(self) -> set[str]:
+        """Names that rates, definitions and readings are made of."""
+        network = self.system.network
+        formulas = (*network.rates.values(), *network.definitions.values())
+        return {n for e in (*formulas, *network.readings.values()) for n in e.names}
+
+    def _usual_rate(self, state: str) -> float:
+        stores = () if self.library is None else self.library.stores
+        for store, scale in stores:
+            if store.level == state:
+                return scale.rate
+        runs = self.study.fit_runs
+        channels = [replace(c, sd=1.0) for c in self.study.channels]
+        problem = Problem(self.model, runs, WhiteNoise(channels))
+        found = self.courses(problem, np.zeros(problem.num_base), [Variable(state, state)])
+        steps = [np.diff(c[:, 0]) / np.diff(r.time_s) for c, r in zip(found, runs, strict=True)]
+        usual = float(np.sqrt(np.mean(np.concatenate(steps) ** 2)))
+        return usual if math.isfinite(usual) and usual > 0.0 else 1.0
+
+    def variables(self) -> Sequence[Variable]:
+        """What the model knows, what was recorded beside it, and memories of these."""
+        return (*self._list_plain(), *self._list_memories())
+
+    def _list_plain(self) -> Iterator[Variable]:
+        motion, runs = self.system.motion, self.study.fit_runs
+        names = dict.fromkeys((*motion.states, *self.system.input_held, *self.keys.define))
+        units = self._units()
+        for name in names:
+            yield Variable(name, name, units.get(name, "-"), is_turn=True)
+        for channel, text in self.keys.readings.items():
+            if text.strip() not in names:
+                yield Variable(channel, f"({text})", units.get(channel, "-"), is_turn=True)
+        for column in self.system.columns:
+            unit = units.get(column, "-")
+            yield Variable(column, column, unit, columns=(column,), is_turn=True)
+        if motion.states:
+            yield Variable("time", TIME, "s", is_turn=False)
+        if len({run.order for run in runs}) > 3:
+            yield Variable("order of the runs", "run_order")
+
+    def _units(self) -> dict[str, str]:
+        """Units of states, inputs, channels and recorded columns, as far as they are known."""
+        out = {c.name: c.unit for c in self.study.channels}
+        out |= {c.name: c.unit for c in self.study.commands if c.unit}
+        out |= {c.name: c.unit for c in self.study.columns if c.unit}
+        for channel, text in self.keys.readings.items():
+            out.setdefault(text.strip(), out[channel])
+        for place in self.system.motion.places:
+            out[place.position] = place.position_unit
+            out[place.velocity] = f"{place.position_unit}/s"
+        return out
+
+    def _list_memories(self) -> Iterator[Variable]:
+        library = self.library
+        if library is None or not self.system.motion.states:
+            return
+        longest = library.scales.longest_s
+        signals = dict.fromkeys((*self.system.motion.states, *self.system.input_held))
+        for name in signals:
+            for share in LASTING:
+                time = {_LASTING: share * longest}
+                heat = HiddenState(f"(({name})**2 - {_HIDDEN})/{_LASTING}")
+                yield _remember("heat", name, f"heat of {name}^2", _HIDDEN, heat, time, "s")
+                behind = HiddenState(f"(({name}) - {_HIDDEN})/{_LASTING}", f"({name})")
+                lag = f"({name}) - {_HIDDEN}"
+                yield _remember("relaxation", name, f"memory of {name}", lag, behind, time, "s")
+        for place, scale in library.places:
+            v, reach = place.velocity, max(scale.above, scale.below)
+            for share in GIVING_WAY:
+                slip = HiddenState(f"{v} - abs({v})*{_HIDDEN}/{_REACH}")
+                numbers = {_REACH: share * reach}
+                unit = place.position_unit
+                words = f"spring that slips at {place.name}"
+                yield _remember("slip", place.position, words, _HIDDEN, slip, numbers, unit)
+            done = HiddenState(f"abs({v})")
+            words = f"way gone at {place.name}"
+            yield Variable(words, _HIDDEN, states={_HIDDEN: done}, memory="work", of=v)
+            for share in SWINGING:
+                rate = (
+                    f"{_SWING}**2*({place.position} - {_HIDDEN})"
+                    f" + 2*{LIGHTLY}*{_SWING}*({v} - {_RATE})"
+                )
+                swing = {
+                    _HIDDEN: HiddenState(_RATE, place.position),
+                    _RATE: HiddenState(rate, v),
+                }
+                yield Variable(
+                    f"mass that swings at {place.name}",
+                    f"{place.position} - {_HIDDEN}",
+                    states=swing,
+                    memory="oscillator",
+                    of=place.position,
+                    numbers={_SWING: 2.0 * math.pi / (share * longest)},
+                    number_units={_SWING: "rad/s"},
+                )
+
+    def drives(self, run: Run, most_knots: int) -> tuple[Effect, ...]:
+        """A free course of each rate that is no other state, straight between knots.
+
+        It stands beside all numbers of the model, so that none of them can undo it.
+        """
+        driven = self._driven_states
+        if not driven:
+            return ()
+        from diffsim.systems.ode.unknown import apply_knots  # of no use on a bench
+
+        count = min(most_knots // len(driven), max(len(run.time_s) // 2, 2))
+        spacing = float(run.time_s[-1] - run.time_s[0]) / (count - 1)
+        out = []
+        for state in driven:
+            name = f"course of {state}"
+            change = Change(rates={state: named(name)}, inputs=(name,))
+            out.append(
+                Effect(
+                    name=name,
+                    family="course",
+                    kind="force",
+                    unit="1/s",
+                    typical=self._usual_rate(state),
+                    components=tuple(f"knot_{k}" for k in range(count)),
+                    apply=partial(apply_knots, name=name, change=change, spacing=spacing),
+                )
+            )
+        return tuple(out)
+
+    @property
+    def _driven_states(self) -> list[str]:
+        motion = self.system.motion
+        return [s for s, text in motion.rates.items() if text.strip() not in motion.states]
+
+    def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains:
+        """What a unit at an entry does along the simulation of a problem's one run."""
+        probe = "probe of laws"
+        zero = {probe: torch.zeros((), dtype=torch.float64)}
+        change = self._enter(entry, named(probe), Change())
+        scene = self._scene(problem, x, problem.runs[0]).with_change(change, zero)
+        with torch.no_grad():
+            _, states = scene.solved()
+        solver = self.system.network.solver(scene.changes)
+        ode, times = solver.ode, scene.grid.times
+        unit = torch.zeros(len(times), dtype=torch.float64, requires_grad=True)
+        values = {TIME: times, **dict(zip(ode.rates, states.unbind(-1), strict=True))}
+        drives = {**scene.columns, **scene.inputs}
+        values |= {n: drives[p].detach() for n, p in zip(ode.inputs, solver.inputs, strict=True)}
+        for name, plain in zip(ode.parameters, solver.parameters, strict=True):
+            values[name] = unit if plain == probe else scene.values[plain].detach()
+        formulas = (
+            [ode.rates[s] for s in self._driven_states],
+            [ode.readings[c.name] for c in self.study.channels],
+        )
+        found = [[_slope(f, values, unit) for f in part] for part in formulas]
+        at = scene.grid.samples
+        rates, readings = (
+            torch.stack(part, -1)[at].numpy() if part else np.zeros((len(at), 0)) for part in found
+        )
+        return Gains(rates, readings)
+
+    def _scene(self, problem: Problem, x: Array, run: Run) -> OdeScene:
+        at = torch.from_numpy(np.array(x))
+        q = at[: problem.num_base]
+        scene = problem.model.scene(run, q, problem.sizes_at(at), problem.numerics)
+        assert isinstance(scene, OdeScene)
+        return scene
+
+    def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:
+        """Variables as a problem simulates them, (num_samples, num_variables) for each run."""
+        network = self.system.network
+        out = []
+        for run in problem.runs:
+            scene = self._scene(problem, x, run)
+            readings = {}
+            for k, variable in enumerate(variables):
+                change, value, _ = self._read(variable, f"watched {k}")
+                scene = scene.with_change(change, self._numbers(variable, f"watched {k}"))
+                readings[f"watched {k}"] = value
+            watching = network.with_readings({**network.readings, **readings})
+            with torch.no_grad():
+                found, _ = scene.solved(watching)
+            seen = found.index_select(-2, scene.grid.samples)[..., len(network.readings) :]
+            out.append(seen.numpy().reshape(len(scene.grid.samples), len(readings)))
+        return out
+
+    def terms(
+        self, entry: Entry, variable: Variable, terms: Sequence[str], name: str, typical: float
+    ) -> Effect:
+        """An effect whose components are the factors of terms of a variable."""
+        change, value, _ = self._read(variable, name)
+        symbols = [f"{symbol(name)} {k}" for k in range(len(terms))]
+        total = parse_expression("0")
+        for text, factor in zip(terms, symbols, strict=True):
+            term = filled(parse_expression(text, (VALUE,)), {VALUE: value})
+            parts = {"before": total, "factor": named(factor), "term": term}
+            total = filled(parse_expression("before + factor*term"), parts)
+        return Effect(
+            name=name,
+            family="law",
+            kind="force",
+            unit=entry.unit,
+            typical=typical,
+            components=tuple(f"term_{k}" for k in range(len(terms))),
+            apply=partial(
+                _apply_terms,
+                change=self._enter(entry, total, change),
+                symbols=tuple(symbols),
+                numbers=self._numbers(variable, name),
+            ),
+        )
+
+    def _numbers(self, variable: Variable, name: str) -> dict[str, Tensor]:
+        return {
+            f"{n} of {name}": torch.tensor(v, dtype=torch.float64)
+            for n, v in variable.numbers.items()
+        }
+
+    def _read(self, variable: Variable, name: str) -> tuple[Change, Expression, dict[str, str]]:
+        """The change that hidden states make, and the variable's formula beside it."""
+        states = {s: f"{s} of {name}" for s in variable.states}
+        own = states | {n: f"{n} of {name}" for n in variable.numbers}
+        known = (*self.system.known, *variable.columns, *own)
+        parts = {short: named(full) for short, full in own.items()}
+        rates = {
+            states[s]: filled(parse_expression(h.rate, known), parts)
+            for s, h in variable.states.items()
+        }
+        starts = {
+            states[s]: self._start(parse_expression(h.start, known), parts)
+            for s, h in variable.states.items()
+        }
+        change = Change(states=rates, starts=starts, inputs=variable.columns)
+        return change, filled(parse_expression(variable.formula, known), parts), states
+
+    def _start(self, formula: Expression, parts: Mapping[str, Expression]) -> Expression:
+        begins = {s: named(at_start(s)) for s in self.system.motion.states}
+        return filled(formula, {**parts, **begins})
+
+    def _enter(self, entry: Entry, total: Expression, change: Change) -> Change:
+        """The term added where it enters."""
+        target = entry.target
+        if entry.kind == "force":
+            from diffsim.systems.ode.place_effects import pushed  # of no use on a bench
+
+            made = pushed(self._place(target), total, self.system.known)
+            return replace(change, rates=made.rates, names=made.names)
+        if entry.kind == "rate":
+            return replace(change, rates={target: total})
+        before = named(READING) if entry.kind == "reading" else named(target)
+        text = "before*(1 + law)" if entry.kind == "number" else "before + law"
+        new = filled(parse_expression(text), {"before": before, "law": total})
+        if entry.kind == "reading":
+            return replace(change, readings={target: new})
+        return replace(change, names={target: new})
+
+    def _place(self, name: str) -> Place:
+        assert self.library is not None
+        return next(place for place, _ in self.library.places if place.name == name)
+
+    def block(self, law: Law) -> Mapping[str, Any]:
+        """A law as a cause of formulas, as ``effects.own`` takes it."""
+        entry, variable = law.entry, law.variable
+        value = f"({variable.formula})"
+        term = _put(law.term, VALUE, value)
+        target = {"adds_to": entry.target}
+        if entry.kind == "force":
+            place = self._place(entry.target)
+            if place.force is None:
+                target = {"adds_to": place.velocity}
+                term = f"({term})/({place.inertia})"
+            else:
+                target = {"adds_to": place.force}
+        elif entry.kind == "number":
+            target, term = {"multiplies": entry.target}, f"1 + ({term})"
+        shapes = {
+            name: {
+                key: number
+                for key, number in (
+                    ("value", s.value),
+                    ("sd", s.sd),
+                    ("lower", s.lower),
+                    ("upper", s.upper),
+                )
+                if math.isfinite(number)
+            }
+            | {"unit": s.unit}
+            for name, s in law.shapes.items()
+        }
+        return {
+            "name": law.name,
+            **target,
+            "term": term,
+            "states": {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()},
+            "shapes": shapes,
+            "typical": law.typical,
+            "unit": law.unit,
+            "signed": law.signed,
+            "scanned": True,
+            "family": "law",
+            "price": law.price,
+        }
+
+    def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
+        """The system with laws among its candidate causes."""
+        study = self.whole or self.study
+        frame = {**study.frame, **self.model.frame, LAWS: [dict(b) for b in blocks]}
+        return self.make(replace(study, frame=frame))
+
+
+def _apply_terms(
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    change: Change,
+    symbols: Sequence[str],
+    numbers: Mapping[str, Tensor],
+) -> OdeScene:
+    sizes = {s: size[..., i] for i, s in enumerate(symbols)}
+    return scene.with_change(change, {**sizes, **numbers})
+
+
+def _slope(formula: Expression | str, values: Mapping[str, Tensor], by: Tensor) -> Tensor:
+    """Slope of a formula along a simulation, sample by sample."""
+    assert isinstance(formula, Expression)
+    total = formula(values).sum()
+    if not total.requires_grad:
+        return torch.zeros_like(by)
+    (slope,) = torch.autograd.grad(total, by, allow_unused=True)
+    return torch.zeros_like(by) if slope is None else torch.nan_to_num(slope)
+
+
+def _remember(
+    kind: Memory,
+    of: str,
+    words: str,
+    formula: str,
+    state: HiddenState,
+    numbers: Mapping[str, float],
+    unit: str,
+) -> Variable:
+    return Variable(
+        words,
+        formula,
+        states={_HIDDEN: state},
+        memory=kind,
+        of=of,
+        numbers=numbers,
+        number_units=dict.fromkeys(numbers, unit),
+    )
+
+
+def _put(text: str, name: str, value: str) -> str:
+    """A formula with a name of it replaced."""
+    return re.sub(rf"\b{name}\b", lambda _: value, text)

@@ -1,0 +1,249 @@
+"""Laws that nobody listed, as the page shows them: pictures, formulas, what else was weighed."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim.core.expression import parse_expression
+from diffsim.data.study import Study
+from diffsim.diagnose.judge.records import HALF_LEVEL
+from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
+from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.wording import opened
+from diffsim.identify.law import SIZE, VALUE, Entry, Where
+from diffsim.viz import charts
+from diffsim.viz import report as page
+from diffsim.viz.charts import EXTENDED
+from diffsim.viz.figures import INK, LINE
+from diffsim.viz.formulas import write_formula
+from diffsim.viz.numbers import figure, unit_of, with_interval
+
+Array = NDArray[np.float64]
+MOST_ROWS = 15  # of the table of all that was weighed
+PERIODS = 3.0  # of a law that repeats, in its picture: more of them are a grey wall
+NUM_FINE = 400  # points of a formula's line
+
+
+def laws_section(r: Report) -> list[page.Section]:
+    """What laws were found, and what was weighed for it; nothing where none were looked for."""
+    if r.described is None:
+        return []
+    answer = r.described
+    content: list[page.Item] = [*_pictures(r, answer)]
+    content += [_law_table(r, law) for law in answer.laws]
+    if answer.screen:
+        content.append(_screen_table(answer))
+    return [page.Section(title="Laws that nobody listed", text=_words(answer), content=content)]
+
+
+def _words(answer: LawAnswer) -> list[str]:
+    if answer.laws:
+        return []  # the picture says it
+    return ["No law of one variable stands: the library, or something unknown, does as well."]
+
+
+def _pictures(r: Report, answer: LawAnswer) -> list[page.Chart]:
+    """The missing term over its variable, once for each place and variable of the laws."""
+    made: dict[tuple[str, str, tuple[str, ...]], page.Chart] = {}
+    for law in answer.laws:
+        curve = next((c for c in answer.curves if c.law == law.name), None)
+        if curve is not None:
+            made.setdefault(_place_of(law), _picture(r, law, curve))
+    return list(made.values())
+
+
+def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:
+    return law.entry["kind"], law.entry["target"], law.variables
+
+
+def _picture(r: Report, law: DescribedLaw, curve: LawCurve) -> page.Chart:
+    caption = (
+        f"{opened(law.sentence)}. Dark line: the term as the fitted runs ask for it, before it has "
+        "a form; grey: its 90 % band."
+    )
+    values = _values_of(r, law)
+    if values is not None:
+        caption += (
+            " Colored: the formula, at the level of the line, since the model's own numbers take "
+            "up what is constant."
+        )
+    kept = _seen_part(law, np.array(curve.u))
+    return page.Chart(figure=law_over_variable(r.study, law, curve, values, kept), caption=caption)
+
+
+def _seen_part(law: DescribedLaw, u: Array) -> NDArray[np.bool_]:
+    """Points that are drawn: all, or a few periods in the middle."""
+    number = law.numbers.get("wave_number")
+    if number is None:
+        return np.ones(len(u), dtype=bool)
+    half = 0.5 * PERIODS * 2.0 * np.pi / abs(number.value)
+    return np.abs(u - 0.5 * (u[0] + u[-1])) <= half
+
+
+def law_over_variable(
+    study: Study,
+    law: DescribedLaw,
+    curve: LawCurve,
+    values: dict[str, float] | None,
+    kept: NDArray[np.bool_],
+) -> Any:
+    """A missing term over its variable, with its band and its formula.
+
+    Args:
+        study: Study that knows units.
+        law: The law.
+        curve: The term before it has a form.
+        values: Numbers of the formula by name; None: it is not drawn.
+        kept: Points of the curve that are drawn.
+    """
+    u, middle, sd = (np.array(a)[kept] for a in (curve.u, curve.value, curve.sd))
+    around = np.concatenate([u, u[::-1]])
+    edge = np.concatenate([middle + HALF_LEVEL * sd, (middle - HALF_LEVEL * sd)[::-1]])
+    look: dict[str, Any] = {
+        "fill": "toself",
+        "fillcolor": LINE,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
+    drawn = [
+        charts.line(around, edge, "90 % band", LINE, **look),
+        charts.line(u, middle, "as the runs ask for it", INK),
+    ]
+    if values is not None:
+        color = {"color": EXTENDED, "width": 2.4, "dash": "dash"}
+        fine = np.linspace(u[0], u[-1], NUM_FINE)
+        formula = _level_with(law, _at(law, values, fine), _at(law, values, u), middle, sd)
+        drawn.append(charts.line(fine, formula, "formula", EXTENDED, line=color))
+    shown = charts.styled(charts.graph_objects().Figure(drawn), height=380)
+    size = law.numbers.get("amplitude")
+    shown.update_xaxes(title_text=_with_unit(_value_of(law), _unit_in(study, _value_of(law))))
+    shown.update_yaxes(
+        title_text=_with_unit(_term_at(law.entry), "" if size is None else size.unit)
+    )
+    return shown
+
+
+def _level_with(law: DescribedLaw, formula: Array, at_u: Array, middle: Array, sd: Array) -> Array:
+    """A formula where the term lies that it was made from.
+
+    Both were fitted with numbers of their own. What is constant in a term may be theirs; of a
+    change of a number, a factor may.
+    """
+    weight = 1.0 / np.maximum(sd, 1e-3 * sd.max() + 1e-300) ** 2
+    if law.entry["kind"] == "number":
+        factor = np.sum(weight * (1.0 + middle) * (1.0 + at_u)) / np.sum(weight * (1.0 + at_u) ** 2)
+        return np.asarray(factor * (1.0 + formula) - 1.0)
+    return np.asarray(formula + np.sum(weight * (middle - at_u)) / np.sum(weight))
+
+
+def _values_of(r: Report, law: DescribedLaw) -> dict[str, float] | None:
+    """Numbers of a formula at the best set; None where that is without the law."""
+    names = [n for n in parse_expression(law.formula).names if n != VALUE]
+    own = {n: law.name if n == SIZE else f"{n}_of_{law.name}" for n in names}
+    values = r.best.values
+    if not all(full in values for full in own.values()):
+        return None
+    return {short: float(values[full]) for short, full in own.items()}
+
+
+def _at(law: DescribedLaw, values: dict[str, float], u: Array) -> Array:
+    given = {name: torch.tensor(v, dtype=torch.float64) for name, v in values.items()}
+    term = parse_expression(law.formula)({**given, VALUE: torch.from_numpy(u)})
+    return np.asarray(term.expand(u.shape).numpy(), dtype=np.float64)
+
+
+def _unit_in(study: Study, name: str) -> str:
+    """SI unit of what a study names; nothing where it does not."""
+    units = {c.name: c.unit for c in study.channels}
+    units |= {c.name: c.unit or "" for c in study.commands}
+    units |= {c.name: c.unit or "" for c in study.columns}
+    return units.get(name, "")
+
+
+def _value_of(law: DescribedLaw) -> str:
+    """What the formula is of, in words: a variable, or what a hidden state keeps of it."""
+    return f"{law.memory} of {law.variables[0]}" if law.memory else law.variables[0]
+
+
+def _with_unit(words: str, unit: str) -> str:
+    return f"{words} [{unit}]" if unit_of(unit) else words
+
+
+def _enters(entry: dict[str, str]) -> str:
+    return Entry(cast(Where, entry["kind"]), entry["target"], "-", 0.0).words
+
+
+def _term_at(entry: dict[str, str]) -> str:
+    return (
+        f"change of {entry['target']}, as a share" if entry["kind"] == "number" else _enters(entry)
+    )
+
+
+def _law_table(r: Report, law: DescribedLaw) -> page.Table:
+    """A law with its formula and numbers, a row each."""
+    rows = [
+        ["in words", law.sentence],
+        ["where it enters", _enters(law.entry)],
+        ["on what it depends", ", ".join(law.variables)],
+        ["form", law.form],
+        ["formula", f"{law.formula}, {VALUE} being {_value_of(law)}"],
+        *_write_rows(r, law),
+        *([name.replace("_", " "), _number(n)] for name, n in law.numbers.items()),
+        ["looks like", " or ".join(law.looks_like) or "–"],
+        ["how sure", law.status],
+    ]
+    if law.memory:
+        rows.insert(3, ["hidden state", law.memory])
+    caption = "Numbers in SI units with 90 % intervals. The saved model holds the law in full."
+    return page.Table(columns=[law.name.replace("_", " "), ""], rows=rows, caption=caption)
+
+
+def _write_rows(r: Report, law: DescribedLaw) -> list[list[str]]:
+    """The formula with its numbers, as text and as LaTeX."""
+    values = _values_of(r, law)
+    written = values and write_formula(law.formula, values, {VALUE: _value_of(law)})
+    if not written:
+        return []
+    return [["with its numbers", written.text], ["as LaTeX", written.latex]]
+
+
+def _number(number: Number) -> str:
+    interval = with_interval(number.value, number.low, number.high)
+    return f"{interval} {unit_of(number.unit)}".rstrip()
+
+
+def _screen_table(answer: LawAnswer) -> page.Table:
+    """What laws of all variables would explain at all places, before they have a form."""
+    shown = answer.screen[:MOST_ROWS]
+    found = {_place_of(law) for law in answer.laws if not law.memory}
+    return page.Table(
+        columns=[
+            "where it enters",
+            "on what it depends",
+            "taken from the misfit of runs left out [%]",
+            "nats over none",
+            "wave number [1/SI unit]",
+        ],
+        rows=[_screen_row(row) for row in shown],
+        caption=f"The best {len(shown)} of {answer.num_tried} laws without a form, smooth or "
+        "periodic, by evidence and by runs left out. The choice among them has its price. In bold: "
+        "laws of the answer, but for those of hidden states.",
+        emphasis=[i for i, s in enumerate(shown) if (s.kind, s.target, (s.variable,)) in found],
+    )
+
+
+def _screen_row(row: ScreenRow) -> list[str]:
+    return [
+        _enters({"kind": row.kind, "target": row.target}),
+        row.variable,
+        f"{100.0 * row.share:.0f}",
+        figure(row.nats),
+        figure(row.wave_number) if row.wave_number else "–",
+    ]
+
+
+__all__ = ["law_over_variable", "laws_section"]

@@ -1,0 +1,114 @@
+"""``python -m labs.unlisted``: hide laws that no library lists, diagnose, and count."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diffsim.cli.arguments import add_executor, names, positive
+from diffsim.core import interruptible, open_executor, run_kept
+from diffsim.core.check import require_choice
+from diffsim.core.errors import DiffsimError
+from labs.rates.case import EFFORTS, QUICK
+from labs.rates.plan import planned
+from labs.unlisted.case import in_order, items, solve
+from labs.unlisted.catalog import KINDS
+from labs.unlisted.page import write_page
+
+RESULTS = "results"
+
+
+def arguments() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m labs.unlisted",
+        description="Hide laws that no library lists in recordings, diagnose them as a user "
+        "would, and count what is found. The same command goes on with a run.",
+    )
+    parser.add_argument(
+        "--cases", type=positive, metavar="N",
+        help="cases; each kind comes once before any comes again (default: one of each)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--only", type=names, default=tuple(KINDS), metavar="KIND,...",
+        help=f"of {', '.join(KINDS)} (default: all)",
+    )  # fmt: skip
+    parser.add_argument("--effort", choices=EFFORTS, default=QUICK, help="default: %(default)s")
+    parser.add_argument(
+        "--seed", type=int, help="master seed; drawn afresh if not given: only then it is sealed"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes there")
+    parser.add_argument("--page", type=Path, help="write the page there, too")
+    add_executor(parser, "cases")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Draw, record, diagnose and count.
+
+    Args:
+        argv: Arguments without the program's name; None takes the process's own.
+
+    Returns:
+        Exit status: 0, 2 after an error, 130 after Ctrl-C.
+    """
+    given = list(sys.argv[1:] if argv is None else argv)
+    args = arguments().parse_args(given)
+    try:
+        for kind in args.only:
+            require_choice("--only", kind, KINDS)
+        plan = planned(argparse.Namespace(out=args.out, effort=args.effort, master=args.seed,
+                                          domain=()))  # fmt: skip
+        print(f"master seed {plan['master']}, commit {plan['commit'][:10]}")
+        wanted = items(args.only, args.cases or len(args.only), plan)
+        with open_executor(args.executor) as executor:
+            run_kept(
+                partial(solve, out=args.out), wanted, args.out / RESULTS, executor,
+                done=lambda _, row: say(row),
+            )  # fmt: skip
+        rows = finished(args.out, plan)
+        for path in (args.out / "unlisted.md", args.page):
+            if path is not None:
+                print(f"wrote {write_page(rows, plan, path)}")
+        return 0
+    except KeyboardInterrupt:
+        print("\ninterrupted; finished cases are kept", file=sys.stderr)
+        print(f"go on with: python -m labs.unlisted {shlex.join(given)}", file=sys.stderr)
+        return 130
+    except (DiffsimError, ValueError, OSError, ImportError) as error:
+        if args.debug:
+            raise
+        print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+def finished(out: Path, plan: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """All cases of the run that have ended, whichever call asked for them.
+
+    Args:
+        out: Folder of the run.
+        plan: Of the run.
+    """
+    rows = [
+        json.loads(path.read_text(encoding="utf-8"))["result"]
+        for path in (out / RESULTS).glob("*.json")
+    ]
+    of_run = [r for r in rows if all(r[k] == plan[k] for k in ("master", "commit", "effort"))]
+    return sorted(of_run, key=in_order)
+
+
+def say(row: Mapping[str, Any]) -> None:
+    """One line for a finished case."""
+    print(f"{row['case']}: {row['verdict']}, {row['said']}; {row['cpu_s']:.0f} CPU s", flush=True)
+
+
+if __name__ == "__main__":
+    with interruptible():
+        sys.exit(main())

@@ -1,0 +1,95 @@
+"""The evidence of a law beside a fit, and what it gains where it was not fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import linalg, special, stats
+
+from diffsim.diagnose.discover.screen import NUM_BUMPS, Weigher, bumps, trend
+from diffsim.diagnose.search.evidence import AMPLITUDES
+
+COUNT = 48
+
+
+@pytest.fixture
+def problem():
+    """Record, slopes by two shared numbers and two of one part alone, columns of a law."""
+    rng = np.random.default_rng(3)
+    folds = np.repeat(np.arange(4), COUNT // 4)
+    shared = rng.normal(size=(COUNT, 2))
+    own = np.stack([np.where(folds == k, rng.normal(size=COUNT), 0.0) for k in (1, 3)], 1)
+    slopes = np.hstack([shared, 2.0 * own])
+    columns = rng.normal(size=(COUNT, 3))
+    columns /= np.sqrt(np.sum(columns**2) / COUNT)
+    missing = columns @ [0.8, -1.5, 0.4] + slopes @ [0.5, -1.0, 2.0, 1.0] + rng.normal(size=COUNT)
+    return missing, slopes, columns, folds
+
+
+def weigher(missing, slopes, folds):
+    factor = linalg.cho_factor(slopes.T @ slopes + np.eye(slopes.shape[1]), lower=True)
+    return Weigher(missing, slopes, factor, folds)
+
+
+@pytest.mark.reference
+def test_a_gain_is_the_ratio_of_two_normal_densities(problem):
+    missing, slopes, columns, folds = problem
+    plain = np.eye(COUNT) + slopes @ slopes.T
+    zero = np.zeros(COUNT)
+    without = stats.multivariate_normal(zero, plain).logpdf(missing)
+    each = [
+        stats.multivariate_normal(zero, plain + a**2 * columns @ columns.T).logpdf(missing)
+        - without
+        for a in AMPLITUDES
+    ]
+    nats, amplitude = weigher(missing, slopes, folds).gain(columns)
+    assert nats == pytest.approx(special.logsumexp(each) - np.log(len(each)), abs=1e-9)
+    assert amplitude == AMPLITUDES[int(np.argmax(each))]
+
+
+def without_own(rows, slopes, folds, left):
+    """Misfit of a part, what only this part tells fitted to it."""
+    own = slopes[rows][:, [k for k in range(slopes.shape[1]) if not slopes[~rows, k].any()]]
+    return left @ np.linalg.solve(np.eye(len(left)) + own @ own.T, left)
+
+
+@pytest.mark.reference
+def test_what_a_law_gains_is_what_refits_without_each_part_say(problem):
+    missing, slopes, columns, folds = problem
+    before = after = 0.0
+    for k in range(4):
+        rows = folds == k
+        for block in (slopes, np.hstack([slopes, columns])):
+            rest = block[~rows]
+            told = np.linalg.solve(rest.T @ rest + np.eye(block.shape[1]), rest.T @ missing[~rows])
+            misfit = without_own(rows, slopes, folds, missing[rows] - block[rows] @ told)
+            if block is slopes:
+                before += misfit
+            else:
+                after += misfit
+    gained, share = weigher(missing, slopes, folds).left_out(columns)
+    assert gained == pytest.approx(0.5 * (before - after), rel=1e-9)
+    assert share == pytest.approx((before - after) / max(before - COUNT, before - after), rel=1e-9)
+
+
+def test_columns_of_chance_gain_nothing_where_they_were_not_fitted(problem):
+    missing, slopes, columns, folds = problem
+    rng = np.random.default_rng(0)
+    asked = weigher(missing, slopes, folds)
+    chance = [asked.left_out(rng.normal(size=columns.shape))[0] for _ in range(200)]
+    assert np.mean(chance) < 0.0 < asked.left_out(columns)[0]
+
+
+@pytest.mark.parametrize("make", [bumps, trend])
+def test_a_basis_is_what_its_formulas_say(make):
+    low, high = -2.0, 5.0
+    basis = make(low, high)
+    u = np.linspace(low, high, 37)
+    said = [eval(term, {"exp": np.exp, "u": u}) for term in basis.terms]
+    np.testing.assert_allclose(basis.values(u), np.stack(said, 1), rtol=1e-12, atol=1e-15)
+
+
+def test_bumps_overlap_so_that_they_can_be_level():
+    values = bumps(-1.0, 1.0).values(np.linspace(-0.6, 0.6, 101)).sum(1)
+    assert values.shape == (101,) and np.ptp(values) < 0.05 * values.mean()
+    assert len(bumps(-1.0, 1.0).terms) == NUM_BUMPS

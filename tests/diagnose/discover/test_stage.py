@@ -1,0 +1,139 @@
+"""Recordings with something hidden that no library lists, from the plain fit to the answer."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim import cli
+from diffsim.data import save_study
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.discover.stage import find_laws
+from diffsim.diagnose.search.fit import silent
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.identify import Problem, extended_model
+from diffsim.identify.linearization import linearization_at
+from diffsim.identify.model_file import read_extended, rebuilt
+from diffsim.identify.whitening import WhiteNoise
+from diffsim.systems.registry import load_extended, setup_of
+from tests.diagnose.discover.turntable import DAMPING, turntable_study
+
+USES = ("fit", "fit", "select", "test")
+NOISE = 0.01  # [rad]
+TEETH, TORQUE = 7.0, 0.02  # times a turn, [N m]
+
+
+def cogging(angle, speed, temp):
+    return TORQUE * np.sin(TEETH * angle + 0.6)
+
+
+def thinner_when_warm(angle, speed, temp):
+    return 0.024 * (temp - 298.0) * DAMPING * speed
+
+
+def found(study):
+    made = setup_of(study)
+    return diagnose(
+        study,
+        made.model,
+        made.effects,
+        seed=0,
+        unknowns=made.unknowns,
+        settings=made.settings,
+        laws=made.laws,
+    )
+
+
+@pytest.fixture(scope="module")
+def cogs():
+    return found(turntable_study(cogging, uses=USES, noise=NOISE, count=200))
+
+
+@pytest.mark.cpu(10)  # a whole diagnosis, then another one with the laws that it found
+def test_a_hidden_cogging_is_described(cogs):
+    assert cogs.verdict == "described"
+    (law,) = cogs.described.laws
+    assert law.entry == {"kind": "force", "target": "shaft"}
+    assert law.variables == ("angle",) and law.form == "periodic" and law.memory is None
+    for name, truth, unit in (("amplitude", TORQUE, "N m"), ("wave_number", TEETH, "-")):
+        number = law.numbers[name]
+        assert number.low < truth < number.high and number.unit == unit
+        assert number.high - number.low < 0.2 * truth
+    assert "cogging" in law.looks_like and law.sentence in cogs.headline
+    assert "7" in law.sentence.partition(" times a turn")[0] or "6.99" in law.sentence
+
+
+def test_its_curve_is_the_torque(cogs):
+    """Before it has a form: the missing term over the angle, within its band."""
+    curve = next(c for c in cogs.described.curves if c.law == cogs.described.laws[0].name)
+    u, value, sd = map(np.array, (curve.u, curve.value, curve.sd))
+    truth = TORQUE * np.sin(TEETH * u + 0.6)
+    assert np.sqrt(np.mean((value - truth) ** 2)) < 0.2 * TORQUE
+    assert (sd > 0.0).all() and sd.max() < 0.2 * TORQUE
+
+
+def test_others_explain_less_of_what_was_left_out(cogs):
+    first, *rest = cogs.described.screen
+    assert (first.kind, first.target, first.variable) == ("force", "shaft", "angle")
+    assert first.wave_number == pytest.approx(TEETH, abs=0.2)
+    assert first.share > 0.98 and all(row.nats < first.nats - 50.0 for row in rest)
+
+
+def test_unseen_runs_confirm_it(cogs):
+    (row,) = [row for row in cogs.errors if row.use == "test"]
+    assert row.after < 1.2 * NOISE and row.before > 10.0 * NOISE
+
+
+def test_nothing_is_described_where_nothing_is_hidden():
+    report = found(turntable_study(uses=USES, noise=NOISE, count=200))
+    assert report.verdict == "none"
+    assert report.described is None or report.described.laws == ()
+
+
+@pytest.mark.cpu(8)  # eight laws are fitted in the simulator
+def test_damping_that_falls_with_a_recorded_temperature_is_found():
+    """The column is in no formula: it is named before every memory, and its slope is right."""
+    study = turntable_study(thinner_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
+    made = setup_of(study)
+    problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
+    start = linearization_at(problem, np.zeros(problem.num_base))
+    laws = find_laws([gauss_newton(problem, start)[0]], made.laws, silent)
+    best = laws.screened[0]
+    assert (best.entry.kind, best.entry.target, best.variable.name) == ("number", "c", "temp")
+    assert best.share > 0.95 and best.variable.columns == ("temp",)
+    first = laws.laws[0]
+    assert (first.entry.target, first.variable.name) == ("c", "temp")
+    fitted = next(f for f in laws.fitted if f.candidate.variable.name == "temp")
+    # c is free, so that of a law its slope over its value counts
+    curve = fitted.curve
+    slope, level = np.polyfit(curve.u - 298.0, curve.values, 1, w=1.0 / curve.sd)
+    assert slope / (1.0 + level) == pytest.approx(-0.024, rel=0.1)
+
+
+def test_a_saved_law_judges_another_study(cogs, tmp_path, capsys):
+    """Its formula comes with the model: the study of the new runs does not know of it."""
+    cogs.save(tmp_path / "saved")
+    other = turntable_study(cogging, uses=("test", "test"), noise=NOISE, seed=5, count=150)
+    other = replace(other, runs=tuple(replace(r, name=f"later_{r.order}") for r in other.runs))
+    saved = read_extended(tmp_path / "saved")
+    assert saved.verdict == "described" and len(saved.frame["laws"]) >= 1
+    before, again = extended_model(cogs.best), load_extended(tmp_path / "saved", other)
+    made = rebuilt(saved, setup_of(saved.framed(other)))
+    for run in other.runs:
+        expected = before.predict(run, before.at_prior()).numpy()
+        for model in (again, made):
+            np.testing.assert_allclose(
+                model.predict(run, model.at_prior()).numpy(), expected, rtol=1e-9, atol=1e-12
+            )
+    save_study(other, tmp_path / "study")
+    folders = ["--model", str(tmp_path / "saved"), "--out", str(tmp_path / "out")]
+    assert cli.main(["diagnose", "judge", str(tmp_path / "study"), "--debug", *folders]) == 0
+    judged = json.loads((tmp_path / "out" / "judge.json").read_text())
+    first, second = judged["errors"]
+    assert first["after"] < 1.1 * NOISE and first["before"] > 5.0 * NOISE
+    # a third of a turn below all fitted angles the wave number's own error shows
+    assert second["after"] < 2.0 * NOISE and second["before"] > 20.0 * NOISE
+    assert "confirmed" in capsys.readouterr().out
