@@ -136,9 +136,8 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
         if short == "swing_rate":
             short, value_shown, sd, unit = "frequency", value / TURN, sd / TURN, "Hz"
         short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
-        numbers[short] = Number(
-            value_shown, value_shown - HALF_LEVEL * sd, value_shown + HALF_LEVEL * sd, unit
-        )
+        half = HALF_LEVEL * float(sd)
+        numbers[short] = Number(value_shown, value_shown - half, value_shown + half, unit)
     entry = {"kind": law.entry.kind, "target": law.entry.target}
     looks = look_alikes(law)
     return DescribedLaw(

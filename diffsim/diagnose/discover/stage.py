@@ -188,7 +188,8 @@ def _fit_law(followed: FollowedRecord, candidate: Candidate, port: LawPort) -> F
         return None
     curve = _curve(ended, candidate, u[np.isfinite(u)], len(effect.components))
     nats = _nats(ended) - _nats(fit)
-    forms = () if candidate.basis.wave else tuple(fit_forms(curve))
+    told = _with_free_level(curve) if candidate.entry.kind == "number" else curve
+    forms = () if candidate.basis.wave else tuple(fit_forms(told))
     return FittedLaw(candidate, ended, curve, nats, forms)
 
 
@@ -222,6 +223,12 @@ def _curve(fit: Fit, candidate: Candidate, u: Array, count: int) -> Curve:
     factors = np.array([fit.values[n] for n in names])
     covariance = fit.covariance[-count:, -count:] * np.outer(unit, unit)
     return Curve(points, basis @ factors, basis, factors, covariance)
+
+
+def _with_free_level(curve: Curve) -> Curve:
+    """A curve whose level says nothing: the number's own value holds it, whatever it is."""
+    level = linalg.pinv(curve.basis) @ np.ones(len(curve.u))
+    return replace(curve, covariance=curve.covariance + np.outer(level, level))
 
 
 def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
