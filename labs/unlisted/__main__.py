@@ -14,7 +14,7 @@ from typing import Any
 from diffsim.cli.arguments import add_executor, names, positive
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.check import require_choice
-from diffsim.core.errors import DiffsimError
+from labs.command import ended
 from labs.rates.case import EFFORTS, QUICK
 from labs.rates.plan import planned
 from labs.unlisted.case import in_order, items, solve
@@ -61,32 +61,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if argv is None else argv)
     args = arguments().parse_args(given)
-    try:
-        for kind in args.only:
-            require_choice("--only", kind, KINDS)
-        plan = planned(argparse.Namespace(out=args.out, effort=args.effort, master=args.seed,
-                                          domain=()))  # fmt: skip
-        print(f"master seed {plan['master']}, commit {plan['commit'][:10]}")
-        wanted = items(args.only, args.cases or len(args.only), plan)
-        with open_executor(args.executor) as executor:
-            run_kept(
-                partial(solve, out=args.out), wanted, args.out / RESULTS, executor,
-                done=lambda _, row: say(row),
-            )  # fmt: skip
-        rows = finished(args.out, plan)
-        for path in (args.out / "unlisted.md", args.page):
-            if path is not None:
-                print(f"wrote {write_page(rows, plan, path)}")
-        return 0
-    except KeyboardInterrupt:
-        print("\ninterrupted; finished cases are kept", file=sys.stderr)
-        print(f"go on with: python -m labs.unlisted {shlex.join(given)}", file=sys.stderr)
-        return 130
-    except (DiffsimError, ValueError, OSError, ImportError) as error:
-        if args.debug:
-            raise
-        print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    return ended(
+        lambda: work(args), f"python -m labs.unlisted {shlex.join(given)}", debug=args.debug
+    )
+
+
+def work(args: argparse.Namespace) -> None:
+    """Record and diagnose the cases that were asked for, and write the page of the run."""
+    for kind in args.only:
+        require_choice("--only", kind, KINDS)
+    plan = planned(
+        argparse.Namespace(out=args.out, effort=args.effort, master=args.seed, domain=())
+    )
+    print(f"master seed {plan['master']}, commit {plan['commit'][:10]}")
+    wanted = items(args.only, args.cases or len(args.only), plan)
+    with open_executor(args.executor) as executor:
+        run_kept(
+            partial(solve, out=args.out), wanted, args.out / RESULTS, executor,
+            done=lambda _, row: say(row),
+        )  # fmt: skip
+    rows = finished(args.out, plan)
+    for path in filter(None, (args.out / "unlisted.md", args.page)):
+        print(f"wrote {write_page(rows, plan, path)}")
 
 
 def finished(out: Path, plan: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -16,7 +16,6 @@ from scipy import linalg, optimize
 Array = NDArray[np.float64]
 NUM_STARTS = 7  # of each number of a form, over the range of its variable
 WIDE = 10.0  # of the prior of a form's number, in sd that the record leaves
-LEAST_WIDTH = 0.02  # of the same, over the scale of the number
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,6 @@ class Form:
         starts: Starts of each number, in the scaled variable.
         bounds: Bounds of each number, in the scaled variable.
         scales: How each number becomes one of the variable: "place", "length", "rate" or "-".
-        of_positive: Whether the variable must not change its sign.
     """
 
     name: str

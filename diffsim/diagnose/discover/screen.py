@@ -251,10 +251,9 @@ class Weigher:
         left = columns - j @ linalg.cho_solve(self.factor, j.T @ columns)
         right = left.T @ self.missing
         a, b = np.split(left, 2, axis=1)
-        (p, q), count = np.split(right, 2), len(right) // 2
+        p, q = np.split(right, 2)
         aa, bb, ab = (np.sum(x * y, 0) for x, y in ((a, a), (b, b), (a, b)))
         det = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb + 1e-300)
-        assert len(det) == count
         return np.asarray((bb * p**2 - 2.0 * ab * p * q + aa * q**2) / det)
 
     def left_out(self, columns: Array) -> tuple[float, float]:
