@@ -1,9 +1,12 @@
-"""How the commands of the laboratories end: what went wrong in a line, and how to go on."""
+"""What the commands of the laboratories share: what a run has kept, and how it ends."""
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 from diffsim.core.errors import DiffsimError
 
@@ -30,3 +33,14 @@ def ended(work: Callable[[], None], again: str, *, debug: bool = False) -> int:
             raise
         print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+
+
+def kept(folder: Path, plan: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Results of a run that were kept, those of other plans left out.
+
+    Args:
+        folder: Where ``run_kept`` keeps them.
+        plan: Of the run: its seed, commit and effort.
+    """
+    rows = [json.loads(p.read_text(encoding="utf-8"))["result"] for p in folder.glob("*.json")]
+    return [r for r in rows if all(r[k] == plan[k] for k in ("master", "commit", "effort"))]

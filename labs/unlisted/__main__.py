@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,7 @@ from typing import Any
 from diffsim.cli.arguments import add_executor, names, positive
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.check import require_choice
-from labs.command import ended
+from labs.command import ended, kept
 from labs.rates.case import EFFORTS, QUICK
 from labs.rates.plan import planned
 from labs.unlisted.case import in_order, items, solve
@@ -92,12 +91,7 @@ def finished(out: Path, plan: Mapping[str, Any]) -> list[dict[str, Any]]:
         out: Folder of the run.
         plan: Of the run.
     """
-    rows = [
-        json.loads(path.read_text(encoding="utf-8"))["result"]
-        for path in (out / RESULTS).glob("*.json")
-    ]
-    of_run = [r for r in rows if all(r[k] == plan[k] for k in ("master", "commit", "effort"))]
-    return sorted(of_run, key=in_order)
+    return sorted(kept(out / RESULTS, plan), key=in_order)
 
 
 def say(row: Mapping[str, Any]) -> None:

@@ -289,7 +289,7 @@ class OdeLaws:
             scene = self._scene(problem, x, run)
             readings = {}
             for k, variable in enumerate(variables):
-                change, value, _ = self._read(variable, f"watched {k}")
+                change, value = self._read(variable, f"watched {k}")
                 scene = scene.with_change(change, self._numbers(variable, f"watched {k}"))
                 readings[f"watched {k}"] = value
             watching = network.with_readings({**network.readings, **readings})
@@ -303,7 +303,7 @@ class OdeLaws:
         self, entry: Entry, variable: Variable, terms: Sequence[str], name: str, typical: float
     ) -> Effect:
         """An effect whose components are the factors of terms of a variable."""
-        change, value, _ = self._read(variable, name)
+        change, value = self._read(variable, name)
         symbols = [f"{symbol(name)} {k}" for k in range(len(terms))]
         total = parse_expression("0")
         for text, factor in zip(terms, symbols, strict=True):
@@ -331,7 +331,7 @@ class OdeLaws:
             for n, v in variable.numbers.items()
         }
 
-    def _read(self, variable: Variable, name: str) -> tuple[Change, Expression, dict[str, str]]:
+    def _read(self, variable: Variable, name: str) -> tuple[Change, Expression]:
         """The change that hidden states make, and the variable's formula beside it."""
         states = {s: f"{s} of {name}" for s in variable.states}
         own = states | {n: f"{n} of {name}" for n in variable.numbers}
@@ -346,7 +346,7 @@ class OdeLaws:
             for s, h in variable.states.items()
         }
         change = Change(states=rates, starts=starts, inputs=variable.columns)
-        return change, filled(parse_expression(variable.formula, known), parts), states
+        return change, filled(parse_expression(variable.formula, known), parts)
 
     def _start(self, formula: Expression, parts: Mapping[str, Expression]) -> Expression:
         begins = {s: named(at_start(s)) for s in self.system.motion.states}
