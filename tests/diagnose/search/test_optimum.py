@@ -52,3 +52,14 @@ def test_bounded_least_squares_is_that_of_scipy(seed):
     target = np.concatenate([right, np.zeros(len(low))])
     truth = optimize.lsq_linear(stacked, target, (low, high), method="bvls", tol=1e-14).x
     np.testing.assert_allclose(found, truth, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_where_the_bounded_optimum_is_looked_for_first_does_not_move_it(seed):
+    columns, right, low, high, _ = drawn(seed)
+    hessian, b = columns.T @ columns + np.eye(len(low)), columns.T @ right
+    low, high = np.maximum(low, -1.0), np.minimum(high, 1.0)
+    alone = quadratic_optimum(hessian, b, low, high)
+    for near in (low, high, np.where(np.arange(len(low)) % 2, low, high), np.zeros(len(low))):
+        found = quadratic_optimum(hessian, b, low, high, near)
+        np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-12)
