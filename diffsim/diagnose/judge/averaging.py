@@ -4,6 +4,9 @@ A set of evidence E has the weight exp(E) over the sum of all; the price of the 
 already. Sizes are mixtures, one normal per set that holds the cause, in scaled coordinates: where
 an unknown force or drift has the evidence, its sets have the weight, so the sizes are those beside
 it. Normals are widened to the spread over fits without a part of the runs (``widening``).
+
+What the extended model holds is stated as it holds it: the value of its own fit, which predicts
+unseen runs, inside of an interval over all sets. So what is named is what is saved and judged.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from diffsim.diagnose.judge.left_out import (
 from diffsim.diagnose.judge.records import Interval
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
+from diffsim.diagnose.search.simulations import NONE, Members
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, is_of_run
 
@@ -50,6 +54,7 @@ class ModelAverage:
         spread: Standard deviation of these scaled coordinates by the jackknife.
         usual: Factor of all other coordinates.
         changes: Change of the record by refining each numerical setting, (N,) each.
+        members: Effects that the extended model holds, by index.
     """
 
     search: Search
@@ -59,6 +64,7 @@ class ModelAverage:
     spread: Mapping[str, float] = field(default_factory=dict)
     usual: float = 1.0
     changes: Mapping[str, Array] = field(default_factory=dict)
+    members: Members = NONE
     _posteriors: Memo[tuple[Array, Array]] = memo_field()
     _centers: Memo[LaplaceEvidence] = memo_field()
 
@@ -121,19 +127,30 @@ class ModelAverage:
         holding = [h for h in self.sized if i in h.effects]
         weights = np.array([self.sized[h] for h in holding])
         if not len(weights) or not weights.sum() > 0.0:
-            return {}
+            if i not in self.members:
+                return {}
+            holding, weights = [Hypothesis(self.members)], np.ones(1)
         columns = wide.columns_of(effect)
         names = [wide.names[c] for c in columns]
-        parts = [self._part(h, i, names if widened else None) for h in holding]
+        widen = names if widened else None
+        parts = [self._part(h, i, widen) for h in holding]
+        saved = self._part(Hypothesis(self.members), i, widen) if i in self.members else None
         out = {}
         fitted = {f"@{run.name}" for run in wide.runs}
         for k, component in enumerate(effect.components):
             if is_of_run(component) and component not in fitted:
                 continue  # of a run that nothing was fitted to
             unit = float(wide.size_units[columns[k] - wide.num_base])
-            mean = np.array([p[0][k] for p in parts])
-            sd = np.hypot([p[1][k] for p in parts], MODEL_FORM * mean)
-            out[component] = _interval(weights, unit * mean, unit * sd, effect)
+            mean = unit * np.array([p[0][k] for p in parts])
+            sd = np.hypot(unit * np.array([p[1][k] for p in parts]), MODEL_FORM * mean)
+            size = _interval(weights, mean, sd, effect)
+            if saved is not None:
+                mean = unit * saved[0][[k]]
+                own = _interval(
+                    np.ones(1), mean, np.hypot(unit * saved[1][[k]], MODEL_FORM * mean), effect
+                )
+                size = Interval(own.value, min(size.low, own.low), max(size.high, own.high))
+            out[component] = size
         return out
 
     def differs_jointly(self, i: int) -> bool:
@@ -203,7 +220,7 @@ def averaged(
         search: Sets that were weighed.
         judgment: Sets with effects that it withdrew are out of play, unknown causes that repeats
             refuted have no weight; a wrong data sheet may have more evidence than a set's own.
-        fit: Fit of the best set, whose parts are left out one after the other.
+        fit: Fit of the extended model, whose parts are left out one after the other.
         changes: Change of the record by refining each numerical setting.
     """
     nats = {h: w.nats for h, w in {**search.linear, **search.posteriors}.items()}
@@ -219,6 +236,7 @@ def averaged(
         wider.spread,
         wider.usual,
         changes,
+        frozenset(search.wide.effects.index(e) for e in fit.problem.effects),
     )
 
 

@@ -105,6 +105,9 @@ def base_rows(
         if moved[i] and p.name not in (wrong or {}):
             free = _base_row(p, x + float(moved[i]), float(free_sd[i]) * factor, run, limit)
             row = replace(row, low=min(row.low, free.low), high=max(row.high, free.high))
+        # what is stated is what is saved: the fit's value
+        value = fit.values[p.name]
+        row = replace(row, value=value, low=min(row.low, value), high=max(row.high, value))
         rows.append(row)
     if not judged:
         return tuple(rows)

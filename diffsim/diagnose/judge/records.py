@@ -43,7 +43,8 @@ class Interval:
     """A value with its 90 % interval.
 
     Attributes:
-        value: Mean over the sets of causes that were weighed, in the row's unit.
+        value: What the extended model holds; of a cause that it does not hold, the mean over the
+            sets of causes that were weighed; in the row's unit.
         low, high: 90 % interval, in the row's unit.
     """
 
@@ -67,7 +68,7 @@ class CauseRow:
             the evidence of a fit that would have shown it; "not visible below": the data do not
             ask for it, and could not show it below ``smallest_visible``.
         probability: Probability that it acts, over all sets that were weighed; None: not weighed.
-        size: Size by component, averaged over the sets that hold it; empty without one. A
+        size: Size by component, its interval over the sets that hold it; empty without one. A
             "data sheet" cause has its value here, under its own name.
         unit: SI unit of the size, "-" if none.
         rivals: Names of the causes that it cannot be told from, or that act in its place.

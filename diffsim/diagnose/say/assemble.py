@@ -149,7 +149,7 @@ def report_of(
         checks = checks.joined(repeated_gate(best, seed))
     # of a verdict that names what all sets share, the sets are all given
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
-    rows = effect_rows(effects, judgment, screened, checks.changes)
+    rows = effect_rows(effects, judgment, screened, checks.changes, best)
     case.progress("done", 1.0, verdict)
     return Report(
         verdict=verdict,

@@ -14,6 +14,7 @@ from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.search.evidence import Hypothesis, Screen, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
+from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
 from diffsim.identify.unknown import Unknown
 
@@ -90,6 +91,7 @@ def effect_rows(
     judgment: Judgment,
     screened: Screen,
     changes: Mapping[str, Array],
+    saved: Fit | None = None,
 ) -> tuple[EffectRow, ...]:
     """One row per effect, by evidence.
 
@@ -99,6 +101,7 @@ def effect_rows(
         screened: Scores at the plain model.
         changes: Change of the record by refining each numerical setting, (N,) each; it widens the
             intervals.
+        saved: The extended model: sizes of its effects are those that it holds.
     """
     decision, search = judgment.decision, judgment.search
     in_rivals = {i for h in decision.rivals for i in h.effects}
@@ -115,6 +118,8 @@ def effect_rows(
             if alone is not None and missing > 0.0:
                 share = (null.chi2 - alone.chi2) / missing
             size, sd = _read_refit(search, decision, i, size, sd, changes)
+        if saved is not None and effect in saved.problem.effects:
+            size = np.array([saved.values[n] for n in effect_coordinates([effect])])
         gained = judgment.gains.get(i)
         note = "" if gained is None or gained.status == "confirmed" else gained.status
         rows.append(
