@@ -71,14 +71,17 @@ def causes(r: Report) -> Table:
         "probability",
         "size (90 % interval)",
         "gain where not fitted (90 % interval)",
+        "removes",
         "note",
     ]
     return Table(
         columns=columns,
         rows=[_cause(row) for row in r.causes],
         caption="Probability: over all sets of causes that were weighed. Size: of causes that may "
-        "act, averaged over the sets that hold the cause; intervals hold the spread over left-out "
-        "runs. Gain: share of the error removed from runs that the cause was not fitted to.",
+        "act, as the extended model holds it, else averaged over the sets that hold the cause; "
+        "intervals are over all these sets and hold the spread over left-out runs. Gain: share of "
+        "the error removed from runs that the cause was not fitted to. Removes: share of the "
+        "fitted misfit above the noise that is back without the cause.",
         emphasis=[i for i, row in enumerate(r.causes) if row.status == "certain"],
     )
 
@@ -143,6 +146,7 @@ def _cause(row: CauseRow) -> list[str]:
         "–" if row.probability is None else f"{row.probability:.2f}",
         _sizes(row),
         _interval(row.gain),
+        "–" if row.removes is None else f"{row.removes:.0%}",
         _note(row),
     ]
 

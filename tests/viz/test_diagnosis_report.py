@@ -353,14 +353,14 @@ def test_the_status_says_below_which_size_and_beside_which_rivals():
         "not judged",
     ]
     assert [row[4].replace("\xa0", " ") for row in rows] == ["–", "0.2 (0.1 to 0.3) N", "–", "–"]
-    assert rows[3][6] == "needs three runs"
+    assert rows[3][7] == "needs three runs"
 
 
 def test_the_note_of_a_likely_cause_says_why_it_is_not_certain():
     why = ("the fit did not converge", "its gradient check failed")
     row = CauseRow("b", "b", "effect", "likely", 0.9, {}, "N", note="Force -size v.", doubts=why)
     (cells,) = tables.causes(example(causes=(row,))).rows
-    assert cells[6] == (
+    assert cells[7] == (
         "Force -size v. Likely, not certain: the fit did not converge; its gradient check failed."
     )
 

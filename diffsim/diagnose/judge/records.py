@@ -75,6 +75,8 @@ class CauseRow:
         smallest_visible: Smallest size that these runs could show, by component, in ``unit``.
         gain: Share of the error that it removes from runs that it was not fitted to (those with
             use: select, or fit runs left out one after the other); None: not computed.
+        removes: Share of the misfit above the noise that is back without it, all else of the
+            extended model fitted again; None: not in it.
         helps: Whether the extended model holds it although it is not certain: it removes error, its
             name is not known.
         factor: How many times wider the interval is than noise alone would make it.
@@ -94,6 +96,7 @@ class CauseRow:
     rivals: tuple[str, ...] = ()
     smallest_visible: Mapping[str, float] = field(default_factory=dict)
     gain: Gain | None = None
+    removes: float | None = None
     helps: bool = False
     factor: float = 1.0
     note: str = ""

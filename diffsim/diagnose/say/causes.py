@@ -28,6 +28,8 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.diagnose.search.evidence import KEEP_NATS, VISIBLE, Hypothesis, Screen
 from diffsim.diagnose.search.scan import least_tried
+from diffsim.diagnose.search.simulations import NONE
+from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 
 PROBABLE, POSSIBLE = 0.8, 0.2  # probabilities over all sets
@@ -104,13 +106,18 @@ def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow,
 
 
 def ranked(rows: Sequence[CauseRow]) -> tuple[CauseRow, ...]:
-    """Rows by status, then by probability, then by what a cause explains."""
+    """Rows by status, then by what a cause removes, then by probability and gain."""
     return tuple(sorted(rows, key=_rank))
 
 
-def _rank(row: CauseRow) -> tuple[int, float, float]:
+def _rank(row: CauseRow) -> tuple[int, float, float, float]:
     gained = 0.0 if row.gain is None else row.gain.value * row.gain.excess
-    return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
+    return (
+        ORDER.index(row.status),
+        -(row.removes or 0.0),
+        -round(row.probability or 0.0, 3),
+        -gained,
+    )
 
 
 def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> CauseRow:
@@ -157,9 +164,34 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
         size=sizes,
         rivals=rivals,
         doubts=known.doubts.get(i, ()) if status == LIKELY else (),
+        removes=_find_share(known, i),
         helps=helps,
         factor=about.factor(i),
     )
+
+
+def _find_share(known: CauseEvidence, i: int) -> float | None:
+    """Share of the misfit above the noise that is back without an effect of the extended model.
+
+    By the fit of the set without it; by the slopes of the model's fit where nobody made one.
+    """
+    search = known.judgment.search
+    if search is None or i not in known.members:
+        return None
+    plain, best = search.fit_of(NONE), search.fit_of(known.members)
+    missing = plain.chi2 - plain.num_samples
+    if missing <= 0.0:
+        return None
+    without = search.fits.get(known.members - {i})
+    back = _rise_without(best, known.effects[i]) if without is None else without.chi2 - best.chi2
+    return float(np.clip(back / missing, 0.0, 1.0))
+
+
+def _rise_without(fit: Fit, effect: Effect) -> float:
+    """Rise of chi2 and prior without an effect, by the slopes of a fit with it."""
+    own = fit.problem.columns_of(effect)
+    x = fit.x[own]
+    return float(x @ np.linalg.solve(fit.covariance[np.ix_(own, own)], x))
 
 
 def _status(

@@ -55,7 +55,8 @@ def headline(
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
     changed = changed or answer.before_test is not None  # what was taken back made a change
     named = [row for row in effects_of(answer) if row.name in answer.named]
-    said_of = [row for row in named if row.status == CERTAIN] or named  # as `_missing` says them
+    certain = [row for row in named if row.status == CERTAIN]
+    said_of = [*certain, *_larger(certain, named)] or named  # as `_missing` says them
     subject = "They take" if _are_several(said_of) else "It takes"
     if failed:
         endings = [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
@@ -116,6 +117,8 @@ def _open(answer: Answer) -> list[str]:
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)
     common = set(sets[0]).intersection(*sets[1:])
+    place = {row.name: k for k, row in enumerate(answer.causes)}  # what removes most comes first
+    sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
     shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > MAX_NAMES else "")
@@ -158,16 +161,34 @@ def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
         verb: Before "missing"; empty: as sure and as many as they are.
     """
     sheet = [row for row in named if row.origin == DATA_SHEET]
-    effects = [row for row in named if row.origin == EFFECT]
-    effects = [row for row in effects if row.status == CERTAIN] or effects
-    sure = "" if all(row.status == CERTAIN for row in effects) else " probably"
+    effects = _by_share([row for row in named if row.origin == EFFECT])
+    certain = [row for row in effects if row.status == CERTAIN]
+    larger = _larger(certain, effects)
+    effects = certain or effects
+    sure = "" if certain else " probably"
     ending = f"{verb or ('are' if _are_several(effects) else 'is') + sure} missing"
     out = [*_with_sizes(effects, ending), *_without_sizes(effects, ending)]
+    if larger:
+        also = " and ".join(_brief(row.words) for row in larger[:MAX_NAMES])
+        out = [*(f"{said}, and probably {also}" for said in out), f"{out[-1]}, and probably more"]
     if why := "" if verb else _why_not_certain(effects):
         out = [*(f"{said}, as {why}" for said in out), *out]
     if sheet:
         out = [*(f"{said}, {sheet[0].words} is off its data sheet" for said in out), *out]
     return out
+
+
+def _by_share(rows: Sequence[CauseRow]) -> list[CauseRow]:
+    """Causes by what they remove, the largest share first."""
+    return sorted(rows, key=lambda row: -(row.removes or 0.0))
+
+
+def _larger(certain: Sequence[CauseRow], effects: Sequence[CauseRow]) -> list[CauseRow]:
+    """Likely causes that remove more than a certain one that is named."""
+    if not certain:
+        return []
+    least = min(row.removes or 0.0 for row in certain)
+    return [row for row in effects if row not in certain and (row.removes or 0.0) > least]
 
 
 def _why_not_certain(effects: Sequence[CauseRow]) -> str:

@@ -17,6 +17,7 @@ from diffsim.diagnose.judge.left_out import folds_of
 from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
+from diffsim.diagnose.say.causes import _rise_without
 from diffsim.diagnose.say.headline import _on_unseen, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
@@ -215,7 +216,8 @@ def test_a_headline_counts_the_causes_that_it_says():
     report = diagnosed({PUSH: 1.0, OTHER: 1.0}, (PUSH, OTHER), tests=2)
     error = ErrorRow("t", "position", "m", 2.0, 1.0, 1.0, 100, 0)
     both = tuple(replace(row, words=f"some {row.name}") for row in report.causes)
-    one = tuple(replace(r, status="likely") if r.name == OTHER.name else r for r in both)
+    less = {"status": "likely", "removes": 0.0}
+    one = tuple(replace(r, **less) if r.name == OTHER.name else r for r in both)
     for causes, subject in ((both, "They take"), (one, "It takes")):
         answer = Answer("named", None, causes, (), (), None, named=(PUSH.name, OTHER.name))
         assert f". {subject} the error" in headline(answer, [error])
@@ -395,3 +397,18 @@ def test_a_test_run_that_cannot_be_simulated_costs_the_gain_and_not_the_answer()
     assert "run t1 could not be simulated" in report.headline
     assert any(s.startswith("Run t1 could not be simulated") for s in report.sentences)
     assert {row.run for row in report.errors} == {"t0"}
+
+
+def test_causes_are_ordered_by_the_share_that_is_back_without_them():
+    report = diagnosed({PUSH: 1.0, OTHER: 3.0}, (PUSH, OTHER))
+    found = causes(report)
+    assert {n for n, row in found.items() if row.removes} == {"push", "other"}
+    missing = report.null.chi2 - report.null.num_samples
+    runs, channels = report.null.problem.runs, linear.CHANNELS
+    for name, effect in (("push", OTHER), ("other", PUSH)):
+        without = fit(linear.model(), runs, channels, effects=(effect,))
+        share = (without.chi2 - report.best.chi2) / missing
+        assert found[name].removes == pytest.approx(share, rel=0.02)
+    assert [row.name for row in report.causes[:2]] == ["other", "push"]
+    # without that fit, the slopes of the best one say as much of a linear model
+    assert _rise_without(report.best, OTHER) > _rise_without(report.best, PUSH) > 0.0

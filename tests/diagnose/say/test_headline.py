@@ -100,3 +100,35 @@ def test_a_data_sheet_has_digits_that_tell_it_from_the_answer():
     )  # fmt: skip
     text = said("data_sheet", [row])
     assert text.startswith("Only a data sheet is off: mass is 1.5004 kg, not 1.5 kg; the error")
+
+
+def test_what_removes_most_is_named_first_and_never_one_of_the_rest():
+    """Of an arm it said: Square drag at bend, slow share and 1 more; the one was all of its sag."""
+    rows = [
+        cause("square_drag", removes=0.02),
+        cause("slow_share", removes=0.1),
+        cause("ballooning", removes=0.8),
+    ]
+    assert said("named", rows).startswith("Ballooning, slow share and 1 more are missing")
+
+
+def test_a_likely_cause_that_removes_more_than_a_certain_one_is_not_hidden():
+    slack = cause("slack", removes=0.6, status="likely")
+    limit = cause("speed_limit", removes=0.3)
+    assert said("named", [limit, slack]).startswith(
+        "Speed limit is missing (0.1 to 0.5 mrad), and probably slack"
+    )
+    assert "slack" not in said("named", [limit, cause("slack", removes=0.1, status="likely")])
+
+
+def test_in_a_set_that_cannot_be_told_apart_what_removes_most_comes_first():
+    rows = [
+        cause("ballooning", removes=0.8, status="cannot be told from"),
+        cause("drag", removes=0.1, status="cannot be told from"),
+    ]
+    decision = SimpleNamespace(forms={})
+    names = ("drag", "ballooning")
+    answer = Answer(
+        "ambiguous", decision, tuple(rows), (("lag",),), (), None, named=names, best_names=names
+    )
+    assert headline(answer, [FELL]).startswith("Ballooning with drag or lag is missing")
