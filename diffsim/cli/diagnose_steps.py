@@ -32,7 +32,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.records import OutsideRow, band_words
+from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
@@ -250,16 +250,19 @@ def _judge(args: argparse.Namespace) -> None:
     saved = read_extended(args.saved or out)
     inputs, _ = _inputs(args, saved.framed(study))
     found = judge_saved(inputs, saved, args.runs)
-    heads = (f"{h:>9}" for h in ("before", "after", "noise"))
+    heads = (f"{h:>9}" for h in ("before", "after", "noise", "constant", "held"))
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
     for row in found.errors:
-        numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
+        values = (row.before, row.after, row.noise, row.constant, row.held)
+        numbers = " ".join(f"{'-' if v is None else f'{v:.3g}':>9}" for v in values)
         fitted = f"{row.num_fitted} value{'' if row.num_fitted == 1 else 's'}"
         print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {fitted}")
     for name, why in found.failed.items():
         print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     if saved.components and found.gain is not None:
         print(found.gain.words)
+    for line in no_skill_words(found.errors):
+        print(line)
     if held := band_words(found.errors):
         print(held)
     for name in found.runs:

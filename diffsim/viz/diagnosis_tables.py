@@ -34,6 +34,8 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
             "before",
             "after",
             "noise",
+            "constant",
+            "held",
             "90 % band ±",
             "inside",
             "unit",
@@ -47,6 +49,8 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
                 figure(e.before),
                 figure(e.after),
                 figure(e.noise),
+                "–" if e.constant is None else figure(e.constant),
+                "–" if e.held is None else figure(e.held),
                 "–" if e.band is None else figure(e.band),
                 "–" if e.band is None else f"{100 * e.num_inside / e.num_samples:.0f} %",
                 unit_of(e.unit) or "–",
@@ -57,8 +61,9 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
         ],
         caption="Root mean square over the samples. Before: the plain model at its own fit. After: "
         "the extended model. Nothing is fitted to these runs but what the study declares unknown "
-        "per run; the table says how many values these are. Inside: share of the samples in the "
-        "band around the extended model.",
+        "per run; the table says how many values these are. Constant: the mean of the fitted runs. "
+        "Held: the first reading of this run; neither takes any skill. Inside: share of the "
+        "samples in the band around the extended model.",
     )
 
 

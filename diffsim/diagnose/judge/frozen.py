@@ -18,7 +18,7 @@ from diffsim.diagnose.checks.gates import BLOCK_OF, require_separate, shared_wit
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_from
-from diffsim.diagnose.judge.unseen import At, Span, Unseen, on_unseen, spans_of
+from diffsim.diagnose.judge.unseen import At, Span, Unseen, constants_of, on_unseen, spans_of
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.model_file import (
@@ -50,6 +50,7 @@ def facts_of(study: Study, noise: ArWhitener, band: Band | None) -> dict[str, An
             what: {**asdict(span), "labels": list(span.labels)}
             for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
         },
+        "constants": constants_of(study.fit_runs, study.channels),
         **({} if band is None else {"band": band.to_dict()}),
     }
 
@@ -103,6 +104,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         commands=study.commands,
         unmet=unmet,
         half_widths=half_widths,
+        constants=facts.get("constants", {}),
     )
 
 

@@ -25,6 +25,7 @@ RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 LEVEL = 0.9  # of every interval, and share of the readings that the band of an unseen run holds
 HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
+SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike
 UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
 
 
@@ -195,6 +196,9 @@ class ErrorRow:
         use: "test", or "select" where there is no test run.
         band: Half of the width of the band for unseen runs, root mean square; None: no band.
         num_inside: Number of samples inside the band.
+        constant: Error of the best constant of the fitted runs, their mean by channel; None: not
+            known.
+        held: Error of each channel's first reading of this run, held; None: too few samples.
     """
 
     run: str
@@ -208,6 +212,30 @@ class ErrorRow:
     use: str = "test"
     band: float | None = None
     num_inside: int = 0
+    constant: float | None = None
+    held: float | None = None
+
+
+def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
+    """Where the extended model is worse than what takes no skill, a sentence for each run."""
+    out = []
+    for row in errors:
+        better = {"a constant": row.constant, "the first reading, held,": row.held}
+        said = [
+            f"{what} would leave {value:.3g}{_after(row.unit)}"
+            for what, value in better.items()
+            if value is not None and value < SKILL * row.after
+        ]
+        if said:
+            out.append(
+                f"Run {row.run}: the model has no skill in {row.kind}: it leaves "
+                f"{row.after:.3g}{_after(row.unit)}, {' and '.join(said)}."
+            )
+    return out
+
+
+def _after(unit: str) -> str:
+    return "" if unit in ("-", "") else f" {unit}"
 
 
 def band_share(errors: Sequence[ErrorRow]) -> float | None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,19 @@ class Span:
     high: float | None
     labels: tuple[str, ...] = ()
     unit: str = ""
+
+
+def constants_of(runs: Sequence[Run], channels: Sequence[Channel]) -> dict[str, float]:
+    """The best constant of each channel, by its name: the mean over all samples of runs.
+
+    Args:
+        runs: Runs that were fitted.
+        channels: Columns of their ``measured``.
+    """
+    measured = np.concatenate([run.measured for run in runs])
+    seen = [values[np.isfinite(values)] for values in measured.T]
+    named = zip(channels, seen, strict=True)
+    return {channel.name: float(values.mean()) for channel, values in named if len(values)}
 
 
 def spans_of(
@@ -233,6 +247,7 @@ def on_unseen(
     commands: Sequence[Command] = (),
     unmet: Collection[str] = (),
     half_widths: Callable[[Run], Array | None] = no_band,
+    constants: Mapping[str, float] = MappingProxyType({}),
 ) -> Unseen:
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
 
@@ -248,7 +263,9 @@ def on_unseen(
         commands: What is known of commands: their units.
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.
         half_widths: Half of the width of the band around the extended model; None: there is none.
+        constants: Best constant of the fitted runs by channel, as ``constants_of`` returns it.
     """
+    constant = np.array([constants.get(c.name, np.nan) for c in channels])
     errors: list[ErrorRow] = []
     failed: dict[str, str] = {}
     predicted: dict[str, tuple[Array, Array]] = {}
@@ -274,6 +291,7 @@ def on_unseen(
             num_own += int(inside(run))
         if (half := half_widths(run)) is not None:
             bands[run.name] = half
+        left += [run.measured - constant, run.measured - _first_reading(run)]
         errors += _error_rows(run, left, half, channels, sd, num_own, use)
         predicted[run.name] = said
         before.append(whitened[0])
@@ -317,6 +335,13 @@ def _predict_run(frozen: Frozen, run: Run) -> Array:
         return np.asarray(frozen.problem.predict(run, torch.from_numpy(frozen.x)).numpy())
 
 
+def _first_reading(run: Run) -> Array:
+    """The first measured sample of each channel, (num_channels,); NaN: none."""
+    valid = np.isfinite(run.measured)
+    first = run.measured[valid.argmax(axis=0), np.arange(run.measured.shape[1])]
+    return np.where(valid.any(axis=0), first, np.nan)
+
+
 def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     """The run without isolated spikes; a spike is one in the record itself and to every model."""
     is_spike = np.isfinite(run.measured)
@@ -338,7 +363,10 @@ def _error_rows(
     num_fitted: int,
     use: str,
 ) -> list[ErrorRow]:
-    """One row by kind and unit of the channels."""
+    """One row by kind and unit of the channels.
+
+    ``left``: what the plain and the extended model, a constant, and the first reading leave.
+    """
     members: dict[tuple[str, str], list[int]] = {}
     for c, channel in enumerate(channels):
         members.setdefault((channel.kind, shown_unit(channel)[0]), []).append(c)
@@ -349,9 +377,14 @@ def _error_rows(
         count = int(valid.sum())
         if not count:
             continue
-        before, after = (_rms((x[:, own] * scale)[valid]) for x in left)
+        before, after, constant, held = (_rms((x[:, own] * scale)[valid]) for x in left)
         noise = _rms(np.broadcast_to(sd[own] * scale, valid.shape)[valid])
         row = ErrorRow(run.name, kind, unit, before, after, noise, count, num_fitted, use)
+        row = replace(
+            row,
+            constant=constant if np.isfinite(constant) else None,
+            held=held if len(run.time_s) >= FEW else None,
+        )
         if half is not None and np.isfinite(wide := half[:, own][valid]).all():
             inside = int((np.abs(left[1][:, own][valid]) <= wide).sum())
             row = replace(row, band=_rms((half[:, own] * scale)[valid]), num_inside=inside)

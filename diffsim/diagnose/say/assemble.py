@@ -44,7 +44,7 @@ from diffsim.diagnose.judge.records import (
     ErrorRow,
 )
 from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_data_sheets
-from diffsim.diagnose.judge.unseen import on_unseen, spans_of
+from diffsim.diagnose.judge.unseen import constants_of, on_unseen, spans_of
 from diffsim.diagnose.say.causes import REST, CauseEvidence, cause_rows, open_rivals, ranked
 from diffsim.diagnose.say.force_map import ForceMap, force_map
 from diffsim.diagnose.say.headline import headline
@@ -262,6 +262,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         commands=seen.commands,
         unmet=unmet,
         half_widths=half_widths,
+        constants=constants_of(seen.fit_runs, seen.channels),
     )
     gain = found.gain if frozen.best.problem.effects else None
     gained = gain if is_test else None  # runs that chose between causes prove none

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -15,6 +16,7 @@ from diffsim.diagnose.judge.records import (
     DATA_SHEET,
     EFFECT,
     LIKELY,
+    SKILL,
     WRONG_DATA_SHEET,
     CauseRow,
     ErrorRow,
@@ -262,6 +264,10 @@ def _on_unseen(
             f"; no gain is confirmed: error {change}{besides}",
             "; no gain is confirmed",
         ]
+    if row.constant is not None and row.constant < SKILL * row.after:
+        constant = replace(row, before=row.constant)
+        of = f"error {before} to {after}{unit}, a constant leaves {_numbers(constant)[0]}{unit}"
+        return [f"; but on {where} there is no skill: {of}", f"; no skill: {of}", "; no skill"]
     is_noise = f"; {noise} is noise" if noise else ""
     return [
         f". {subject} the error on {where} from {before} to {after}{unit}{is_noise}",
@@ -295,6 +301,7 @@ def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> 
             return float(np.sqrt(np.average(squares, weights=weights)))
 
         first = rows[0]
+        is_known = all(row.constant is not None for row in rows)
         return ErrorRow(
             "all",
             first.kind,
@@ -305,6 +312,7 @@ def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> 
             sum(weights),
             max(row.num_fitted for row in rows),
             first.use,
+            constant=rms("constant") if is_known else None,
         )
 
     return max(

@@ -34,6 +34,7 @@ from diffsim.diagnose.judge.records import (
     ErrorRow,
     Interval,
     band_words,
+    no_skill_words,
 )
 from diffsim.identify.effect import is_of_run
 
@@ -204,6 +205,7 @@ def sentences(
         ]
     elif not any(row.use == "test" for row in unseen):
         out.append("No gain is known: no run is kept for a test (use: test).")
+    out += no_skill_words(unseen)[:MOST_LISTED]
     if held := band_words(unseen):
         out.append(held)
     if answer.chosen_by and answer.verdict not in ("numerical", "unrepeatable"):
