@@ -32,17 +32,19 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
+from diffsim.diagnose.judge.own_records import OwnRow, own_words
 from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
-from diffsim.identify.model_file import MODEL_FILE, read_extended
+from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
 CACHE, JUDGE_FILE, JUDGE_PAGE, NEXT_FILE = "interrupted", "judge.json", "judge.html", "next.json"
 MAX_OUTSIDE = 3  # lines per run; the file holds all
+MAX_FITTED = 4  # values in a run's line; the file holds all
 
 
 @one_thread  # pages simulate, too
@@ -247,16 +249,20 @@ def _judge(args: argparse.Namespace) -> None:
     """Errors of a saved model on runs that it has not seen."""
     study = read_study(args.study)
     out = args.out or Path(DIAGNOSES) / study.name
-    saved = read_extended(args.saved or out)
+    saved = _read_judged(args, study, out)
     inputs, _ = _inputs(args, saved.framed(study))
     found = judge_saved(inputs, saved, args.runs)
-    heads = (f"{h:>9}" for h in ("before", "after", "noise", "constant", "held"))
+    for line in found.differences:
+        print(line)
+    heads = (f"{h:>9}" for h in ("before", "after", "noise", "constant", "held", "without"))
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
     for row in found.errors:
-        values = (row.before, row.after, row.noise, row.constant, row.held)
+        values = (row.before, row.after, row.noise, row.constant, row.held, row.without)
         numbers = " ".join(f"{'-' if v is None else f'{v:.3g}':>9}" for v in values)
         fitted = f"{row.num_fitted} value{'' if row.num_fitted == 1 else 's'}"
         print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {fitted}")
+    for line in _say_fitted(found.own):
+        print(line)
     for name, why in found.failed.items():
         print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     if saved.components and found.gain is not None:
@@ -280,6 +286,27 @@ def _judge(args: argparse.Namespace) -> None:
 
     (out / JUDGE_PAGE).unlink(missing_ok=True)  # of other runs: not to pass for this answer's
     _if_installed(page)
+
+
+def _read_judged(args: argparse.Namespace, study: Study, out: Path) -> SavedModel:
+    """The saved model; a study that nothing could be fitted to needs that of another one."""
+    if args.saved is None and not study.fit_runs and not (out / MODEL_FILE).is_file():
+        raise FileNotFoundError(
+            f"study {study.name} has no run with use: fit, so no model was fitted to it; name the "
+            "saved model of another study of this rig with --model FOLDER/extended_model.yaml"
+        )
+    return read_extended(args.saved or out)
+
+
+def _say_fitted(rows: Sequence[OwnRow]) -> list[str]:
+    """What was fitted to each run, the farthest from what is stated first."""
+    out, told = [], [row for row in rows if row.is_told]
+    for run in dict.fromkeys(row.run for row in told):
+        own = [row for row in told if row.run == run]
+        more = f"; {len(own) - MAX_FITTED} more in {JUDGE_FILE}" if len(own) > MAX_FITTED else ""
+        said = "; ".join(row.words for row in own[:MAX_FITTED])
+        out.append(f"fitted to {run}: {said}{more}")
+    return [*out, *own_words(rows)]
 
 
 def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:

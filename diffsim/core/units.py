@@ -7,6 +7,7 @@ other units come in.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -171,3 +172,16 @@ def in_unit(value: float | int | str, unit: str, *, difference: bool = False) ->
     scale, ours, theirs = factor(own, unit), to_si(own), to_si(unit)
     shift = 0.0 if difference else (ours.offset - theirs.offset) / theirs.factor
     return float(number) * scale + shift
+
+
+SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these
+
+
+def small_unit(unit: str, values: Iterable[float]) -> str:
+    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g.
+
+    Args:
+        unit: SI unit of the values.
+        values: Values that are read together.
+    """
+    return SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit

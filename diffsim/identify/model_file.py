@@ -61,6 +61,7 @@ class SavedModel:
         facts: What judging new runs needs beside the model: noise floor, fitted runs, their range.
         numerics: Refined numerical settings of the fits; None: the model's own.
         frame: What the causes took from the fitted runs, for a study of other runs.
+        model, study: Names of the plain model and of the study that it was fitted to.
     """
 
     path: Path
@@ -75,6 +76,8 @@ class SavedModel:
     facts: Mapping[str, Any] = field(default_factory=dict)
     numerics: Numerics | None = None
     frame: Mapping[str, Any] = field(default_factory=dict)
+    model: str = ""
+    study: str = ""
 
     def framed(self, study: Study) -> Study:
         """A study of new runs, its causes as they were where the model was fitted."""
@@ -173,6 +176,8 @@ def read_extended(path: str | Path) -> SavedModel:
         facts=_mapping(path, content, "facts"),
         numerics=_numerics(path, _mapping(path, content, "numerics")),
         frame=_mapping(path, content, "frame"),
+        model=str(content.get("model", "")),
+        study=str(content.get("study", "")),
     )
 
 

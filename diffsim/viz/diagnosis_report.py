@@ -154,7 +154,9 @@ def _errors(r: Report) -> page.Section:
         return page.Section(title=title, text=[why])
     text = [f"Causes were chosen by {r.chosen_by}."] if r.chosen_by else []
     return page.Section(
-        title=title, text=text, content=[tables.errors(r.errors), *tables.outside(r.outside)]
+        title=title,
+        text=text,
+        content=[tables.errors(r.errors), *tables.own(r.own), *tables.outside(r.outside)],
     )
 
 

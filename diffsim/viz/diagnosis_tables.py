@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.own_records import FAR_OFF, OwnRow
 from diffsim.diagnose.judge.records import (
     HIDDEN,
     REFUTED,
@@ -36,6 +37,7 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
             "noise",
             "constant",
             "held",
+            "without",
             "90 % band ±",
             "inside",
             "unit",
@@ -51,6 +53,7 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
                 figure(e.noise),
                 "–" if e.constant is None else figure(e.constant),
                 "–" if e.held is None else figure(e.held),
+                "–" if e.without is None else figure(e.without),
                 "–" if e.band is None else figure(e.band),
                 "–" if e.band is None else f"{100 * e.num_inside / e.num_samples:.0f} %",
                 unit_of(e.unit) or "–",
@@ -62,9 +65,34 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
         caption="Root mean square over the samples. Before: the plain model at its own fit. After: "
         "the extended model. Nothing is fitted to these runs but what the study declares unknown "
         "per run; the table says how many values these are. Constant: the mean of the fitted runs. "
-        "Held: the first reading of this run; neither takes any skill. Inside: share of the "
+        "Held: the first reading of this run; neither takes any skill. Without: the extended "
+        "model with what was fitted to the run where the study states it. Inside: share of the "
         "samples in the band around the extended model.",
     )
+
+
+def own(rows: Sequence[OwnRow]) -> list[Table]:
+    """What was fitted to runs that nothing else was fitted to; empty where nothing was."""
+    if not rows:
+        return []
+    table = Table(
+        columns=["run", "value", "ended at", "stated ± 1 sd", "unit", "off by [sd]"],
+        rows=[
+            [
+                row.run,
+                row.name,
+                figure(row.value, 4),
+                with_sd(row.prior_value, row.prior_sd),
+                unit_of(row.unit) or "–",
+                f"{row.pull:+.1f}",
+            ]
+            for row in rows
+        ],
+        caption="Fitted to these runs for the extended model, by what the study declares unknown "
+        "per run.",
+        emphasis=[i for i, row in enumerate(rows) if abs(row.pull) > FAR_OFF],
+    )
+    return [table]
 
 
 def causes(r: Report) -> Table:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffsim.data.study import Channel, Study
+from diffsim.diagnose.judge.own_records import own_words
 from diffsim.diagnose.judge.records import no_skill_words
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.say.headline import judged_headline
@@ -77,10 +78,11 @@ def _collect_predictions(found: Unseen, study: Study, *, extended: bool) -> list
 def _errors(found: Unseen) -> page.Section:
     text = [f"Run {name} could not be simulated: {why}" for name, why in found.failed.items()]
     outside = tables.outside(found.outside, "judge.json")
-    text += no_skill_words(found.errors)
+    text += [*found.differences, *no_skill_words(found.errors), *own_words(found.own)]
     if not outside and found.errors:
         text.append("All runs lie inside of what was fitted.")
-    content = [tables.errors(found.errors), *outside] if found.errors else []
+    content = [tables.errors(found.errors), *tables.own(found.own), *outside]
+    content = content if found.errors else []
     return page.Section(title="Error on these runs", text=text, content=content)
 
 

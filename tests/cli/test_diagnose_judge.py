@@ -206,3 +206,40 @@ def test_numbers_of_a_table_have_the_unit_that_its_header_says(study, tmp_path):
     table = np.array(rows, dtype=np.float64)
     np.testing.assert_allclose(table[:, before], 1e3 * run.measured[:, 0], rtol=1e-8)
     np.testing.assert_allclose(table[:, after], 2e3 * run.measured[:, 0], rtol=1e-8)
+
+
+def test_what_is_fitted_to_a_run_is_shown_with_its_prior_and_the_error_without(
+    model_folder, new_folder, tmp_path, capsys
+):
+    """A starfish's zero, stated 0 +- 0.5 mm, ended at 7.2 mm in a new run without a word."""
+    study = load_study(new_folder)
+    run = study.runs[0]
+    moved = replace(run, measured=run.measured + np.array([0.2, 0.0]))  # ten times what is stated
+    folder = tmp_path / "moved"
+    save_study(replace(study, runs=(moved,)), folder)
+    assert judge(folder, tmp_path, model_folder) == 0
+    said = capsys.readouterr().out
+    found = json.loads((tmp_path / "judge.json").read_text())
+    offset, gain = (row for row in found["fitted"])
+    assert (offset["name"], offset["prior_value"], offset["prior_sd"]) == ("offset@fresh", 0, 0.02)
+    assert offset["value"] == pytest.approx(0.2, abs=0.03)
+    assert offset["pull"] == pytest.approx(offset["value"] / 0.02)
+    assert gain["name"] == "gain_factor@fresh" and abs(gain["pull"]) < 3.0
+    row = next(row for row in found["errors"] if row["kind"] == "position")
+    assert row["without"] == pytest.approx(np.hypot(0.2, 0.03), rel=0.2)
+    assert row["without"] > 5.0 * row["after"]
+    assert "fitted to fresh: offset" in said and "gain factor" in said
+    assert "Run fresh was fitted far from what the study states: offset" in said
+    assert "sd off." in said and "stated 0 +- 0.02 m" in said
+    assert "offset@fresh" in (tmp_path / "judge.html").read_text("utf-8")
+
+
+def test_a_study_of_test_runs_alone_asks_for_a_model(new_folder, tmp_path, capsys):
+    study = load_study(new_folder)
+    folder = tmp_path / "alone"
+    save_study(replace(study, runs=tuple(replace(r, use="test") for r in study.runs)), folder)
+    given = ["diagnose", "judge", str(folder), "--setup", SETUP, "--out", str(tmp_path / "none")]
+    assert cli.main(given) != 0
+    said = capsys.readouterr()
+    assert "has no run with use: fit" in said.err + said.out
+    assert "--model FOLDER/extended_model.yaml" in said.err + said.out

@@ -18,6 +18,7 @@ from diffsim.diagnose.checks.gates import BLOCK_OF, require_separate, shared_wit
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_from
+from diffsim.diagnose.judge.described import description_of, differences, require_same_system
 from diffsim.diagnose.judge.unseen import At, Span, Unseen, constants_of, on_unseen, spans_of
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
@@ -50,6 +51,7 @@ def facts_of(study: Study, noise: ArWhitener, band: Band | None) -> dict[str, An
             what: {**asdict(span), "labels": list(span.labels)}
             for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
         },
+        **description_of(study),
         "constants": constants_of(study.fit_runs, study.channels),
         **({} if band is None else {"band": band.to_dict()}),
     }
@@ -80,6 +82,8 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         ValueError: no such runs, runs that were fitted, another system's file, or one of before.
     """
     study, facts = inputs.study, saved.facts
+    require_same_system(saved, inputs.setup, study)
+    said = differences(saved, study)
     runs = _choose_unseen(study, saved, names)
     saved = without_values_of(saved, [run.name for run in runs])
     models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved)]
@@ -93,7 +97,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
     half_widths = partial(
         _half_widths, extended, facts.get("band"), channels=study.channels, unmet=unmet
     )
-    return on_unseen(
+    found = on_unseen(
         plain,
         extended,
         runs,
@@ -106,6 +110,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         half_widths=half_widths,
         constants=facts.get("constants", {}),
     )
+    return replace(found, differences=said)
 
 
 def _half_widths(

@@ -8,11 +8,14 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy import optimize
 
 from diffsim.data.study import Run
+from diffsim.diagnose.judge.own_records import OwnRow
 from diffsim.identify import Problem
+from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_RTOL
 
 Array = NDArray[np.float64]
@@ -70,6 +73,30 @@ def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tu
     """
     at_run = f"@{run.name}"
     return tuple(n for n in names if n.endswith(at_run) or (n in unmet and is_of_fact(n, run)))
+
+
+def own_rows(problem: Problem, x: Array, run: Run, names: Collection[str]) -> tuple[OwnRow, ...]:
+    """What was fitted to a run alone, beside what was known of it before; the farthest off first.
+
+    Args:
+        problem: Model and noise.
+        x: Standardized coordinates with the run's own values, (n,).
+        run: The run.
+        names: Its own names, as of ``own_names``.
+    """
+    rows = []
+    for p, pull in zip(problem.model.base, x.tolist(), strict=False):
+        if p.name in names:
+            at = float(p.value_at(torch.tensor(pull, dtype=torch.float64)))
+            sd = p.sd * p.value if p.log else p.sd
+            rows.append(OwnRow(run.name, p.name, p.unit, at, p.value, sd, pull))
+    sizes = problem.size_units * problem.scaled(x)[problem.num_base :]
+    more = zip(problem.names[problem.num_base :], problem.owners, sizes, strict=True)
+    for k, (name, (effect, _), size) in enumerate(more):
+        if name in names:
+            sd, pull = PRIOR_WIDTH * effect.typical, float(x[problem.num_base + k])
+            rows.append(OwnRow(run.name, name, effect.unit, float(size), 0.0, sd, pull))
+    return tuple(sorted(rows, key=lambda row: -abs(row.pull)))
 
 
 def own_point(

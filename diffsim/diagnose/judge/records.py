@@ -6,37 +6,27 @@ Every interval is one of 90 %.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
 from scipy.special import ndtri
 
-from diffsim.core.units import factor
+from diffsim.core.units import factor, small_unit
 from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.own_records import UNTOLD_PULL
 
 CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
 STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
-SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these
 WRONG_DATA_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 LEVEL = 0.9  # of every interval, and share of the readings that the band of an unseen run holds
 HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike
-UNTOLD_PULL, UNTOLD_SHARE = 0.01, 0.99  # in prior sd: a parameter that is where its prior is
-
-
-def small_unit(unit: str, values: Iterable[float]) -> str:
-    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g.
-
-    Args:
-        unit: SI unit of the values.
-        values: Values that are read together.
-    """
-    return SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
+UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
 
 
 @dataclass(frozen=True)
@@ -199,6 +189,8 @@ class ErrorRow:
         constant: Error of the best constant of the fitted runs, their mean by channel; None: not
             known.
         held: Error of each channel's first reading of this run, held; None: too few samples.
+        without: Error of the extended model without the values that were fitted to this run; None:
+            there are none, or it cannot be simulated.
     """
 
     run: str
@@ -214,6 +206,7 @@ class ErrorRow:
     num_inside: int = 0
     constant: float | None = None
     held: float | None = None
+    without: float | None = None
 
 
 def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
@@ -258,6 +251,12 @@ def _with_band(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
     return [row for row in errors if row.use == "test" and row.band is not None]
 
 
+def _plain(value: float, digits: int = 3) -> str:
+    """A number without a power of ten where it has up to six digits before its point."""
+    is_large = 10.0**digits <= abs(value) < 1e6
+    return f"{value:.0f}" if is_large else f"{value:.{digits}g}"
+
+
 @dataclass(frozen=True)
 class OutsideRow:
     """A quantity of a test run beside the range that was fitted.
@@ -292,12 +291,13 @@ class OutsideRow:
         if isinstance(self.value, str) or self.low is None or self.high is None:
             return f"Run {self.run}: no fitted run has {self.what} {self.value}."
         per, unit = (1000.0, " mm") if self._in_mm else (1.0, unit)
-        numbers = [f"{per * v:.3g}" for v in (self.value, self.low, self.high)]
+        numbers = [_plain(per * v) for v in (self.value, self.low, self.high)]
         said = f"Run {self.run}: {self.what} is {numbers[0]}{unit}, fitted runs have "
         if self.low == self.high:
             return f"{said}{numbers[1]}{unit}."
         of = "the largest" if self.what.startswith(RATIOS) else "as far from the middle"
-        far = f" ({self.times:.2g} times {of})" if isfinite(self.times) else ""
+        times = f"{self.times:.2g}" if self.times < 10.0 else _plain(self.times, 0)
+        far = f" ({times} times {of})" if isfinite(self.times) else ""
         return f"{said}{numbers[1]} to {numbers[2]}{unit}{far}."
 
     @property

@@ -25,7 +25,8 @@ from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.checks.noise import without_spikes
 from diffsim.diagnose.judge.band import no_band
 from diffsim.diagnose.judge.gain import Gain, compared
-from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names
+from diffsim.diagnose.judge.own_records import OwnRow
+from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names, own_rows
 from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words
 
 Array = NDArray[np.float64]
@@ -203,6 +204,8 @@ class Unseen:
             fitted, each (num_samples, num_channels) [unit of the channel].
         bands: Half of the width of the band around the extended model by run, of the same shape;
             NaN in channels without one.
+        own: What was fitted to each run for the extended model, with its prior.
+        differences: What the study describes otherwise than the model's own, a sentence each.
     """
 
     runs: tuple[str, ...]
@@ -214,6 +217,8 @@ class Unseen:
     failed: Mapping[str, str] = field(default_factory=dict)
     predicted: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     bands: Mapping[str, Array] = field(default_factory=dict)
+    own: tuple[OwnRow, ...] = ()
+    differences: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``judge.json``."""
@@ -224,6 +229,8 @@ class Unseen:
             "gain": None if self.gain is None else gain_to_dict(self.gain),
             "gains": {name: gain_to_dict(g) for name, g in self.gains.items()},
             "outside": [asdict(row) for row in self.outside],
+            "fitted": [asdict(row) for row in self.own],
+            "differences": list(self.differences),
             "num_spikes": self.num_spikes,
             "failed": dict(self.failed),
         }
@@ -271,6 +278,7 @@ def on_unseen(
     predicted: dict[str, tuple[Array, Array]] = {}
     bands: dict[str, Array] = {}
     cleaned, before, after, num_spikes = [], [], [], 0
+    fitted: list[OwnRow] = []
     for given in runs:
         try:
             run, count = _without_spikes((plain, extended), given)
@@ -286,12 +294,18 @@ def on_unseen(
         num_spikes += count
         left = [run.measured - prediction for prediction in said]
         # what the study declares unknown of a run, and start states that a model fits away
-        num_own = len(own_names(extended.problem.names, run, unmet))
+        own = own_names(extended.problem.names, run, unmet)
+        fitted += own_rows(points[1].problem, points[1].x, run, own)
+        num_own = len(own)
         if callable(inside := getattr(extended.problem.model, "num_fitted_inside", None)):
             num_own += int(inside(run))
         if (half := half_widths(run)) is not None:
             bands[run.name] = half
-        left += [run.measured - constant, run.measured - _first_reading(run)]
+        left += [
+            run.measured - constant,
+            run.measured - _first_reading(run),
+            run.measured - _predict_without(points[1], run, own),
+        ]
         errors += _error_rows(run, left, half, channels, sd, num_own, use)
         predicted[run.name] = said
         before.append(whitened[0])
@@ -312,6 +326,7 @@ def on_unseen(
         failed=failed,
         predicted=predicted,
         bands=bands,
+        own=tuple(fitted),
     )
 
 
@@ -333,6 +348,19 @@ def _predict_run(frozen: Frozen, run: Run) -> Array:
     """What a model says of a run, (num_samples, num_channels) [unit of the channel]."""
     with torch.no_grad():
         return np.asarray(frozen.problem.predict(run, torch.from_numpy(frozen.x)).numpy())
+
+
+def _predict_without(at: At, run: Run, own: Collection[str]) -> Array:
+    """What a model says of a run whose own values are where its study states them; NaN where that
+    cannot be simulated, or it has none."""
+    names = at.problem.names
+    x = np.where([name in own for name in names], 0.0, at.x)
+    if not own:
+        return np.full(run.measured.shape, np.nan)
+    try:
+        return _predict_run(At(at.problem, x), run)
+    except DiffsimError:
+        return np.full(run.measured.shape, np.nan)
 
 
 def _first_reading(run: Run) -> Array:
@@ -365,7 +393,8 @@ def _error_rows(
 ) -> list[ErrorRow]:
     """One row by kind and unit of the channels.
 
-    ``left``: what the plain and the extended model, a constant, and the first reading leave.
+    ``left``: what is left by the plain and the extended model, a constant, the first reading held,
+    and the extended model without what was fitted to the run.
     """
     members: dict[tuple[str, str], list[int]] = {}
     for c, channel in enumerate(channels):
@@ -377,13 +406,14 @@ def _error_rows(
         count = int(valid.sum())
         if not count:
             continue
-        before, after, constant, held = (_rms((x[:, own] * scale)[valid]) for x in left)
+        before, after, constant, held, bare = (_rms((x[:, own] * scale)[valid]) for x in left)
         noise = _rms(np.broadcast_to(sd[own] * scale, valid.shape)[valid])
         row = ErrorRow(run.name, kind, unit, before, after, noise, count, num_fitted, use)
         row = replace(
             row,
             constant=constant if np.isfinite(constant) else None,
             held=held if len(run.time_s) >= FEW else None,
+            without=bare if num_fitted and np.isfinite(bare) else None,
         )
         if half is not None and np.isfinite(wide := half[:, own][valid]).all():
             inside = int((np.abs(left[1][:, own][valid]) <= wide).sum())

@@ -24,6 +24,7 @@ from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
+from diffsim.diagnose.judge.own_records import own_words
 from diffsim.diagnose.judge.own_values import unmet_by
 from diffsim.diagnose.judge.preconditions import (
     Grounds,
@@ -272,10 +273,14 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         study=replace(study, runs=(*seen.runs, *study.test_runs)),
         errors=found.errors,
         outside=found.outside,
+        own=found.own,
         bands=found.bands,
         gain=gained,
         headline=headline(answer, found.errors, found.failed, gain),
-        sentences=sentences(answer, gained, found.errors, found.failed),
+        sentences=(
+            *sentences(answer, gained, found.errors, found.failed),
+            *own_words(found.own),
+        ),
     )
 
 

@@ -16,6 +16,7 @@ from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.own_records import OwnRow
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import LawAnswer
@@ -53,6 +54,7 @@ class Report(Answer):
         base: Base parameters: fitted value, data sheet, and how far apart they are.
         errors: Error before and after on every test run, by kind of channel.
         outside: Where test runs lie outside of what was fitted.
+        own: What was fitted to test runs for the extended model, with its prior.
         unknown_share: Share of the misfit above the noise that no named cause explains.
         interval_factor: How many times wider the widest interval is than noise alone makes it.
         band: What bands of unseen runs are made from; None: nothing tells of them.
@@ -80,6 +82,7 @@ class Report(Answer):
     base: tuple[BaseRow, ...] = ()
     errors: tuple[ErrorRow, ...] = ()
     outside: tuple[OutsideRow, ...] = ()
+    own: tuple[OwnRow, ...] = ()
     unknown_share: float | None = None
     interval_factor: float = 1.0
     band: Band | None = None
@@ -138,7 +141,7 @@ class Report(Answer):
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
-        for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
+        for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside", "own"):
             plain[name] = [asdict(row) for row in plain[name]]
         for name in ("next_run", "force_map", "gain", "before_test", "described"):
             value = getattr(self, name)

@@ -61,3 +61,10 @@ def test_commands_have_the_unit_of_the_study():
     units = {row.what: row.unit for row in outside_rows([run], CHANNELS, spans, commands)}
     assert units["rate of u"] == "rad/s"
     assert {r.unit for r in outside_rows([run], CHANNELS, SPANS) if r.what == "rate of u"} == {""}
+
+
+def test_far_outside_is_a_plain_number():
+    """It said: 1e+02 times as far from the middle."""
+    rows = outside_rows([made("far", 200.0, 1.0, frame="A", payload=0.2)], CHANNELS, SPANS)
+    said = " ".join(row.words for row in rows)
+    assert "(100 times as far from the middle)" in said and "e+" not in said
