@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.units import factor, to_si
+from diffsim.data.command_jumps import jumps_of
 from diffsim.data.signal import scatter
 from diffsim.data.steps import step_of
-from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
+from diffsim.data.study import SYSTEMS, USES, Channel, Command, Run, Study
 
 NO_FIT_RUN = (
     "no run with use: fit; nothing can be fitted, only `judge` works, with a model that was saved"
@@ -241,6 +242,27 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             unknown = int((~np.isfinite(values)).sum())
             share = f"{unknown / n:.0%}" if unknown >= 0.005 * n else f"{unknown} of {n}"
             yield Problem("warning", where, f"command {name} is unknown in {share} of samples")
+        if values.shape == (n,):
+            yield from _find_jumps(run, study, name)
+
+
+def _find_jumps(run: Run, study: Study, name: str) -> Iterator[Problem]:
+    """Jumps of a command: a model takes them for motion."""
+    known = next((c for c in study.commands if c.name == name), Command(name))
+    jumps = jumps_of(run.command[name], is_measured=known.is_measured)
+    unit = known.shown_unit or known.unit
+    times = 1.0 if unit == known.unit or unit is None else factor(known.unit or unit, unit)
+    by = f"by up to {times * jumps.size:.3g}{'' if unit in (None, '-') else f' {unit}'}"
+    for rows, how in ((jumps.back, "jumps off and back"), (jumps.lasting, "jumps and stays")):
+        if rows:
+            at = "sample" if len(rows) == 1 else "samples"
+            yield Problem(
+                "warning",
+                f"run {run.name}",
+                f"command {name} {how} at {len(rows)} {at}, {by}, first at "
+                f"{run.time_s[rows[0]]:g} s: the model takes this for what acted; mend the file, "
+                "or leave these samples out",
+            )
 
 
 def _check_clock(run: Run, where: str) -> Iterator[Problem]:

@@ -1,0 +1,72 @@
+"""Jumps of commands that nothing commanded: a marker that is lost for a sample, a value misread.
+
+A channel's outliers are taken out by the diagnosis, which knows what the model expects there. A
+command is taken as it is: an outlier in a motion that drives a model is an acceleration to it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from diffsim.data.steps import rest_and_jump
+
+Array = NDArray[np.float64]
+WIDTH = 5  # samples whose median is compared with: what lasts longer than two is no outlier
+FAR = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
+LEAST = 0.02  # of the command's range
+ALONE = 6.0  # times the changes on either side of a lasting jump
+MOST = 0.03  # share of the samples; more are how the command is
+
+
+class Jumps(NamedTuple):
+    """Samples at which a command jumps.
+
+    Attributes:
+        back: Indices of samples that lie off both sides.
+        lasting: Indices of samples before which it jumps and stays, where it moves smoothly else.
+        size: Largest jump [unit of the command].
+    """
+
+    back: list[int]
+    lasting: list[int]
+    size: float
+
+
+def jumps_of(values: Array, *, is_measured: bool) -> Jumps:
+    """Jumps of a command in a run.
+
+    Args:
+        values: Its samples; those that are not finite are left out.
+        is_measured: Whether it was measured: what is commanded may jump and stay.
+    """
+    valid = np.flatnonzero(np.isfinite(values))
+    seen = values[valid]
+    if len(seen) < 2 * WIDTH or rest_and_jump([seen]):
+        return Jumps([], [], 0.0)
+    change, least = np.abs(np.diff(seen)), LEAST * float(np.ptp(seen))
+    away = np.abs(seen - median_filter(seen, size=WIDTH, mode="nearest"))
+    usual = max(1.4826 * float(np.median(away)), float(np.median(change)))
+    if not usual > 0.0:  # it rests but for what was commanded
+        return Jumps([], [], 0.0)
+    back = np.flatnonzero(away > max(FAR * usual, least))
+    lasting = np.empty(0, dtype=np.int64)
+    if is_measured:
+        lasting = _lasting(change, max(FAR * float(np.median(change)), least))
+        near = np.abs(lasting[:, None] - back[None, :]).min(axis=1, initial=len(seen)) > 1
+        lasting = lasting[near]
+    if len(back) + len(lasting) > MOST * len(seen):
+        return Jumps([], [], 0.0)
+    sizes = [*away[back], *change[lasting - 1]]
+    return Jumps(valid[back].tolist(), valid[lasting].tolist(), float(max(sizes, default=0.0)))
+
+
+def _lasting(change: Array, least: float) -> NDArray[np.int64]:
+    """Indices of samples after changes that stand alone among two on either side."""
+    padded = np.pad(change, 2, mode="reflect")
+    around = [padded[k : k + len(change)] for k in (0, 1, 3, 4)]
+    is_alone = change > ALONE * np.max(around, axis=0)
+    return np.flatnonzero(is_alone & (change > least)) + 1
