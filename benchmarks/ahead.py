@@ -7,12 +7,14 @@ length of the error over all starts is summed over the number of samples ahead.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from diffsim.core.errors import DiffsimError
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_from_rotation_vector,
@@ -71,20 +73,69 @@ class Record:
 Predict = Callable[[Tensor], Record]
 
 
-def errors_ahead(predict: Predict, truth: Record, every: int = 1) -> Tensor:
-    """Mean error by the number of samples ahead, (AHEAD, 4) in the order of ``COLUMNS``.
+class Scores(NamedTuple):
+    """Errors of several predictions over the starts that all of them can fly.
+
+    Attributes:
+        errors: Mean error by the number of samples ahead, (AHEAD, 4) each, by name.
+        failed: Starts that a prediction cannot fly, by its name; only those with any.
+        num_starts: Starts that were asked for.
+    """
+
+    errors: dict[str, Tensor]
+    failed: dict[str, int]
+    num_starts: int
+
+
+def compared(predictions: Mapping[str, Predict], truth: Record, every: int = 1) -> Scores:
+    """Errors over starts that every prediction can fly: a start that one of them fails is left out
+    of all, and counted.
 
     Args:
-        predict: Function of starts (num_starts,): what follows them, (num_starts, AHEAD, ...).
+        predictions: Functions of starts (num_starts,): what follows them, (num_starts, AHEAD, ...).
         truth: Recording, (num_samples, ...).
         every: Samples from start to start; 1 is the rule.
+
+    Raises:
+        DiffsimError: no start can be flown by all.
     """
-    count = len(truth.position) - AHEAD
-    total = torch.zeros(AHEAD, 4, dtype=torch.float64)
-    chosen = torch.arange(0, count, every)
+    chosen = torch.arange(0, len(truth.position) - AHEAD, every)
+    total = {name: torch.zeros(AHEAD, 4, dtype=torch.float64) for name in predictions}
+    failed, count = dict.fromkeys(predictions, 0), 0
     for starts in chosen.split(_CHUNK):
-        total += _lengths(predict(starts), truth.after(starts)).sum(0)
-    return total / len(chosen)
+        found = {name: _errors_from(p, truth, starts) for name, p in predictions.items()}
+        flies = {name: torch.isfinite(e).all(-1).all(-1) for name, e in found.items()}
+        by_all = torch.stack(list(flies.values())).all(0)
+        count += int(by_all.sum())
+        for name, errors in found.items():
+            total[name] += errors[by_all].sum(0)
+            failed[name] += int((~flies[name]).sum())
+    if not count:
+        raise DiffsimError("no start can be flown by all models; look at their sizes")
+    means = {name: value / count for name, value in total.items()}
+    return Scores(means, {name: n for name, n in failed.items() if n}, len(chosen))
+
+
+def errors_ahead(predict: Predict, truth: Record, every: int = 1) -> Tensor:
+    """Mean error by the number of samples ahead, (AHEAD, 4) in the order of ``COLUMNS``; arguments
+    as of ``compared``."""
+    return compared({"": predict}, truth, every).errors[""]
+
+
+def _errors_from(predict: Predict, truth: Record, starts: Tensor) -> Tensor:
+    """Errors after each start, (num_starts, AHEAD, 4); NaN of those that cannot be flown.
+
+    One start ends the flight of all that are flown with it: they are halved until it is alone.
+    """
+    try:
+        return _lengths(predict(starts), truth.after(starts))
+    except DiffsimError:
+        if len(starts) == 1:
+            return torch.full((1, AHEAD, 4), torch.nan, dtype=torch.float64)
+        half = len(starts) // 2
+        return torch.cat(
+            [_errors_from(predict, truth, s) for s in starts.split([half, len(starts) - half])]
+        )
 
 
 def _lengths(a: Record, b: Record) -> Tensor:

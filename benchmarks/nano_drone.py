@@ -19,7 +19,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from benchmarks.ahead import AHEAD, Predict, Record, errors_ahead, flown, naive
+from benchmarks.ahead import AHEAD, Predict, Record, compared, flown, naive
 from benchmarks.ahead_fit import Flights, fitted, free_names, save
 from diffsim.core import interruptible
 from diffsim.core.rotation import (
@@ -104,8 +104,11 @@ def scores(
     predictions: dict[str, Predict] = {"naive": naive(truth), "published": published(truth, run)}
     for shown, path in models.items():
         predictions[shown] = flown(_model(path, study), run, is_past_known=is_past_known)
-    for shown, predict in predictions.items():
-        yield shown, errors_ahead(predict, truth, every).sum(0).tolist()
+    found = compared(predictions, truth, every)
+    for shown, count in found.failed.items():
+        print(f"{shown} cannot fly {count} of {found.num_starts} starts of {name}: left out of all")
+    for shown, errors in found.errors.items():
+        yield shown, errors.sum(0).tolist()
 
 
 def _model(path: Path | None, study: Study) -> ExtendedModel:

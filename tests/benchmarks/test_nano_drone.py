@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from benchmarks.ahead import AHEAD, Record, errors_ahead, flown, naive
+from benchmarks.ahead import AHEAD, Record, compared, errors_ahead, flown, naive
 from benchmarks.nano_drone import MODEL, scores, whole_flights
+from diffsim.copter import FlightError
+from diffsim.core.errors import DiffsimError
 from diffsim.systems.registry import load_extended
 from tests.measured import data_folder
 
@@ -34,6 +38,34 @@ def test_errors_of_holding_everything_are_known():
     np.testing.assert_allclose(got[:, 1], 0.0, atol=1e-12)
     np.testing.assert_allclose(got[:, 2], 0.5 * steps, atol=1e-9)
     np.testing.assert_allclose(got[:, 3], 0.0, atol=1e-12)
+
+
+def test_a_start_that_cannot_be_flown_is_counted_and_left_out_of_all_models():
+    """One start of 6,450 ended the score of a whole flight."""
+    truth = turning(120)
+    bad = {3, 41, 42}
+
+    def falls(starts: torch.Tensor) -> Record:
+        if bad & set(starts.tolist()):
+            raise FlightError("no finite state", vehicle=0, step=1)
+        return naive(truth)(starts)
+
+    def late(starts: torch.Tensor) -> Record:
+        """Another model: off by the number of the start."""
+        held = naive(truth)(starts)
+        return replace(held, position=held.position + starts[:, None, None])
+
+    found = compared({"falls": falls, "late": late}, truth)
+    assert (found.failed, found.num_starts) == ({"falls": 3}, 70)
+    kept = [k for k in range(70) if k not in bad]
+    all_starts = naive(truth)(torch.tensor(kept))
+    gone = truth.after(torch.tensor(kept)).position - all_starts.position
+    off = gone - torch.tensor(kept)[:, None, None]
+    np.testing.assert_allclose(found.errors["late"][:, 0], off.norm(dim=-1).mean(0))
+    np.testing.assert_allclose(found.errors["falls"][:, 0], gone.norm(dim=-1).mean(0), atol=1e-12)
+    bad |= set(range(70))
+    with pytest.raises(DiffsimError, match="no start can be flown by all models"):
+        compared({"falls": falls, "late": late}, truth)
 
 
 @pytest.mark.reference
