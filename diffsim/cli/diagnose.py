@@ -91,7 +91,8 @@ def _finding(step: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="fact of the new runs that the study needs, such as vehicle=E9",
+        help="fact of the new runs that the study needs, such as vehicle=E9; new_2:vehicle=E7 is "
+        "one of the second new group alone",
     )
     step.add_argument(
         "--groups", type=names, default=(), metavar="A,B", help="judge only these groups"

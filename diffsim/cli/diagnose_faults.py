@@ -8,6 +8,7 @@ from typing import Any
 
 from diffsim.cli.diagnose_inputs import study_file
 from diffsim.cli.diagnose_progress import progress_bar
+from diffsim.core.check import require_choice
 from diffsim.core.files import write_json_atomic
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
@@ -16,6 +17,7 @@ from diffsim.diagnose.faults.groups import groups_of
 from diffsim.systems.registry import setup_of
 
 FAULTS_FILE = "faults.json"
+MAX_RUNS = 4  # of a group that are named; the file has all
 NEW = "new"  # what new groups are called, with a number if there are several
 
 
@@ -25,11 +27,12 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
     Args:
         given: What the user called the study.
         new: CSV files, each list a group with one fault or none.
-        facts: Facts of the new runs, such as the vehicle.
+        facts: Facts of the new runs, such as the vehicle; "new_2:vehicle" is one of this group.
 
     Raises:
         FileNotFoundError: no such study or file.
-        ValueError: the study has no ``faults``, or the new runs cannot be read.
+        ValueError: the study has no ``faults``, a fact is of no new group, or the new runs cannot
+            be read.
     """
     path = study_file(given)
     study = load_study(path)
@@ -42,14 +45,24 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
         return study
     keys = study.faults
     entries: list[dict[str, Any]] = []
-    for label, files in zip(new_labels(len(new)), new, strict=True):
+    labels = new_labels(len(new))
+    for name in (name for name in facts if ":" in name):
+        require_choice("--fact: group", name.partition(":")[0], labels)
+    for label, files in zip(labels, new, strict=True):
         unknown = dict.fromkeys((keys.known.fact, keys.state or keys.known.fact), "-")
-        setup = {**unknown, keys.per: label} | dict(facts)
+        setup = {**unknown, keys.per: label} | _facts_of(label, facts)
         entries += [
             {"name": f"{label} {f.stem}", "file": str(f.resolve()), "use": "test", "setup": setup}
             for f in files
         ]
     return load_study(path, entries)
+
+
+def _facts_of(label: str, facts: Mapping[str, str]) -> dict[str, str]:
+    """Facts of one new group: those of all, then its own."""
+    shared = {name: value for name, value in facts.items() if ":" not in name}
+    parts = ((name.partition(":"), value) for name, value in facts.items())
+    return shared | {name: value for (group, _, name), value in parts if name and group == label}
 
 
 def new_labels(count: int) -> tuple[str, ...]:
@@ -103,7 +116,8 @@ def lines(report: FaultReport) -> list[str]:
 
 def _paragraph(verdict: FaultVerdict) -> list[str]:
     said = f" (said: {verdict.said})" if verdict.said not in ("", "-") else ""
-    out = [f"{verdict.group}{said}: {verdict.status}", f"  {verdict.words}"]
+    out = [f"{verdict.group}{said}: {verdict.status}", f"  {_of_what(verdict)}"]
+    out.append(f"  {verdict.words}")
     for size in verdict.sizes:
         i, unit = size.interval, "" if size.unit == "-" else f" {size.unit}"
         out.append(f"  {size.cause} {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
@@ -117,6 +131,14 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
         least = sorted(verdict.smallest_visible.items(), key=lambda item: item[1])[:4]
         out.append("  smallest visible: " + ", ".join(f"{c} {v:.2g}" for c, v in least))
     return out
+
+
+def _of_what(verdict: FaultVerdict) -> str:
+    """Runs of a group, by their files where they are new, and what is known of them."""
+    names = [run.removeprefix(f"{verdict.group} ") for run in verdict.runs]
+    more = f" and {len(names) - MAX_RUNS} more" if len(names) > MAX_RUNS else ""
+    facts = "".join(f"; {name} {value}" for name, value in verdict.facts.items())
+    return f"{'runs' if len(names) > 1 else 'run'} {', '.join(names[:MAX_RUNS])}{more}{facts}"
 
 
 __all__ = ["judged", "lines", "new_labels", "with_new"]

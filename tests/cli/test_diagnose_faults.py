@@ -75,6 +75,25 @@ def test_new_recordings_are_groups_of_their_own(folder, capsys):
     assert "Nothing visible beyond the scatter between groups." in out
 
 
+def test_verdicts_name_the_files_and_facts_of_each_group(folder, capsys):
+    """Of 32 recordings the verdicts were called new_1 to new_32."""
+    text = STUDY.replace("setup: {rig: A}", "setup: {rig: A, place: hall}")
+    (folder / "study.yaml").write_text(text)
+    new = folder / "new"
+    given = ["--new", new / "weak.csv", "--new", new / "sound.csv"]
+    said = run(folder, *given, "--fact", "new_2:place=yard")
+    assert said["new_1"]["facts"] == {"rig": "A", "place": "hall"}
+    assert said["new_2"]["facts"] == {"rig": "A", "place": "yard"}
+    assert said["new_2"]["runs"] == ["new_2 sound"]
+    lines = capsys.readouterr().out.splitlines()
+    place = next(i for i, line in enumerate(lines) if line.startswith("new_2"))
+    assert lines[place + 1] == "  run sound; rig A; place yard"
+    out = ["--out", str(folder / "out")]
+    wrong = ["--fact", "new_3:place=yard"]
+    assert main(["diagnose", "faults", str(folder), *out, *map(str, given), *wrong]) != 0
+    assert "new_3" in capsys.readouterr().err
+
+
 def test_new_recordings_are_never_for_fitting(folder):
     files = [[folder / "new" / "weak.csv"], [folder / "new" / "sound.csv"]]
     study = with_new(str(folder), files, {"rig": "A"})

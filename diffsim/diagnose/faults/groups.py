@@ -26,6 +26,19 @@ class Group:
     known: tuple[str, ...] | None
 
     @property
+    def facts(self) -> dict[str, str]:
+        """Facts of the set-up that all its runs share: what it is called, and what nobody knows
+        ("-"), left out."""
+        first, *others = (run.setup for run in self.runs)
+        return {
+            name: str(value)
+            for name, value in first.items()
+            if str(value) not in ("-", "", self.label, self.said)
+            and not name.startswith("_")
+            and all(setup.get(name) == value for setup in others)
+        }
+
+    @property
     def teaches(self) -> bool:
         """Whether the scatter may be learned from it."""
         return self.known is not None and all(run.use == "fit" for run in self.runs)

@@ -6,7 +6,7 @@ Every interval holds 90 % and is averaged over sets of causes and over the scatt
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -88,6 +88,8 @@ class FaultVerdict:
         sets: Most probable explanations.
         smallest_visible: Smallest size of each cause that would be visible alone, in its unit.
         words: The verdict as a sentence.
+        facts: Facts of the set-up that all its runs share, without the one that makes groups and
+            those that are not known.
     """
 
     group: str
@@ -105,6 +107,7 @@ class FaultVerdict:
     words: str
     lead_by_runs: float = 0.0
     lead_by_labels: float = 0.0
+    facts: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def is_right(self) -> bool | None:
@@ -204,6 +207,7 @@ def verdict_of(
         ),
         smallest_visible=dict(smallest_visible),
         words=_words(status, sizes, rivals),
+        facts=group.facts,
         **(_leads(evidences, learned, best) if is_named else {}),
     )
 
