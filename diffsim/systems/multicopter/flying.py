@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.copter import FlightEffects, prepare_flight
+from diffsim.copter import FlightEffects, FlightError, prepare_flight
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.multicopter.flight import CopterFlight
 from diffsim.systems.multicopter.motion import FlightMotion
@@ -17,6 +17,7 @@ from diffsim.systems.multicopter.shooting import RIGID, flight_state
 
 _MAX_PASSES = 40  # over causes that depend on the motion
 _SETTLED = 1e-8  # change of forces from pass to pass [N]
+_PART = 5  # steps that settle together where whole windows do not
 _MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
 
 
@@ -78,23 +79,46 @@ class Flyer:
             thrusts: Held over the steps from the start, (points, num_windows, length, n_rotors)
                 [N].
         """
-        scene = self.scene
+        scene, length = self.scene, thrusts.shape[2]
         if not scene.schedules and not scene.air:
             return read(scene, self._fly(start, thrusts, None))
+        try:
+            return read(scene, self._settle(start, thrusts, length))
+        except (ConvergenceError, FlightError):
+            if torch.is_grad_enabled():
+                raise
+        self._last = None  # forces that ran away are no first guess
+        for end in range(_PART, length, _PART):
+            self._settle(start, thrusts, end)
+        return read(scene, self._settle(start, thrusts, length))
+
+    def _settle(self, start: Tensor, thrusts: Tensor, end: int) -> SensedRecord:
+        """Flights whose forces follow from the motion in the first steps; later ones keep the last.
+
+        Where forces are strong, those of late steps run away before early ones have settled: then
+        they are settled part by part.
+
+        Args:
+            start, thrusts: As of ``fly_thrusts``.
+            end: Number of these steps.
+        """
+        scene = self.scene
         flown, air = self._last or (thrusts, thrusts.new_zeros(1))
         still = 0 if torch.is_grad_enabled() else _MORE_FOR_GRADIENTS
         for _ in range(_MAX_PASSES):
             record = self._fly(start, flown, air if air.dim() > 1 else None)
             motion = record.motion(scene.vehicle, flown, thrusts, scene.dt)
             before, air_before = flown, air
-            flown, air = self._schedule_thrusts(motion, thrusts), self._sum_air_forces(motion)
+            flown = _held_from(self._schedule_thrusts(motion, thrusts), end)
+            air = _held_from(self._sum_air_forces(motion), end)
             with torch.no_grad():
-                change = float(max((flown - before).abs().max(), (air - air_before).abs().max()))
+                moved = (flown - before).abs().max(), (air - air_before).abs().max()
+                change = float(torch.maximum(*moved))  # of what ran away NaN, which max() may drop
             still += change < _SETTLED
             if still > _MORE_FOR_GRADIENTS:
                 if not torch.is_grad_enabled():
                     self._last = flown, air
-                return read(scene, record)
+                return record
         raise ConvergenceError(
             f"forces that depend on the motion still change by {change:.1e} N after "
             f"{_MAX_PASSES} passes; shorten the windows or reduce the effects' sizes",
@@ -163,6 +187,15 @@ class Flyer:
         wind = -0.5 * (frame.velocity[..., :-1, :] + frame.velocity[..., 1:, :])
         wind = wind.expand(self.points, windows, length, 3)
         return wind.reshape(-1, length, 3).contiguous()
+
+
+def _held_from(values: Tensor, end: int) -> Tensor:
+    """Values of steps, (points, num_windows, length, width), those after ``end`` steps the last of
+    these."""
+    if end >= values.shape[2]:
+        return values
+    first = values[:, :, :end]
+    return torch.cat([first, first[:, :, -1:].expand(-1, -1, values.shape[2] - end, -1)], 2)
 
 
 def windowed(values: Tensor, windows: int, length: int) -> Tensor:
