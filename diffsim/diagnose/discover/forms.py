@@ -1,13 +1,14 @@
-"""Forms that a law may have: formulas of one variable, fitted to the law before it had a form.
+"""Forms that a law may have: formulas of one variable, fitted to what the record tells of the law.
 
-The factors of a basis with their covariance stand for the record, so that a form costs no
-simulation here. The best ones are then fitted in the simulator, like any cause.
+What the record tells is a parabola in the values of the law on a fine grid, by the slopes of the
+simulation that lies on it, so that a form costs no simulation here. The best ones are then fitted
+in the simulator, like any cause.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,11 @@ from scipy import linalg, optimize
 Array = NDArray[np.float64]
 NUM_STARTS = 7  # of each number of a form, over the range of its variable
 WIDE = 10.0  # of the prior of a form's number, in sd that the record leaves
+NUMBER_NATS = float(np.log(WIDE))  # what each number costs, by that prior
+SAME_NATS = 2.0  # between forms that no record of this kind tells apart
+NUM_TRIED = 2  # starts that are followed to their end
+LINE = "u - {mid}"
+LEVEL, ZERO = "level", "zero"  # numbers of forms that are zero elsewhere
 
 
 @dataclass(frozen=True)
@@ -24,97 +30,94 @@ class Form:
 
     Attributes:
         name: Kind of the formula.
-        term: Formula of ``u``, ``size`` and the numbers; {low}, {high}, {mid} are of the range.
-        numbers: Names of the numbers.
+        core: Formula of ``u`` and the numbers at size 1; {low}, {high}, {mid} are of the range.
         shape: Function (scaled variable in -1 to 1, numbers) -> the formula at size 1.
+        numbers: Names of the numbers.
         starts: Starts of each number, in the scaled variable.
         bounds: Bounds of each number, in the scaled variable.
         scales: How each number becomes one of the variable: "place", "length", "rate" or "-".
+        power: What the size is multiplied by, as a power of the variable's unit.
+        zero: What is taken from the core, so that a number's factor is 1 in the middle.
+        is_factor: Whether it is a change of a number as a share, of which the size is the only
+            number.
+        signed: Whether the size may be negative.
     """
 
     name: str
-    term: str
+    core: str
     shape: Callable[[Array, Sequence[float]], Array]
     numbers: tuple[str, ...] = ()
     starts: tuple[tuple[float, ...], ...] = ()
     bounds: tuple[tuple[float, float], ...] = ()
     scales: tuple[str, ...] = ()
+    power: float = 0.0
+    zero: float = 0.0
+    is_factor: bool = False
+    signed: bool = True
 
 
 def _places(low: float, high: float) -> tuple[float, ...]:
     return tuple(np.linspace(low, high, NUM_STARTS).tolist())
 
 
-#: z is the variable from -1 to 1 over its range
+def _reciprocal(beyond: str, away: Callable[[Array], Array], power: int) -> Form:
+    """One over a power of the distance from a place beyond an end of the range."""
+    return Form(
+        "reciprocal",
+        f"1/({beyond} + distance)" + (f"**{power}" if power > 1 else ""),
+        lambda z, p: 1.0 / (away(z) + p[0]) ** power,
+        ("distance",),
+        ((0.02, 0.1, 0.5, 2.0),),
+        ((0.003, 20.0),),
+        ("length",),
+        -float(power),
+    )
+
+
+def _threshold(core: str, beyond: Callable[[Array, float], Array]) -> Form:
+    return Form(
+        "threshold",
+        core,
+        lambda z, p: np.maximum(beyond(z, p[0]), 0.0),
+        ("threshold",),
+        (_places(-0.8, 0.8),),
+        ((-0.98, 0.98),),
+        ("place",),
+        1.0,
+    )
+
+
+#: z is the variable from -1 to 1 over its range; of forms that the record cannot tell apart and
+#: that have as many numbers, the first one is taken
 FORMS: tuple[Form, ...] = (
-    Form("line", "size*(u - {mid})", lambda z, p: z),
-    Form("square", "size*(u - {mid})**2", lambda z, p: z**2),
+    Form("line", LINE, lambda z, p: z, power=1.0),
+    Form("square", "(u - {mid})**2", lambda z, p: z**2, power=2.0),
     Form(
         "exponential",
-        "size*(exp(rate*(u - {mid})) - 1)",
-        lambda z, p: np.exp(p[0] * z) - 1.0,
+        "exp(rate*(u - {mid}))",
+        lambda z, p: np.exp(p[0] * z),
         ("rate",),
         ((-8.0, -3.0, -1.0, -0.4, 0.4, 1.0, 3.0, 8.0),),
         ((-40.0, 40.0),),
         ("rate",),
+        zero=1.0,
     ),
-    Form(
-        "threshold",
-        "size*max(u - threshold, 0)",
-        lambda z, p: np.maximum(z - p[0], 0.0),
-        ("threshold",),
-        (_places(-0.8, 0.8),),
-        ((-0.98, 0.98),),
-        ("place",),
-    ),
-    Form(
-        "threshold",
-        "size*max(threshold - u, 0)",
-        lambda z, p: np.maximum(p[0] - z, 0.0),
-        ("threshold",),
-        (_places(-0.8, 0.8),),
-        ((-0.98, 0.98),),
-        ("place",),
-    ),
+    _threshold("max(u - threshold, 0)", lambda z, at: z - at),
+    _threshold("max(threshold - u, 0)", lambda z, at: at - z),
     Form(
         "saturation",
-        "size*tanh((u - middle)/width)",
+        "tanh((u - middle)/width)",
         lambda z, p: np.tanh((z - p[0]) / p[1]),
         ("middle", "width"),
         ((-0.5, 0.0, 0.5), (0.03, 0.2, 0.7)),
         ((-1.0, 1.0), (0.005, 3.0)),
         ("place", "length"),
     ),
-    Form(
-        "reciprocal",
-        "size/(u - {low} + distance)",
-        lambda z, p: 1.0 / (z + 1.0 + p[0]),
-        ("distance",),
-        ((0.02, 0.1, 0.5, 2.0),),
-        ((0.003, 20.0),),
-        ("length",),
-    ),
-    Form(
-        "reciprocal",
-        "size/(u - {low} + distance)**2",
-        lambda z, p: 1.0 / (z + 1.0 + p[0]) ** 2,
-        ("distance",),
-        ((0.02, 0.1, 0.5, 2.0),),
-        ((0.003, 20.0),),
-        ("length",),
-    ),
-    Form(
-        "reciprocal",
-        "size/({high} - u + distance)**2",
-        lambda z, p: 1.0 / (1.0 - z + p[0]) ** 2,
-        ("distance",),
-        ((0.02, 0.1, 0.5, 2.0),),
-        ((0.003, 20.0),),
-        ("length",),
-    ),
+    *(_reciprocal("u - {low}", lambda z: z + 1.0, power) for power in (1, 2)),
+    *(_reciprocal("{high} - u", lambda z: 1.0 - z, power) for power in (1, 2)),
     Form(
         "power",
-        "size*max(u - {low}, 0)**exponent",
+        "max(u - {low}, 0)**exponent",
         lambda z, p: np.maximum(z + 1.0, 1e-9) ** p[0],
         ("exponent",),
         ((0.3, 0.5, 1.5, 2.0, 3.0, 5.0),),
@@ -124,24 +127,52 @@ FORMS: tuple[Form, ...] = (
 )
 #: the same, of variables that go through zero: even and odd powers, a step in the middle
 FORMS_THROUGH_ZERO: tuple[Form, ...] = (
-    Form("line", "size*u", lambda u, p: u),
-    Form("square", "size*u**2", lambda u, p: u**2),
-    Form("square", "size*u*abs(u)", lambda u, p: u * np.abs(u)),
-    Form("power", "size*u**3", lambda u, p: u**3),
-    Form("line", "size*abs(u)", lambda u, p: np.abs(u)),
+    Form("line", "u", lambda u, p: u, power=1.0),
+    Form("square", "u**2", lambda u, p: u**2, power=2.0),
+    Form("square", "u*abs(u)", lambda u, p: u * np.abs(u), power=2.0),
+    Form("power", "u**3", lambda u, p: u**3, power=3.0),
+    Form("line", "abs(u)", lambda u, p: np.abs(u), power=1.0),
+)
+#: what a number may be multiplied by, with the size as its only number
+FACTORS: tuple[Form, ...] = (
+    Form(
+        "exponential",
+        "exp(size*(u - {mid})) - 1",
+        lambda z, p: np.expm1(p[0] * z),
+        ("size",),
+        ((-3.0, -0.3, 0.3, 3.0),),
+        ((-40.0, 40.0),),
+        power=1.0,
+        is_factor=True,
+    ),
+)
+#: the same, of variables that go through zero: it falls to both sides, never below zero
+FACTORS_THROUGH_ZERO: tuple[Form, ...] = (
+    Form(
+        "saturation",
+        "1/sqrt(1 + size*u**2) - 1",
+        lambda u, p: 1.0 / np.sqrt(1.0 + p[0] * u**2) - 1.0,
+        ("size",),
+        ((0.1, 1.0, 10.0),),
+        ((1e-4, 1e4),),
+        power=2.0,
+        is_factor=True,
+        signed=False,
+    ),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class FittedForm:
-    """A form at its best beside the law without one.
+    """A form at its best beside what the record tells.
 
     Attributes:
         form: The form.
-        nats: Half its misfit to the law, and half a nat for each number.
+        nats: What it leaves [nats], and the price of its numbers.
         size: Its size.
         numbers: Its numbers in units of the variable, with their sd.
         term: Formula with the range put in.
+        seen: What it does to the record, in noise sd.
     """
 
     form: Form
@@ -149,6 +180,11 @@ class FittedForm:
     size: float
     numbers: dict[str, tuple[float, float]] = field(default_factory=dict)
     term: str = ""
+    seen: Array = field(default_factory=lambda: np.zeros(0))
+
+    def is_like(self, other: FittedForm) -> bool:
+        """Whether the record tells no difference to another one."""
+        return 0.5 * float(np.sum((self.seen - other.seen) ** 2)) < SAME_NATS
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,91 +211,191 @@ class Curve:
         return np.sqrt(np.einsum("ij,jk,ik->i", self.basis, self.covariance, self.basis))
 
 
-def fit_forms(curve: Curve) -> list[FittedForm]:
-    """All forms beside a curve, the best first."""
-    low, high = float(curve.u[0]), float(curve.u[-1])
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a record tells of a law over its variable, without any prior of the law.
+
+    The misfit of a law with values v at ``u`` is |target - root v|^2 and a constant.
+
+    Attributes:
+        u: Values of the variable, ascending, (m,).
+        root: What a law's values do to the record, in noise sd, (k, m).
+        target: What the record asks for, (k,).
+        of_number: Whether the law changes a number, whose own value holds what is level.
+    """
+
+    u: Array
+    root: Array
+    target: Array
+    of_number: bool = False
+
+    def without_level(self) -> Told:
+        """The same, what is level taken out: it says nothing of a law."""
+        level = self.root.sum(1)
+        along = level / max(float(linalg.norm(level)), 1e-300)
+        root = self.root - np.outer(along, along @ self.root)
+        return replace(self, root=root, target=self.target - along * (along @ self.target))
+
+    def left_by(self, basis: Array) -> float:
+        """Nats that the best sum of terms leaves, (m, k) at ``u``."""
+        shapes = self.root @ basis
+        factors, *_ = linalg.lstsq(shapes, self.target)
+        return 0.5 * float(np.sum((self.target - shapes @ factors) ** 2))
+
+
+def fit_forms(told: Told) -> list[FittedForm]:
+    """Forms beside what a record tells, the best first; of those that it cannot tell apart the one
+    with the fewest numbers."""
+    low, high = float(told.u[0]), float(told.u[-1])
     mid, half = 0.5 * (low + high), 0.5 * (high - low)
-    z = (curve.u - mid) / half
-    project = linalg.pinv(curve.basis)
-    root = linalg.cholesky(_precision(curve.covariance))
-    out = [_fit(form, z, curve, project, root, mid, half) for form in FORMS]
-    if low < -0.1 * half and high > 0.1 * half:
-        out += [_fit(form, curve.u, curve, project, root, mid, half) for form in FORMS_THROUGH_ZERO]
-    return sorted((f for f in out if np.isfinite(f.nats)), key=lambda f: f.nats)
+    goes_through_zero = low < -0.1 * half and high > 0.1 * half
+    if told.of_number:
+        told = told.without_level()
+    over_range = _Scaled(told, low, high, mid)
+    fitted = []
+    if goes_through_zero:
+        at_zero = replace(over_range, mid=0.0)
+        forms = (*FACTORS_THROUGH_ZERO, *FORMS_THROUGH_ZERO)
+        fitted += [at_zero.fit(form) for form in forms if told.of_number or not form.is_factor]
+    levels = (False,) if told.of_number else (False, True)
+    fitted += [over_range.fit(form, has_level) for form in FORMS for has_level in levels]
+    if told.of_number:
+        fitted += [over_range.fit(form) for form in FACTORS]
+    kept: list[FittedForm] = []
+    for found in sorted((f for f in fitted if f is not None), key=lambda f: len(f.numbers)):
+        if not any(f.is_like(found) and f.nats < found.nats + SAME_NATS for f in kept):
+            kept.append(found)
+    return sorted(kept, key=lambda f: f.nats)
 
 
-def _precision(covariance: Array) -> Array:
-    """Inverse of a covariance, directions that the record does not tell without weight."""
-    return np.asarray(
-        linalg.inv(covariance + 1e-9 * np.trace(covariance) * np.eye(len(covariance)))
-    )
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """What a record tells, over a variable from -1 to 1."""
 
+    told: Told
+    low: float
+    high: float
+    mid: float
 
-def _fit(
-    form: Form, z: Array, curve: Curve, project: Array, root: Array, mid: float, half: float
-) -> FittedForm:
-    def off(numbers: Sequence[float]) -> Array:
-        shape = root @ (project @ form.shape(z, numbers))
-        target = root @ curve.factors
-        power = float(shape @ shape)
-        size = float(shape @ target) / power if power > 0.0 else 0.0
-        return np.asarray(target - size * shape)
+    @property
+    def half(self) -> float:
+        """Half of the range, which the variable is scaled by."""
+        return 0.5 * (self.high - self.low)
 
-    best: list[float] = []
-    cost = 0.5 * float(off(()) @ off(())) if not form.numbers else np.inf
-    low = [b[0] for b in form.bounds]
-    high = [b[1] for b in form.bounds]
-    for start in _starts(form):
+    def fit(self, form: Form, has_level: bool = False) -> FittedForm | None:
+        """A form at its best, less a level of its own or not; None where it cannot be fitted."""
+        root, target = self.told.root, self.told.target
+        z = (self.told.u - self.mid) / self.half
+        zero = form.zero if self.told.of_number else 0.0
+
+        def terms(numbers: Sequence[float]) -> Array:
+            """What the form does to the record at size 1, and its level."""
+            columns = [form.shape(z, numbers) - zero, *([np.ones(len(z))] if has_level else [])]
+            return np.asarray(root @ np.stack(columns, 1))
+
+        def sizes(shapes: Array) -> Array:
+            if form.is_factor:
+                return np.ones(1)
+            return np.asarray(linalg.lstsq(shapes, target, check_finite=False)[0])
+
+        def off(numbers: Sequence[float]) -> Array:
+            shapes = terms(numbers)
+            return np.asarray(target - shapes @ sizes(shapes))
+
+        best = self._search(form, off)
+        if best is None:
+            return None
+        shapes = terms(best)
+        found = sizes(shapes)
+        left = target - shapes @ found
+        spread = self._spread(form, best, found, terms)
+        count = len(form.numbers) - form.is_factor + has_level
+        nats = 0.5 * float(left @ left) + NUMBER_NATS * count
+        return self._in_units(form, nats, best, found, spread, shapes @ found)
+
+    def _search(
+        self, form: Form, off: Callable[[Sequence[float]], Array]
+    ) -> tuple[float, ...] | None:
+        """The best numbers, from the best of all starts; None where no start is finite."""
+        if not form.numbers:
+            return ()
+        starts: list[tuple[float, ...]] = [()]
+        for values in form.starts:
+            starts = [(*s, v) for s in starts for v in values]
+        low, high = (np.array(ends) for ends in zip(*form.bounds, strict=True))
         with np.errstate(all="ignore"):
-            try:
-                ended = optimize.least_squares(off, start, bounds=(low, high), max_nfev=60)
-            except ValueError:  # no finite numbers from here
-                continue
-        if ended.cost < cost:
-            best, cost, slopes = ended.x.tolist(), float(ended.cost), ended.jac
-    if not np.isfinite(cost):
-        return FittedForm(form, np.inf, 0.0)
-    shape = np.asarray(project @ form.shape(z, best))
-    weighed = root @ shape
-    size = float(weighed @ (root @ curve.factors)) / max(float(weighed @ weighed), 1e-300)
-    numbers = {}
-    if form.numbers:
-        spread = np.sqrt(np.diag(linalg.pinv(slopes.T @ slopes)))
-        for name, kind, value, sd in zip(form.numbers, form.scales, best, spread, strict=True):
-            numbers[name] = _in_units(kind, value, float(sd), mid, half)
-    size *= _size_factor(form, half, best)
-    u_low, u_high = float(curve.u[0]), float(curve.u[-1])
-    term = form.term.format(low=repr(u_low), high=repr(u_high), mid=repr(mid))
-    return FittedForm(form, cost + 0.5 * len(form.numbers), size, numbers, term)
+            costs = [float(np.sum(off(s) ** 2)) for s in starts]
+            order = [int(i) for i in np.argsort(costs) if np.isfinite(costs[i])][:NUM_TRIED]
+            ended = []
+            for i in order:
+                try:
+                    ended.append(
+                        optimize.least_squares(off, starts[i], bounds=(low, high), max_nfev=60)
+                    )
+                except ValueError:  # no finite numbers from here
+                    continue
+        if not ended:
+            return None
+        return tuple(min(ended, key=lambda e: float(e.cost)).x.tolist())
 
+    def _spread(
+        self,
+        form: Form,
+        numbers: tuple[float, ...],
+        sizes: Array,
+        terms: Callable[[Sequence[float]], Array],
+    ) -> Array:
+        """Covariance of numbers and sizes, (n, n)."""
+        shapes, columns = terms(numbers), []
+        for k, value in enumerate(numbers):
+            step = 1e-4 * max(abs(value), 1e-2)
+            moved = list(numbers)
+            moved[k] = value + step
+            columns.append((terms(moved) - shapes) @ sizes / step)
+        slopes = np.column_stack([*columns, shapes])
+        return np.asarray(linalg.pinvh(slopes.T @ slopes))
 
-def _starts(form: Form) -> list[tuple[float, ...]]:
-    starts: list[tuple[float, ...]] = [()]
-    for values in form.starts:
-        starts = [(*s, v) for s in starts for v in values]
-    return starts if form.numbers else []
+    def _in_units(
+        self,
+        form: Form,
+        nats: float,
+        numbers: tuple[float, ...],
+        sizes: Array,
+        spread: Array,
+        seen: Array,
+    ) -> FittedForm:
+        """A form with its numbers in units of the variable."""
+        power = float(numbers[0]) if form.scales == ("-",) else form.power
+        unit = self.half**power
+        size = float(sizes[0]) / unit
+        sd = np.sqrt(np.diag(spread))
+        told = {}
+        for k, (name, kind) in enumerate(zip(form.numbers, form.scales, strict=False)):
+            told[name] = self._number(kind, numbers[k], float(sd[k]))
+        core, natural = form.core, form.zero if self.told.of_number else 0.0
+        if form.is_factor:
+            size = float(numbers[0]) / unit
+        elif len(sizes) > 1:
+            level = -float(sizes[1] / sizes[0])
+            slope = np.array([level, 1.0]) / sizes[0]
+            off = float(np.sqrt(max(slope @ spread[-2:, -2:] @ slope, 0.0)))
+            if core == LINE:
+                core = f"u - {ZERO}"
+                told[ZERO] = (self.mid + unit * level, unit * off)
+            else:
+                core = f"{core} - {LEVEL}"
+                told[LEVEL] = (unit * level, unit * off)
+        elif natural:
+            core = f"{core} - {natural:g}"
+        term = core if form.is_factor else f"size*({core})"
+        term = term.format(low=repr(self.low), high=repr(self.high), mid=repr(self.mid))
+        return FittedForm(form, nats, size, told, term, seen)
 
-
-def _in_units(kind: str, value: float, sd: float, mid: float, half: float) -> tuple[float, float]:
-    if kind == "place":
-        return mid + half * value, half * sd
-    if kind == "length":
-        return half * value, half * sd
-    if kind == "rate":
-        return value / half, sd / half
-    return value, sd
-
-
-def _size_factor(form: Form, half: float, numbers: Sequence[float]) -> float:
-    """What the size is multiplied by, where the variable is scaled."""
-    if form in FORMS_THROUGH_ZERO:
-        return 1.0
-    if form.name in ("line", "threshold"):
-        return 1.0 / half
-    if form.name == "power":
-        return half ** -float(numbers[0])
-    if form.name == "square":
-        return 1.0 / half**2
-    if form.name == "reciprocal":
-        return half**2 if "**2" in form.term else half
-    return 1.0
+    def _number(self, kind: str, value: float, sd: float) -> tuple[float, float]:
+        if kind == "place":
+            return self.mid + self.half * value, self.half * sd
+        if kind == "length":
+            return self.half * value, self.half * sd
+        if kind == "rate":
+            return value / self.half, sd / self.half
+        return value, sd

@@ -8,14 +8,15 @@ whether it holds for more than what it was fitted to.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
 from diffsim.diagnose.discover.follow import FollowedRecord
+from diffsim.diagnose.discover.forms import Told
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
@@ -31,6 +32,9 @@ SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a per
 CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
 FLAT = 1e-9  # of its size, below which a variable rests
+NUM_POINTS = 81  # over the range of a variable, at which forms are held against the record
+TOLD = 1e-9  # of what the record tells best, below which it tells nothing
+MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 PARTS = 4  # of a recording of less runs, that are left out one after the other
 
 
@@ -106,8 +110,63 @@ def _wave(k: float) -> Basis:
     return Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k)
 
 
-def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> list[Candidate]:
-    """All laws without a form, by their evidence, the best first.
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """Laws without a form that were weighed beside one model.
+
+    Attributes:
+        followed: Simulations that lie on the recordings.
+        weigher: Evidence beside the model, and beside laws that stand already.
+        found: The laws, the best first.
+        courses: Each variable along the recordings, by its words and numbers.
+        gains: What a unit at each entry does in each run.
+    """
+
+    followed: FollowedRecord
+    weigher: Weigher
+    found: tuple[Candidate, ...]
+    courses: Mapping[int, Sequence[Array]]
+    gains: Mapping[Entry, Sequence[Gains]]
+
+    def values(self, candidate: Candidate) -> Sequence[Array]:
+        """A law's variable along the recordings, (num_samples,) for each run."""
+        return self.courses[id(candidate.variable)]
+
+    def columns_of(self, candidate: Candidate, terms: Callable[[Array], Array]) -> Array:
+        """Whitened response to terms of a law's variable at its entry, (num_valid, num_terms)."""
+        values = [terms(u) for u in self.values(candidate)]
+        return self.followed.columns_of(self.gains[candidate.entry], values)
+
+    def told(self, candidate: Candidate) -> Told:
+        """What the record tells of a law over its variable, by straight lines between points."""
+        every = np.concatenate(list(self.values(candidate)))
+        points = np.linspace(float(np.nanmin(every)), float(np.nanmax(every)), NUM_POINTS)
+        hats = np.eye(NUM_POINTS)
+        columns = self.columns_of(
+            candidate, lambda u: np.stack([np.interp(u, points, h) for h in hats], 1)
+        )
+        root, target = self.weigher.told(columns)
+        return Told(points, root, target, candidate.entry.kind == "number")
+
+    def beside(self, law: Candidate) -> Screen:
+        """What laws would explain beside one that stands, of those that explain anything alone."""
+        columns = self.columns_of(law, law.basis.values) * law.typical
+        screen = replace(self, weigher=self.weigher.beside(columns))
+        best: dict[tuple[Entry, int], Candidate] = {}
+        for c in self.found:
+            if c.nats > 0.0 and (c.entry, c.variable.name) != (law.entry, law.variable.name):
+                best.setdefault((c.entry, id(c.variable)), c)
+        again = [screen.reweighed(c) for c in list(best.values())[:MOST_AGAIN]]
+        return replace(screen, found=tuple(sorted(again, key=lambda c: -c.score)))
+
+    def reweighed(self, candidate: Candidate) -> Candidate:
+        """The same law by the evidence of this screen."""
+        columns = self.columns_of(candidate, candidate.basis.values)
+        return _weigh(self.weigher, candidate.entry, candidate.variable, candidate.basis, columns)
+
+
+def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> Screen:
+    """All laws without a form, by their evidence.
 
     Args:
         followed: Simulations that lie on the recordings.
@@ -118,15 +177,27 @@ def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> 
     entries = port.entries
     weigher = Weigher.of(followed)
     variables = port.variables()
-    courses = followed.courses(port, variables)
+    along = followed.courses(port, variables)
+    courses = {id(v): [course[:, i] for course in along] for i, v in enumerate(variables)}
+    gains = {}
     for k, entry in enumerate(entries):
         progress("laws", k / len(entries), f"laws at {entry.words}")
-        gains = followed.gains(port, entry)
-        screen = _AtEntry(followed, weigher, entry, gains)
-        for i, variable in enumerate(variables):
-            u = [course[:, i] for course in courses]
-            out += screen.weigh(variable, u)
-    return sorted(out, key=lambda c: -c.score)
+        gains[entry] = followed.gains(port, entry)
+        screen = _AtEntry(followed, weigher, entry, gains[entry])
+        for variable in variables:
+            out += screen.weigh(variable, courses[id(variable)])
+    found = tuple(sorted(out, key=lambda c: -c.score))
+    return Screen(followed, weigher, found, courses, gains)
+
+
+def _weigh(
+    weigher: Weigher, entry: Entry, variable: Variable, basis: Basis, columns: Array
+) -> Candidate:
+    """A law by its columns, whose factors have the most probable amplitude."""
+    power = float(np.sqrt(np.sum(columns**2) / len(columns)))
+    nats, amplitude = weigher.gain(columns / power)
+    gained, share = weigher.left_out(columns / power * amplitude)
+    return Candidate(entry, variable, basis, nats, gained, share, amplitude / power)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +219,9 @@ class _AtEntry:
             tried += [_wave(k) for k in self._repeating(u)]
         for basis in tried:
             block = self.followed.columns_of(self.gains, [basis.values(v) for v in u])
-            power = float(np.sqrt(np.sum(block**2) / len(block)))
-            if not (power > 0.0 and np.isfinite(power)):
-                continue
-            nats, amplitude = self.weigher.gain(block / power)
-            gained, share = self.weigher.left_out(block / power * amplitude)
-            typical = amplitude / power
-            yield Candidate(self.entry, variable, basis, nats, gained, share, typical)
+            power = float(np.sum(block**2))
+            if power > 0.0 and np.isfinite(power):
+                yield _weigh(self.weigher, self.entry, variable, basis, block)
 
     def _repeating(self, u: Sequence[Array]) -> list[float]:
         """Wave numbers with which a law of a variable would repeat, the best ones."""
@@ -224,11 +291,7 @@ class Weigher:
         Args:
             columns: Slopes by its factors, (N, k); of root mean square one.
         """
-        j = self.jacobian
-        mixed = j.T @ columns
-        solved = linalg.cho_solve(self.factor, mixed)
-        gram = columns.T @ columns - mixed.T @ solved
-        right = columns.T @ self.missing - solved.T @ (j.T @ self.missing)
+        gram, right = self._asked(columns)
         values, vectors = linalg.eigh(gram)
         values, along = np.maximum(values, 0.0), (vectors.T @ right) ** 2
         squares = np.array(AMPLITUDES)[:, None] ** 2
@@ -237,6 +300,36 @@ class Weigher:
         )
         mean = float(special.logsumexp(nats)) - float(np.log(len(nats)))
         return mean, AMPLITUDES[int(np.argmax(nats))]
+
+    def _asked(self, columns: Array) -> tuple[Array, Array]:
+        """Parabola of the misfit over factors of columns, whatever the model's numbers are."""
+        j = self.jacobian
+        mixed = j.T @ columns
+        solved = linalg.cho_solve(self.factor, mixed)
+        gram = columns.T @ columns - mixed.T @ solved
+        return gram, columns.T @ self.missing - solved.T @ (j.T @ self.missing)
+
+    def told(self, columns: Array) -> tuple[Array, Array]:
+        """Root and target of what the record tells of factors: |target - root f|^2.
+
+        Args:
+            columns: Slopes by factors, (N, k).
+        """
+        gram, right = self._asked(columns)
+        values, vectors = linalg.eigh(gram)
+        kept = values > TOLD * values[-1]
+        size = np.sqrt(values[kept])
+        return size[:, None] * vectors[:, kept].T, (vectors[:, kept].T @ right) / size
+
+    def beside(self, columns: Array) -> Weigher:
+        """The same beside a law that stands.
+
+        Args:
+            columns: Slopes by its factors, which are N(0, 1), (N, k).
+        """
+        j = np.hstack([self.jacobian, columns])
+        factor = linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True)
+        return Weigher(self.missing, j, factor, self.folds)
 
     def scores(self, columns: Array) -> Array:
         """Misfit that pairs of columns take away, those of a half with those of the other.
@@ -250,9 +343,9 @@ class Weigher:
         j = self.jacobian
         left = columns - j @ linalg.cho_solve(self.factor, j.T @ columns)
         right = left.T @ self.missing
-        a, b = np.split(left, 2, axis=1)
+        (a, b), (c, d) = (np.split(part, 2, axis=1) for part in (columns, left))
         p, q = np.split(right, 2)
-        aa, bb, ab = (np.sum(x * y, 0) for x, y in ((a, a), (b, b), (a, b)))
+        aa, bb, ab = (np.sum(x * y, 0) for x, y in ((a, c), (b, d), (a, d)))
         det = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb + 1e-300)
         return np.asarray((bb * p**2 - 2.0 * ab * p * q + aa * q**2) / det)
 

@@ -3,15 +3,16 @@
 1. Every entry by every variable is weighed beside the plain model and beside the best set of causes
    (``screen``).
 2. The best ones are fitted in the simulator, without a form yet.
-3. Forms are fitted to what that tells (``forms``).
-4. The best forms become causes like any other, which the search weighs against the library. The
+3. Forms are fitted to what the record tells of them (``forms``).
+4. The same again beside the best law, while that is worth its price.
+5. The best forms become causes like any other, which the search weighs against the library. The
    choice among all that was tried has its price.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +20,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.discover.follow import FollowedRecord, follow
+from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
-from diffsim.diagnose.discover.screen import Candidate, bumps, screen_laws
+from diffsim.diagnose.discover.screen import Candidate, Screen, bumps, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -41,7 +42,9 @@ TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
 NUM_POINTS = 101  # of a curve
 BEHIND_NATS = 30.0  # behind the best fitted law: formulas of others are not weighed
-MOST_LAWS = 8  # formulas that the search weighs
+MOST_LAWS = (6, 3)  # formulas of each round that the search weighs: so many laws act at once
+FITTED_SHARE = 0.5  # of the best law's nats, that a law needs to be fitted in the simulator
+NEXT_SHARE = 0.1  # of the first law's nats, that one beside it must explain
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,7 @@ class FittedLaw:
         curve: The law over its variable.
         nats: Evidence over the same model without it, at this fit.
         forms: Forms that it may have, the best first.
+        left: Nats that the law without a form leaves.
     """
 
     candidate: Candidate
@@ -61,6 +65,7 @@ class FittedLaw:
     curve: Curve
     nats: float
     forms: tuple[FittedForm, ...]
+    left: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,30 +98,60 @@ def find_laws(
     """
     tally = fits[0].problem.model.simulations
     begun = tally.steps
+
+    def has_time() -> bool:
+        return tally.steps - begun <= most_steps
+
     every: list[Candidate] = []
-    fitted: list[FittedLaw] = []
+    rounds: list[list[FittedLaw]] = []
     for fit in fits:
-        if fitted and max(_nats(f.fit) for f in fitted) > _nats(fit):
+        if rounds and max(_nats(f.fit) for f in rounds[0]) > _nats(fit):
             break  # a law explains more than the best set of causes
-        if tally.steps - begun > most_steps:
+        if not has_time():
             break
-        followed = follow(fit, port)
-        found = screen_laws(followed, port, progress)
-        every += found
-        for candidate in _choose(found):
-            if fitted and tally.steps - begun > most_steps:
-                break
-            law = _fit_law(followed, candidate, port)
-            if law is not None:
-                fitted.append(law)
+        screen = screen_laws(follow(fit, port), port, progress)
+        every += screen.found
+        for k, fitted in enumerate(_rounds(screen, fit, port, has_time)):
+            rounds = [*rounds, []] if len(rounds) == k else rounds
+            rounds[k] += fitted
     num_tried = max(len(every), 1)
     price = float(np.log(num_tried))
-    # of several fits: what is said of the record with all that stands beside the law
-    fitted.sort(key=lambda f: -_nats(f.fit))
-    near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
-    laws = _without_twins([law for f in near for law in _laws_of(f, price)])[:MOST_LAWS]
+    laws: list[Law] = []
+    for most, fitted in zip(MOST_LAWS, rounds, strict=False):
+        # of several fits: what is said of the record with all that stands beside the law
+        fitted.sort(key=lambda f: -_nats(f.fit))
+        near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
+        before = len(laws)
+        laws = _without_twins([*laws, *(law for f in near for law in _laws_of(f, price))])
+        laws = laws[: before + most]
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
+    fitted = [f for of_round in rounds for f in of_round]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+
+
+def _rounds(
+    screen: Screen, fit: Fit, port: LawPort, has_time: Callable[[], bool]
+) -> Iterator[list[FittedLaw]]:
+    """Fitted laws beside a fit, then beside the best of them, while that is worth its price."""
+    standing: tuple[FittedLaw, ...] = ()
+    first = 0.0
+    for _ in MOST_LAWS:
+        fitted: list[FittedLaw] = []
+        least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
+        for candidate in _choose(screen.found, least):
+            best = max((f.nats for f in fitted), default=0.0)
+            if not has_time() or candidate.nats < FITTED_SHARE * best:
+                break
+            law = _fit_law(screen, fit, candidate, port, standing)
+            if law is not None and law.nats > least:
+                fitted.append(law)
+        if not fitted:
+            return
+        yield fitted
+        law = max(fitted, key=lambda f: f.nats)
+        first = first or law.nats
+        standing, fit = (*standing, law), law.fit
+        screen = screen.beside(law.candidate)
 
 
 def _name(laws: Sequence[Law], k: int) -> str:
@@ -143,10 +178,9 @@ def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
     return tuple(best.values())
 
 
-def _choose(found: Sequence[Candidate]) -> list[Candidate]:
+def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
     """The best laws that hold for what was left out, of different entries and variables."""
-    price = float(np.log(max(len(found), 1)))
-    kept = [c for c in found if c.nats > KEEP_NATS + price and c.gained > KEEP_NATS]
+    kept = [c for c in found if c.nats > least and c.gained > KEEP_NATS]
     plain: dict[Entry, float] = {}
     for c in kept:
         if not c.variable.memory:
@@ -170,38 +204,43 @@ def _is_twin(c: Candidate, other: Candidate) -> bool:
     return c.variable == other.variable and c.basis == other.basis and is_close
 
 
-def _fit_law(followed: FollowedRecord, candidate: Candidate, port: LawPort) -> FittedLaw | None:
+def _fit_law(
+    screen: Screen,
+    before: Fit,
+    candidate: Candidate,
+    port: LawPort,
+    standing: Sequence[FittedLaw],
+) -> FittedLaw | None:
     """A law fitted in the simulator from what the recordings tell; None where it cannot be."""
-    fit = followed.fit
     variable = candidate.variable
     if not candidate.basis.wave:  # a trend says where, not how
         candidate = replace(candidate, basis=bumps(*candidate.basis.reach))
-    effect = port.terms(
-        candidate.entry, variable, candidate.basis.terms, "law", candidate.typical / PRIOR_WIDTH
-    )
-    problem = replace(fit.problem, effects=(*fit.problem.effects, effect))
+    size = candidate.typical / PRIOR_WIDTH
+    name = f"law {len(standing)}"
+    effect = port.terms(candidate.entry, variable, candidate.basis.terms, name, size)
+    problem = replace(before.problem, effects=(*before.problem.effects, effect))
     try:
-        start = _start(followed, candidate, port, problem)
+        beside = [f.candidate for f in standing]
+        start = _start(screen, [*beside, candidate], problem)
         ended, _ = gauss_newton(problem, linearization_at(problem, start))
-        u = np.concatenate(port.courses(problem, ended.x, [variable]))[:, 0]
     except DiffsimError:
         return None
+    u = np.concatenate(list(screen.values(candidate)))
     curve = _curve(ended, candidate, u[np.isfinite(u)], len(effect.components))
-    nats = _nats(ended) - _nats(fit)
-    told = _with_free_level(curve) if candidate.entry.kind == "number" else curve
-    forms = () if candidate.basis.wave else tuple(fit_forms(told))
-    return FittedLaw(candidate, ended, curve, nats, forms)
+    nats = _nats(ended) - _nats(before)
+    if candidate.basis.wave:
+        return FittedLaw(candidate, ended, curve, nats, ())
+    told = screen.told(candidate)
+    left = told.left_by(candidate.basis.values(told.u))
+    return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left)
 
 
-def _start(
-    followed: FollowedRecord, candidate: Candidate, port: LawPort, problem: Problem
-) -> Array:
+def _start(screen: Screen, candidates: Sequence[Candidate], problem: Problem) -> Array:
     """Coordinates that the recordings ask for, by the slopes along them."""
+    followed = screen.followed
     j, x = followed.jacobian, followed.fit.x
-    u = [c[:, 0] for c in followed.courses(port, [candidate.variable])]
-    terms = [candidate.basis.values(v) for v in u]
-    columns = followed.columns_of(followed.gains(port, candidate.entry), terms)
-    every = np.hstack([j, columns * candidate.typical])
+    columns = [screen.columns_of(c, c.basis.values) * c.typical for c in candidates]
+    every = np.hstack([j, *columns])
     right = followed.missing + j @ x
     found = linalg.solve(every.T @ every + np.eye(every.shape[1]), every.T @ right, assume_a="pos")
     low, high = problem.bounds
@@ -225,12 +264,6 @@ def _curve(fit: Fit, candidate: Candidate, u: Array, count: int) -> Curve:
     return Curve(points, basis @ factors, basis, factors, covariance)
 
 
-def _with_free_level(curve: Curve) -> Curve:
-    """A curve whose level says nothing: the number's own value holds it, whatever it is."""
-    level = linalg.pinv(curve.basis) @ np.ones(len(curve.u))
-    return replace(curve, covariance=curve.covariance + np.outer(level, level))
-
-
 def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     c = fitted.candidate
     memory = {
@@ -239,9 +272,11 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     }
     if c.basis.wave:
         return [_repeating(fitted, price, memory)]
-    best = fitted.forms[0].nats if fitted.forms else 0.0
+    best = fitted.forms[0].nats if fitted.forms else np.inf
     kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
-    if best > TABLE_PRICE * len(c.basis.terms):  # no formula is nearly as good as the curve itself
+    if best - fitted.left > TABLE_PRICE * len(
+        c.basis.terms
+    ):  # no formula is nearly as good as the curve itself
         return [_make_table(fitted, price, memory)]
     return [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
 
@@ -274,6 +309,7 @@ def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[st
         c.entry.unit,
         {**shapes, **memory},
         price,
+        form.form.signed,
     )
 
 

@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from diffsim.diagnose.discover.forms import FORMS, FORMS_THROUGH_ZERO, Curve, fit_forms
+from diffsim.diagnose.discover import forms as fitting
+from diffsim.diagnose.discover.forms import (
+    FACTORS,
+    FACTORS_THROUGH_ZERO,
+    FORMS,
+    FORMS_THROUGH_ZERO,
+    Told,
+    fit_forms,
+)
 
 LOW, HIGH = 3.0, 11.0
 MID = 0.5 * (LOW + HIGH)
-MATH: dict[str, Any] = {"max": np.maximum, "exp": np.exp, "tanh": np.tanh, "abs": np.abs}
+MATH: dict[str, Any] = {
+    "max": np.maximum,
+    "exp": np.exp,
+    "tanh": np.tanh,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+}
 #: the same in plain numpy, in units of the variable: (size, numbers) of each form, then the curve
 ONE_WAY = [
     (2.5, {}, lambda u: 2.5 * (u - MID)),
     (-0.4, {}, lambda u: -0.4 * (u - MID) ** 2),
-    (1.2, {"rate": 0.3}, lambda u: 1.2 * (np.exp(0.3 * (u - MID)) - 1.0)),
+    (1.2, {"rate": 0.3}, lambda u: 1.2 * np.exp(0.3 * (u - MID))),
     (0.7, {"threshold": 6.2}, lambda u: 0.7 * np.clip(u - 6.2, 0.0, None)),
     (0.7, {"threshold": 7.9}, lambda u: 0.7 * np.clip(7.9 - u, 0.0, None)),
     (3.0, {"middle": 5.5, "width": 1.3}, lambda u: 3.0 * np.tanh((u - 5.5) / 1.3)),
     (0.8, {"distance": 0.9}, lambda u: 0.8 / (u - LOW + 0.9)),
     (0.8, {"distance": 0.9}, lambda u: 0.8 / (u - LOW + 0.9) ** 2),
+    (0.8, {"distance": 0.9}, lambda u: 0.8 / (HIGH - u + 0.9)),
     (0.8, {"distance": 0.9}, lambda u: 0.8 / (HIGH - u + 0.9) ** 2),
     (0.05, {"exponent": 1.7}, lambda u: 0.05 * (u - LOW) ** 1.7),
 ]
@@ -34,11 +50,14 @@ THROUGH_ZERO = [
 ]
 
 
-def curve_of(truth, low, high, sd=1e-3):
-    """A curve told at each of its points by a factor of its own."""
+def told_of(truth, low, high, sd=1e-3, of_number=False):
+    """A law that the record tells at each point by itself."""
     u = np.linspace(low, high, 61)
-    values = np.asarray(truth(u))
-    return Curve(u, values, np.eye(len(u)), values, sd**2 * np.eye(len(u)))
+    return Told(u, np.eye(61) / sd, np.asarray(truth(u)) / sd, of_number)
+
+
+def values_of(told):
+    return told.target / told.root[0, 0]
 
 
 def read(fitted, u):
@@ -47,56 +66,110 @@ def read(fitted, u):
     return eval(fitted.term, {**MATH, **numbers, "u": u, "size": fitted.size})
 
 
+def fitted_alone(monkeypatch, form, told):
+    """A form without its neighbors, which may do the same."""
+    for group in ("FORMS", "FORMS_THROUGH_ZERO", "FACTORS", "FACTORS_THROUGH_ZERO"):
+        forms = getattr(fitting, group)
+        monkeypatch.setattr(fitting, group, tuple(f for f in forms if f is form))
+    return fit_forms(told)[0]
+
+
 @pytest.mark.reference
 @pytest.mark.parametrize("k", range(len(FORMS)), ids=[f"{k}-{f.name}" for k, f in enumerate(FORMS)])
 def test_a_form_finds_its_own_numbers(k):
     size, numbers, truth = ONE_WAY[k]
-    curve = curve_of(truth, LOW, HIGH)
-    found = fit_forms(curve)
-    own = next(f for f in found if f.form is FORMS[k])
-    assert found[0].nats > own.nats - 1.0  # others may bend as it does, none fits better
+    told = told_of(truth, LOW, HIGH)
+    own = fit_forms(told)[0]
+    assert own.form is FORMS[k]
     assert own.size == pytest.approx(size, rel=1e-3)
     assert {n: v for n, (v, _) in own.numbers.items()} == pytest.approx(numbers, rel=1e-3)
-    np.testing.assert_allclose(read(own, curve.u), curve.values, atol=1e-3)
+    np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-3)
 
 
 @pytest.mark.reference
 @pytest.mark.parametrize("k", range(len(FORMS_THROUGH_ZERO)))
 def test_a_form_through_zero_finds_its_size(k):
     size, truth = THROUGH_ZERO[k]
-    curve = curve_of(truth, -4.0, 5.0)
-    own = next(f for f in fit_forms(curve) if f.form is FORMS_THROUGH_ZERO[k])
+    told = told_of(truth, -4.0, 5.0)
+    own = fit_forms(told)[0]
+    assert own.form is FORMS_THROUGH_ZERO[k]
     assert own.size == pytest.approx(size, rel=1e-6)
-    np.testing.assert_allclose(read(own, curve.u), curve.values, atol=1e-9)
+    np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-9)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("k", range(len(FORMS)), ids=[f"{k}-{f.name}" for k, f in enumerate(FORMS)])
+def test_a_form_may_be_zero_anywhere(monkeypatch, k):
+    """A force of what is recorded is none at the weather's mean, not in the middle of the range."""
+    size, _, truth = ONE_WAY[k]
+    told = told_of(lambda u: truth(u) + 4.0 * size, LOW, HIGH)
+    own = fitted_alone(monkeypatch, FORMS[k], told)
+    np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-3 * abs(size))
+    assert own.size == pytest.approx(size, rel=1e-2)
+
+
+def test_a_line_says_where_it_is_zero():
+    told = told_of(lambda u: 0.3 * (u - 4.2), LOW, HIGH)
+    own = fit_forms(told)[0]
+    assert (own.form.name, own.term) == ("line", "size*(u - zero)")
+    value, sd = own.numbers["zero"]
+    assert value == pytest.approx(4.2, abs=1e-6) and 0.0 < sd < 0.01
+
+
+@pytest.mark.reference
+def test_a_number_falls_to_both_sides_as_iron_saturates():
+    """tanh(s i)/(s i) of a current, whatever the number's own value makes of the level."""
+    told = told_of(lambda u: np.tanh(0.7 * u) / (0.7 * u) - 0.8, -2.0, 2.3, 2e-3, of_number=True)
+    own = fit_forms(told)[0]
+    assert own.form is FACTORS_THROUGH_ZERO[0] and not own.form.signed
+    assert own.size == pytest.approx(2.0 / 3.0 * 0.7**2, rel=0.15)  # what both bend by at zero
+    level = np.mean(values_of(told) - read(own, told.u))
+    np.testing.assert_allclose(read(own, told.u) + level, values_of(told), atol=0.02)
+
+
+@pytest.mark.reference
+def test_a_number_may_be_multiplied_by_an_exponential():
+    told = told_of(lambda u: np.expm1(-0.24 * (u - MID)), LOW, HIGH, of_number=True)
+    own = fit_forms(told)[0]
+    assert own.form is FACTORS[0] and own.numbers == {}
+    assert own.size == pytest.approx(-0.24, rel=1e-3)
+    np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-3)
+
+
+def test_what_the_record_cannot_tell_apart_is_said_once():
+    """An exponential that hardly bends is a line, which has a number less."""
+    found = fit_forms(told_of(lambda u: 0.02 * np.exp(0.02 * (u - MID)), LOW, HIGH, sd=1e-3))
+    assert [f.form.name for f in found][0] == "line"
+    for k, first in enumerate(found):
+        assert not any(first.is_like(other) for other in found[k + 1 :])
 
 
 def test_forms_through_zero_are_for_variables_that_go_through_it():
-    found = fit_forms(curve_of(lambda u: 2.0 * u, LOW, HIGH))
+    found = fit_forms(told_of(lambda u: 2.0 * u, LOW, HIGH))
     assert not {id(f.form) for f in found} & {id(f) for f in FORMS_THROUGH_ZERO}
 
 
 @pytest.mark.reference
-def test_a_numbers_sd_is_that_of_the_curve():
-    """Of a threshold by many curves of one noise: scatter and stated sd are one."""
+def test_a_numbers_sd_is_that_of_the_record():
+    """Of a threshold by many records of one noise: scatter and stated sd are one."""
     (_, _, truth), rng = ONE_WAY[3], np.random.default_rng(0)
-    clean = curve_of(truth, LOW, HIGH, sd=0.05)
-    places, told = [], []
+    clean = told_of(truth, LOW, HIGH, sd=0.05)
+    places, sds = [], []
     for _ in range(30):
-        values = clean.values + 0.05 * rng.normal(size=len(clean.u))
-        found = fit_forms(Curve(clean.u, values, clean.basis, values, clean.covariance))
+        found = fit_forms(replace(clean, target=clean.target + rng.normal(size=len(clean.u))))
         place, sd = next(f for f in found if f.form is FORMS[3]).numbers["threshold"]
         places.append(place)
-        told.append(sd)
+        sds.append(sd)
     assert np.mean(places) == pytest.approx(6.2, abs=0.1)
-    assert np.std(places) == pytest.approx(np.mean(told), rel=0.5)
+    assert np.std(places) == pytest.approx(np.mean(sds), rel=0.5)
 
 
 def test_what_the_record_does_not_tell_weighs_nothing():
-    """Beyond the middle the factors have hardly an sd: only the rest tells a line's slope."""
+    """Beyond the middle hardly anything is told: only the rest tells a line's slope."""
     u = np.linspace(LOW, HIGH, 61)
     is_known = u < MID
     values = np.where(is_known, 2.0 * (u - MID), 50.0)
     sd = np.where(is_known, 1e-3, 1e3)
-    found = fit_forms(Curve(u, values, np.eye(61), values, np.diag(sd**2)))
+    found = fit_forms(Told(u, np.diag(1.0 / sd), values / sd))
     line = next(f for f in found if f.form is FORMS[0])
     assert line.size == pytest.approx(2.0, rel=1e-2)
