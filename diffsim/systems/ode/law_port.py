@@ -38,11 +38,12 @@ LASTING = (0.03, 0.1, 0.3, 1.0)
 GIVING_WAY = (0.03, 0.1, 0.3)
 #: periods that hidden masses are tried to swing with, as shares of the longest run
 SWINGING = (0.02, 0.04, 0.08, 0.16)
+SLOW_SHARE = 0.5  # of the usual speed of a place, below which it rests
 LIGHTLY = 0.05  # damping ratio of a hidden mass that nobody knows
 
 _HIDDEN = "hidden"  # what a hidden state is called in blocks
 _RATE = "hidden_rate"
-_LASTING, _REACH, _SWING = "lasting", "slip_reach", "swing_rate"
+_LASTING, _REACH, _SWING, _SLOW = "lasting", "slip_reach", "swing_rate", "slow_speed"
 
 
 Described = TypeVar("Described", bound=FormulaKeys)
@@ -191,9 +192,24 @@ class OdeLaws:
                 unit = place.position_unit
                 words = f"spring that slips at {place.name}"
                 yield _remember("slip", place.position, words, _HIDDEN, slip, numbers, unit)
-            done = HiddenState(f"abs({v})")
-            words = f"way gone at {place.name}"
-            yield Variable(words, _HIDDEN, states={_HIDDEN: done}, memory="work", of=v)
+            for done, of, words in (
+                (f"abs({v})", v, "way gone"),
+                (f"abs(({place.position})*{v})", place.position, "work done"),
+            ):
+                states = {_HIDDEN: HiddenState(done)}
+                words = f"{words} at {place.name}"
+                yield Variable(words, _HIDDEN, states=states, memory="work", of=of)
+            for share in LASTING:
+                time = {_LASTING: share * longest}
+                rubbed = HiddenState(f"(abs({v}) - {_HIDDEN})/{_LASTING}")
+                yield _remember("heat", v, f"heat of |{v}|", _HIDDEN, rubbed, time, "s")
+                rested = HiddenState(f"(exp(-({v}/{_SLOW})**2) - {_HIDDEN})/{_LASTING}")
+                numbers = {**time, _SLOW: SLOW_SHARE * scale.velocity}
+                words = f"rest at {place.name}"
+                yield replace(
+                    _remember("relaxation", v, words, _HIDDEN, rested, numbers, "s"),
+                    number_units={_LASTING: "s", _SLOW: f"{place.position_unit}/s"},
+                )
             for share in SWINGING:
                 rate = (
                     f"{_SWING}**2*({place.position} - {_HIDDEN})"
