@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 MOST_ROWS = 15  # of the table of all that was weighed
 PERIODS = 3.0  # of a law that repeats, in its picture: more of them are a grey wall
 NUM_FINE = 400  # points of a formula's line
+#: one for each run, told apart without red and green
+RUN_COLORS = ("#4477aa", "#ccbb44", "#aa3377", "#66ccee", "#228833", "#ee6677", "#777777")
 
 
 def laws_section(r: Report) -> list[page.Section]:
@@ -65,6 +67,8 @@ def _picture(r: Report, law: DescribedLaw, curve: LawCurve) -> page.Chart:
         f"{opened(law.sentence)}. Dark line: the term as the fitted runs ask for it, before it has "
         "a form; grey: its 90 % band."
     )
+    if curve.runs:
+        caption += " Thin, a color each: what each run alone says of it, where it went."
     values = _values_of(r, law)
     if values is not None:
         caption += (
@@ -111,6 +115,7 @@ def law_over_variable(
     }
     drawn = [
         charts.line(around, edge, "90 % band", LINE, **look),
+        *_run_lines(curve, float(u[0]), float(u[-1])),
         charts.line(u, middle, "as the runs ask for it", INK),
     ]
     if values is not None:
@@ -119,12 +124,20 @@ def law_over_variable(
         formula = _level_with(law, _at(law, values, fine), _at(law, values, u), middle, sd)
         drawn.append(charts.line(fine, formula, "formula", EXTENDED, line=color))
     shown = charts.styled(charts.graph_objects().Figure(drawn), height=380)
-    size = law.numbers.get("amplitude")
     shown.update_xaxes(title_text=_with_unit(_value_of(law), _unit_in(study, _value_of(law))))
-    shown.update_yaxes(
-        title_text=_with_unit(_term_at(law.entry), "" if size is None else size.unit)
-    )
+    shown.update_yaxes(title_text=_with_unit(_term_at(law.entry), curve.unit))
     return shown
+
+
+def _run_lines(curve: LawCurve, low: float, high: float) -> list[Any]:
+    """What each run alone says, within what is drawn."""
+    out = []
+    for k, run in enumerate(curve.runs):
+        u, value = np.array(run.u), np.array(run.value)
+        kept = (u >= low) & (u <= high)
+        look = {"color": RUN_COLORS[k % len(RUN_COLORS)], "width": 1.0}
+        out.append(charts.line(u[kept], value[kept], run.run, look["color"], line=look))
+    return out
 
 
 def _level_with(law: DescribedLaw, formula: Array, at_u: Array, middle: Array, sd: Array) -> Array:
@@ -219,7 +232,8 @@ def _number(number: Number) -> str:
 def _screen_table(answer: LawAnswer) -> page.Table:
     """What laws of all variables would explain at all places, before they have a form."""
     shown = answer.screen[:MOST_ROWS]
-    found = {_place_of(law) for law in answer.laws if not law.memory}
+    places = [(s.kind, s.target, (s.of or s.variable,), s.memory) for s in shown]
+    found = {(*_place_of(law), law.memory or "") for law in answer.laws}
     return page.Table(
         columns=[
             "where it enters",
@@ -231,8 +245,8 @@ def _screen_table(answer: LawAnswer) -> page.Table:
         rows=[_screen_row(row) for row in shown],
         caption=f"The best {len(shown)} of {answer.num_tried} laws without a form, smooth or "
         "periodic, by evidence and by runs left out. The choice among them has its price. In bold: "
-        "laws of the answer, but for those of hidden states.",
-        emphasis=[i for i, s in enumerate(shown) if (s.kind, s.target, (s.variable,)) in found],
+        "laws of the answer.",
+        emphasis=[i for i, place in enumerate(places) if place in found],
     )
 
 

@@ -14,6 +14,7 @@ from diffsim.diagnose.say.law_records import (
     LawAnswer,
     LawCurve,
     Number,
+    RunCurve,
     ScreenRow,
 )
 from diffsim.viz import diagnosis_report as dr
@@ -52,11 +53,17 @@ CURVES = (
         tuple(U.tolist()),
         tuple((SIZE * np.sin(WAVE * U + PHASE)).tolist()),
         (1e-4,) * len(U),
+        "N m",
+        (
+            RunCurve("run_1", tuple(U[:301].tolist()), tuple(np.sin(WAVE * U[:301]).tolist())),
+            RunCurve("run_2", tuple(U[100:].tolist()), tuple(np.cos(WAVE * U[100:]).tolist())),
+        ),
     ),
 )
 SCREEN = (
     ScreenRow("force", "shaft", "speed", 90.0, 0.4, 0.0),
     ScreenRow("force", "shaft", "angle", 900.0, 0.95, 14.0),
+    ScreenRow("force", "shaft", "heat of current^2", 9.0, 0.2, 0.0, "heat", "current"),
     *(ScreenRow("number", "drag", f"column_{k}", 9.0, 0.1, 0.0) for k in range(20)),
 )
 ANSWER = LawAnswer((COGGING,), SCREEN, CURVES, 474)
@@ -110,7 +117,7 @@ def test_a_page_says_nothing_of_laws_that_were_not_looked_for():
 
 def test_the_picture_holds_band_and_formula_over_three_periods():
     chart = laws_section(described())[0].content[0]
-    band, asked, formula = chart.figure.data
+    band, first, second, asked, formula = chart.figure.data
     reach = 2.0 * np.pi / WAVE * 3.0
     assert reach - 0.02 < np.ptp(asked.x) <= reach
     half = (max(band.y) - min(band.y)) / 2.0 - SIZE
@@ -120,6 +127,11 @@ def test_the_picture_holds_band_and_formula_over_three_periods():
     assert chart.figure.layout.xaxis.title.text == "angle"
     assert chart.figure.layout.yaxis.title.text == "force at shaft [N m]"
     assert SENTENCE[1:] in chart.caption
+    # each run in a color of its own, over the part that is drawn and where it went
+    assert (first.name, second.name) == ("run_1", "run_2")
+    assert first.line.color != second.line.color
+    assert min(first.x) == pytest.approx(min(asked.x)) and max(first.x) <= U[300]
+    assert min(second.x) >= U[100] and max(second.x) == pytest.approx(max(asked.x))
 
 
 @pytest.mark.parametrize(
@@ -154,13 +166,14 @@ def test_a_law_of_a_hidden_state_says_what_the_formula_is_of():
     rows = dict(table.rows)
     assert rows["hidden state"] == "heat" and rows["formula"] == "size*u, u being heat of current"
     assert rows["with its numbers"] == "0.0022*(heat of current)"
-    assert not screen.emphasis
+    assert screen.emphasis == [2]  # the state, not the angle itself
 
 
 def test_a_law_beside_the_best_set_has_no_numbers_to_draw():
     bare = replace(COGGING, numbers={}, status="possible")
     chart, table, _ = laws_section(described(replace(ANSWER, laws=(bare,)), values={}))[0].content
-    assert [line.name for line in chart.figure.data] == ["90 % band", "as the runs ask for it"]
+    drawn = [line.name for line in chart.figure.data]
+    assert drawn == ["90 % band", "run_1", "run_2", "as the runs ask for it"]
     assert "with its numbers" not in [row[0] for row in table.rows]
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
@@ -18,12 +19,14 @@ from diffsim.diagnose.say.law_records import (
     LawAnswer,
     LawCurve,
     Number,
+    RunCurve,
     ScreenRow,
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit
 from diffsim.identify.law import VALUE, Law, Variable
 
+Array = NDArray[np.float64]
 MOST_ROWS = 40  # of the table
 POSSIBLE = "possible"  # of one of several laws
 
@@ -53,14 +56,13 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     )
     if not laws or report.verdict not in ("named", "ambiguous"):
         return replace(report, described=answer)
-    head = _headline(report, laws)
+    head = _headline(report, laws, _say_turn(report, by_name))
     tail = report.headline.partition(": ")[2] or report.headline.partition(". ")[2]
     return replace(
         report,
         described=answer,
         verdict=DESCRIBED,
         headline=f"{head} {tail[:1].upper()}{tail[1:]}".strip(),
-        sentences=(head, *report.sentences),
     )
 
 
@@ -71,20 +73,44 @@ def _is_held(row: CauseRow, laws: Mapping[str, Law]) -> bool:
     return row.status in (CERTAIN, LIKELY)
 
 
-def _headline(report: Report, laws: Sequence[DescribedLaw]) -> str:
+def _say_turn(report: Report, laws: Mapping[str, Law]) -> str:
+    """Two lines of one kind that are a rotation: each axis gets a part of the other, with opposite
+    signs and one size. Nothing where they are none."""
+    named = [laws[name] for name in report.named if name in laws]
+    if len(named) != 2 or any(law.form != "line" or not _is_mix(law) for law in named):
+        return ""
+    first, second = named
+    if first.entry.kind != second.entry.kind or first.entry.target == second.entry.target:
+        return ""
+    a, b = (report.best.values[law.name] for law in named)
+    sd = [report.best.sd[law.name] * report.interval_factor for law in named]
+    if a * b > 0.0 or abs(a + b) > HALF_LEVEL * float(np.hypot(*sd)):
+        return ""
+    weights = 1.0 / np.square(sd)
+    turn = float(np.degrees(np.arctan(weights @ np.abs([a, b]) / weights.sum())))
+    return f"; together they are a rotation of the axes by {turn:.2g} deg"
+
+
+def _is_mix(law: Law) -> bool:
+    """Whether a law adds a share of something of its own kind."""
+    unit = law.variable.unit
+    return law.entry.kind != "number" and not law.variable.memory and unit == law.entry.unit != "-"
+
+
+def _headline(report: Report, laws: Sequence[DescribedLaw], more: str) -> str:
     """The best law and what cannot be told from it, beside causes of the library."""
     best, *rest = sorted(laws, key=lambda law: law.name not in report.named)
     is_sure = best.status == CERTAIN
     same = [law for law in rest if _place_of(law) == _place_of(best)]
-    others = [law for law in rest if law not in same and law.status == POSSIBLE]
-    beside = [law for law in rest if law.status in (CERTAIN, LIKELY)]
+    beside = [law for law in rest if law.name in report.named or law.status in (CERTAIN, LIKELY)]
+    others = [law for law in rest if law not in same and law not in beside]
     said = best.sentence
     if same:
         said += f" (or {', '.join(law.formula for law in same)})"
+    if beside:
+        said += f"; and {beside[0].sentence}{more}"
     if others:
         said += f"; or else {others[0].sentence}"
-    if beside:
-        said += f"; and {beside[0].sentence}"
     known = {law.name for law in laws}
     names = [row.words for row in report.causes if row.name in report.named]
     names = [n for n in names if n not in {k.replace("_", " ") for k in known}]
@@ -97,7 +123,9 @@ def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:
 
 
 def _row(c: Candidate) -> ScreenRow:
-    return ScreenRow(c.entry.kind, c.entry.target, c.variable.name, c.nats, c.share, c.basis.wave)
+    entry, variable = c.entry, c.variable
+    row = (entry.kind, entry.target, variable.name, c.nats, c.share, c.basis.wave)
+    return ScreenRow(*row, memory=variable.memory, of=variable.of)
 
 
 def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
@@ -112,8 +140,14 @@ def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
         u = np.linspace(max(middle - half, u[0]), min(middle + half, u[-1]), len(u))
     basis = c.basis.values(u)
     sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, curve.covariance, basis))
-    told = (u, basis @ curve.factors, sd)
-    return LawCurve(names[0] if names else "", *(tuple(a.tolist()) for a in told))
+    told = (tuple(a.tolist()) for a in (u, basis @ curve.factors, sd))
+    runs = tuple(_run_curve(*own, float(u[0]), float(u[-1])) for own in fitted.by_run)
+    return LawCurve(names[0] if names else "", *told, unit=c.entry.unit, runs=runs)
+
+
+def _run_curve(run: str, u: Array, value: Array, low: float, high: float) -> RunCurve:
+    kept = (u >= low) & (u <= high)
+    return RunCurve(run, tuple(u[kept].tolist()), tuple(value[kept].tolist()))
 
 
 def _word_of(variable: Variable) -> str:
@@ -125,8 +159,9 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     fit = report.best
     status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
     numbers = {}
+    size = "rate" if law.term.startswith("exp(size") else "amplitude"
     for short, name, unit in (
-        ("amplitude", law.name, law.unit),
+        (size, law.name, law.unit),
         *((s, f"{s}_of_{law.name}", shape.unit) for s, shape in law.shapes.items()),
     ):
         if name not in fit.values:  # of a law beside the best set

@@ -221,7 +221,7 @@ class Told:
         u: Values of the variable, ascending, (m,).
         root: What a law's values do to the record, in noise sd, (k, m).
         target: What the record asks for, (k,).
-        of_number: Whether the law changes a number, whose own value holds what is level.
+        of_number: Whether the law changes a free number, whose own value holds what is level.
     """
 
     u: Array

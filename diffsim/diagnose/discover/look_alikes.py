@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from diffsim.identify.law import Law
@@ -17,6 +18,7 @@ class LookAlike:
         forms: Kinds of formulas.
         units: Units of the variable.
         words: What such a law may be.
+        turns: Least and greatest wave number.
     """
 
     words: tuple[str, ...]
@@ -24,22 +26,26 @@ class LookAlike:
     memory: str = ""
     forms: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+    turns: tuple[float, float] = (0.0, math.inf)
 
     def fits(self, law: Law) -> bool:
         """Whether a law is of this kind."""
-        memory = law.variable.memory or "-"
+        memory, wave = law.variable.memory or "-", law.shapes.get("wave_number")
         return (
             (not self.kinds or law.entry.kind in self.kinds)
             and (not self.memory or memory == self.memory)
             and (not self.forms or law.form in self.forms)
             and (not self.units or law.variable.unit in self.units)
+            and self.turns[0] <= (wave.value if wave else 0.0) <= self.turns[1]
         )
 
 
 _PUSH, _NUMBER, _READ = ("force", "rate"), ("number",), ("reading",)
+ONCE = (0.9, 1.1)  # a turn
 _ANGLE, _HEAT, _VOLT = ("rad",), ("K", "degC"), ("V",)
 TABLE: tuple[LookAlike, ...] = (
-    LookAlike(("cogging", "eccentric gear", "unbalance"), _PUSH, "-", ("periodic",), _ANGLE),
+    LookAlike(("unbalance", "bent axis"), _PUSH, "-", ("periodic",), _ANGLE, ONCE),
+    LookAlike(("cogging", "eccentric gear"), _PUSH, "-", ("periodic",), _ANGLE),
     LookAlike(("ripple of the commutation", "gear"), _NUMBER, "-", ("periodic",), _ANGLE),
     LookAlike(("eccentric encoder", "eccentric gear"), _READ, "-", ("periodic",), _ANGLE),
     LookAlike(("something that repeats",), forms=("periodic",)),

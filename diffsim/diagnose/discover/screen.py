@@ -91,6 +91,11 @@ class Candidate:
         """Nats that hold for what it was fitted to and for what was left out."""
         return min(self.nats, self.gained)
 
+    @property
+    def rank(self) -> tuple[float, bool]:
+        """Sorts laws, the best first; of a force and a fixed number that do the same, the force."""
+        return -round(self.score, 1), self.entry.kind == "number"
+
 
 def bumps(low: float, high: float) -> Basis:
     """Bumps over a range."""
@@ -146,7 +151,8 @@ class Screen:
             candidate, lambda u: np.stack([np.interp(u, points, h) for h in hats], 1)
         )
         root, target = self.weigher.told(columns)
-        return Told(points, root, target, candidate.entry.kind == "number")
+        is_free = candidate.entry.target in self.followed.fit.problem.names
+        return Told(points, root, target, candidate.entry.kind == "number" and is_free)
 
     def beside(self, law: Candidate) -> Screen:
         """What laws would explain beside one that stands, of those that explain anything alone."""
@@ -157,7 +163,7 @@ class Screen:
             if c.nats > 0.0 and (c.entry, c.variable.name) != (law.entry, law.variable.name):
                 best.setdefault((c.entry, id(c.variable)), c)
         again = [screen.reweighed(c) for c in list(best.values())[:MOST_AGAIN]]
-        return replace(screen, found=tuple(sorted(again, key=lambda c: -c.score)))
+        return replace(screen, found=tuple(sorted(again, key=lambda c: c.rank)))
 
     def reweighed(self, candidate: Candidate) -> Candidate:
         """The same law by the evidence of this screen."""
@@ -186,7 +192,7 @@ def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> 
         screen = _AtEntry(followed, weigher, entry, gains[entry])
         for variable in variables:
             out += screen.weigh(variable, courses[id(variable)])
-    found = tuple(sorted(out, key=lambda c: -c.score))
+    found = tuple(sorted(out, key=lambda c: c.rank))
     return Screen(followed, weigher, found, courses, gains)
 
 

@@ -26,7 +26,7 @@ from diffsim.diagnose.discover.screen import Candidate, Screen, bumps, screen_la
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.identify import Fit, Problem
+from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.law import Entry, Law, Shape
 from diffsim.identify.linearization import linearization_at
@@ -58,6 +58,7 @@ class FittedLaw:
         nats: Evidence over the same model without it, at this fit.
         forms: Forms that it may have, the best first.
         left: Nats that the law without a form leaves.
+        by_run: Name, variable and law of each run, as this run alone tells it.
     """
 
     candidate: Candidate
@@ -66,6 +67,7 @@ class FittedLaw:
     nats: float
     forms: tuple[FittedForm, ...]
     left: float = 0.0
+    by_run: tuple[tuple[str, Array, Array], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +175,7 @@ def _without_twins(laws: Sequence[Law]) -> list[Law]:
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
     best: dict[tuple[str, str, str], Candidate] = {}
-    for c in sorted(every, key=lambda c: -c.score):
+    for c in sorted(every, key=lambda c: c.rank):
         best.setdefault((c.entry.kind, c.entry.target, c.variable.name), c)
     return tuple(best.values())
 
@@ -220,31 +222,54 @@ def _fit_law(
     effect = port.terms(candidate.entry, variable, candidate.basis.terms, name, size)
     problem = replace(before.problem, effects=(*before.problem.effects, effect))
     try:
-        beside = [f.candidate for f in standing]
-        start = _start(screen, [*beside, candidate], problem)
+        candidates = [*(f.candidate for f in standing), candidate]
+        asked = _asked(screen, candidates)
+        low, high = problem.bounds
+        start = np.clip(problem.standardized(asked), low, high)
         ended, _ = gauss_newton(problem, linearization_at(problem, start))
     except DiffsimError:
         return None
     u = np.concatenate(list(screen.values(candidate)))
     curve = _curve(ended, candidate, u[np.isfinite(u)], len(effect.components))
     nats = _nats(ended) - _nats(before)
+    by_run = tuple(_by_run(screen, candidates, asked))
     if candidate.basis.wave:
-        return FittedLaw(candidate, ended, curve, nats, ())
+        return FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run)
     told = screen.told(candidate)
     left = told.left_by(candidate.basis.values(told.u))
-    return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left)
+    return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
 
 
-def _start(screen: Screen, candidates: Sequence[Candidate], problem: Problem) -> Array:
-    """Coordinates that the recordings ask for, by the slopes along them."""
+def _asked(screen: Screen, candidates: Sequence[Candidate]) -> Array:
+    """Scaled coordinates that the recordings ask for, with those of laws, by the slopes."""
+    every, right = _slopes(screen, candidates)
+    gram = every.T @ every + np.eye(every.shape[1])
+    return np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
+
+
+def _slopes(screen: Screen, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
+    """Slopes by the model's numbers and by factors of laws, and what they are held against."""
     followed = screen.followed
-    j, x = followed.jacobian, followed.fit.x
     columns = [screen.columns_of(c, c.basis.values) * c.typical for c in candidates]
-    every = np.hstack([j, *columns])
-    right = followed.missing + j @ x
-    found = linalg.solve(every.T @ every + np.eye(every.shape[1]), every.T @ right, assume_a="pos")
-    low, high = problem.bounds
-    return np.clip(problem.standardized(found), low, high)
+    right = followed.missing + followed.jacobian @ followed.fit.x
+    return np.hstack([followed.jacobian, *columns]), right
+
+
+def _by_run(
+    screen: Screen, candidates: Sequence[Candidate], asked: Array
+) -> Iterator[tuple[str, Array, Array]]:
+    """The last law as each run alone tells it beside all else that the recordings ask for."""
+    law = candidates[-1]
+    every, right = _slopes(screen, candidates)
+    count = len(law.basis.terms)
+    left = right - every[:, :-count] @ asked[:-count]
+    begins = 0
+    for run, u in zip(screen.followed.fit.problem.runs, screen.values(law), strict=True):
+        rows = slice(begins, begins := begins + int(np.isfinite(run.measured).sum()))
+        own = every[rows, -count:]
+        factors = linalg.solve(own.T @ own + np.eye(count), own.T @ left[rows], assume_a="pos")
+        points = np.linspace(float(np.nanmin(u)), float(np.nanmax(u)), NUM_POINTS)
+        yield run.name, points, law.basis.values(points) @ factors * law.typical
 
 
 def _nats(fit: Fit) -> float:

@@ -27,6 +27,8 @@ class ScreenRow:
         nats: Evidence over none.
         share: Share of the misfit of runs that were left out.
         wave_number: Of a law that repeats; 0: it does not.
+        memory: Kind of the hidden state that the variable is; "": none.
+        of: What drives the hidden state.
     """
 
     kind: str
@@ -35,16 +37,37 @@ class ScreenRow:
     nats: float
     share: float
     wave_number: float
+    memory: str = ""
+    of: str = ""
+
+
+@dataclass(frozen=True)
+class RunCurve:
+    """The missing term over its variable, as one run tells it."""
+
+    run: str
+    u: tuple[float, ...]
+    value: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class LawCurve:
-    """The missing term over its variable, as the fitted runs tell it before it has a form."""
+    """The missing term over its variable, as the fitted runs tell it before it has a form.
+
+    Attributes:
+        law: Name of the law that it became; "": of none.
+        u: Values of the variable.
+        value, sd: The term there, with its standard deviation.
+        unit: Unit of the term.
+        runs: What each run alone says, where it went.
+    """
 
     law: str
     u: tuple[float, ...]
     value: tuple[float, ...]
     sd: tuple[float, ...]
+    unit: str = "-"
+    runs: tuple[RunCurve, ...] = ()
 
 
 @dataclass(frozen=True)

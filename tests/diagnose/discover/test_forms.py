@@ -139,7 +139,7 @@ def test_a_number_may_be_multiplied_by_an_exponential():
 def test_what_the_record_cannot_tell_apart_is_said_once():
     """An exponential that hardly bends is a line, which has a number less."""
     found = fit_forms(told_of(lambda u: 0.02 * np.exp(0.02 * (u - MID)), LOW, HIGH, sd=1e-3))
-    assert [f.form.name for f in found][0] == "line"
+    assert found[0].form.name == "line"
     for k, first in enumerate(found):
         assert not any(first.is_like(other) for other in found[k + 1 :])
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import linalg, special, stats
 
-from diffsim.diagnose.discover.screen import NUM_BUMPS, Weigher, bumps, trend
+from diffsim.diagnose.discover.screen import NUM_BUMPS, Candidate, Weigher, bumps, trend
 from diffsim.diagnose.search.evidence import AMPLITUDES
+from diffsim.identify.law import Entry, Variable
 
 COUNT = 48
 
@@ -72,12 +73,69 @@ def test_what_a_law_gains_is_what_refits_without_each_part_say(problem):
     assert share == pytest.approx((before - after) / max(before - COUNT, before - after), rel=1e-9)
 
 
+def test_of_a_force_and_a_fixed_number_that_do_the_same_the_force_comes_first():
+    height, basis = Variable("height", "h", "m"), bumps(0.0, 1.0)
+    of = {
+        kind: Candidate(Entry(kind, "rotor", "-", 1.0), height, basis, score, 90.0, 1.0, 1.0)
+        for kind, score in (("number", 80.001), ("force", 80.0), ("reading", 81.0))
+    }
+    ranked = sorted(of.values(), key=lambda c: c.rank)
+    assert [c.entry.kind for c in ranked] == ["reading", "force", "number"]
+
+
 def test_columns_of_chance_gain_nothing_where_they_were_not_fitted(problem):
     missing, slopes, columns, folds = problem
     rng = np.random.default_rng(0)
     asked = weigher(missing, slopes, folds)
     chance = [asked.left_out(rng.normal(size=columns.shape))[0] for _ in range(200)]
     assert np.mean(chance) < 0.0 < asked.left_out(columns)[0]
+
+
+def cost_of(problem, factors):
+    """Misfit with factors of the law, the model's numbers at their best beside their prior."""
+    missing, slopes, columns, _ = problem
+    left = missing - columns @ factors
+    return left @ np.linalg.solve(np.eye(COUNT) + slopes @ slopes.T, left)
+
+
+@pytest.mark.reference
+def test_what_a_record_tells_is_the_misfit_of_all_factors(problem):
+    missing, slopes, columns, folds = problem
+    root, target = weigher(missing, slopes, folds).told(columns)
+    tried = np.random.default_rng(1).normal(size=(5, columns.shape[1]))
+    told = [np.sum((target - root @ f) ** 2) for f in tried]
+    expected = [cost_of(problem, f) for f in tried]
+    np.testing.assert_allclose(np.subtract(told, told[0]), np.subtract(expected, expected[0]))
+
+
+@pytest.mark.reference
+def test_beside_a_law_evidence_is_that_of_both(problem):
+    missing, slopes, columns, folds = problem
+    first, second = columns[:, :1], columns[:, 1:] / np.sqrt(np.mean(columns[:, 1:] ** 2))
+    plain = np.eye(COUNT) + slopes @ slopes.T + first @ first.T
+    zero = np.zeros(COUNT)
+    without = stats.multivariate_normal(zero, plain).logpdf(missing)
+    each = [
+        stats.multivariate_normal(zero, plain + a**2 * second @ second.T).logpdf(missing) - without
+        for a in AMPLITUDES
+    ]
+    nats, _ = weigher(missing, slopes, folds).beside(first).gain(second)
+    assert nats == pytest.approx(special.logsumexp(each) - np.log(len(each)), abs=1e-9)
+
+
+@pytest.mark.reference
+def test_a_waves_score_is_what_refits_take_away(problem):
+    """Of a sine and a cosine, the model's numbers fitted anew beside their prior."""
+    missing, slopes, _, folds = problem
+    rng = np.random.default_rng(2)
+    pairs = rng.normal(size=(COUNT, 6))
+    found = weigher(missing, slopes, folds).scores(pairs)
+    metric = np.linalg.inv(np.eye(COUNT) + slopes @ slopes.T)
+    for k in range(3):
+        pair = pairs[:, [k, k + 3]]
+        asked = pair.T @ metric @ missing
+        taken = asked @ np.linalg.solve(pair.T @ metric @ pair, asked)
+        assert found[k] == pytest.approx(taken, rel=1e-9)
 
 
 @pytest.mark.parametrize("make", [bumps, trend])

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from diffsim import cli
-from diffsim.data import save_study
+from diffsim.data import Command, save_study
+from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.search.fit import silent
@@ -75,6 +77,22 @@ def test_its_curve_is_the_torque(cogs):
     assert (sd > 0.0).all() and sd.max() < 0.2 * TORQUE
 
 
+def test_each_run_alone_tells_the_torque(cogs):
+    """Over the angles that it went through."""
+    curve = next(c for c in cogs.described.curves if c.law == cogs.described.laws[0].name)
+    assert curve.unit == "N m" and [r.run for r in curve.runs] == ["run_0", "run_1"]
+    for run in curve.runs:
+        u, value = np.array(run.u), np.array(run.value)
+        assert curve.u[0] <= u[0] < u[-1] <= curve.u[-1]
+        assert np.sqrt(np.mean((value - TORQUE * np.sin(TEETH * u + 0.6)) ** 2)) < 0.3 * TORQUE
+
+
+def test_the_answer_says_a_law_once(cogs):
+    (law,) = cogs.described.laws
+    assert law.sentence in cogs.headline and law.sentence not in " ".join(cogs.sentences)
+    assert "unbalance" not in law.looks_like  # that is once a turn
+
+
 def test_others_explain_less_of_what_was_left_out(cogs):
     first, *rest = cogs.described.screen
     assert (first.kind, first.target, first.variable) == ("force", "shaft", "angle")
@@ -93,14 +111,58 @@ def test_nothing_is_described_where_nothing_is_hidden():
     assert report.described is None or report.described.laws == ()
 
 
-@pytest.mark.cpu(8)  # eight laws are fitted in the simulator
-def test_damping_that_falls_with_a_recorded_temperature_is_found():
-    """The column is in no formula: it is named before every memory, and its slope is right."""
-    study = turntable_study(thinner_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
+def fitted_laws(study):
+    """What the stage finds beside the plain model."""
     made = setup_of(study)
     problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
     start = linearization_at(problem, np.zeros(problem.num_base))
-    laws = find_laws([gauss_newton(problem, start)[0]], made.laws, silent)
+    return find_laws([gauss_newton(problem, start)[0]], made.laws, silent)
+
+
+TURN, BLUR = 0.01, 1e-3  # of the camera [rad], of its readings [m]
+
+
+def turned_camera(seed=0):
+    """A stage that is set along two axes, seen by a camera that is turned against them."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for k, use in enumerate(("fit", "fit", "fit", "select", "select", "test")):
+        east, north = rng.uniform(-1.0, 1.0, (2, 60))
+        seen = np.stack([east + TURN * north, north - TURN * east], 1)
+        measured = seen + BLUR * rng.normal(size=seen.shape)
+        commands = {"east": east, "north": north}
+        runs.append(Run(f"run_{k}", 0.1 * np.arange(60), measured, commands, f"run_{k}", k, use))
+    channels = (Channel("x", "m", "x", BLUR), Channel("y", "m", "y", BLUR))
+    commands = (Command("east", "m"), Command("north", "m"))
+    model = {
+        "system": "bench",
+        "readings": {"x": "a*east", "y": "b*north"},
+        "parameters": {n: {"value": 1.0, "percent": 0.5} for n in "ab"},
+    }
+    return Study("camera", "bench", channels, tuple(runs), commands=commands, model=model)
+
+
+@pytest.mark.cpu(10)
+def test_two_laws_at_once_are_found_and_said_as_one_rotation():
+    report = found(turned_camera())
+    assert report.verdict == "described"
+    held = [law for law in report.described.laws if law.name in report.named]
+    places = {(law.entry["kind"], law.entry["target"], law.form) for law in held}
+    assert places == {("reading", "x", "line"), ("reading", "y", "line")} and len(held) == 2
+    for law in held:  # what was set, or the other reading, which shows it
+        assert law.variables[0] in (("north", "y") if law.entry["target"] == "x" else ("east", "x"))
+    for law in held:
+        size = law.numbers["amplitude"]
+        assert size.low < (TURN if law.entry["target"] == "x" else -TURN) < size.high
+    said = re.search(r"together they are a rotation of the axes by ([\d.]+) deg", report.headline)
+    assert float(said.group(1)) == pytest.approx(np.degrees(TURN), rel=0.05)
+
+
+@pytest.mark.cpu(8)  # several laws are fitted in the simulator
+def test_damping_that_falls_with_a_recorded_temperature_is_found():
+    """The column is in no formula: it is named before every memory, and its slope is right."""
+    study = turntable_study(thinner_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
+    laws = fitted_laws(study)
     best = laws.screened[0]
     assert (best.entry.kind, best.entry.target, best.variable.name) == ("number", "c", "temp")
     assert best.share > 0.95 and best.variable.columns == ("temp",)
