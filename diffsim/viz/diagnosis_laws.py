@@ -135,8 +135,9 @@ def _run_lines(curve: LawCurve, low: float, high: float) -> list[Any]:
     for k, run in enumerate(curve.runs):
         u, value = np.array(run.u), np.array(run.value)
         kept = (u >= low) & (u <= high)
-        look = {"color": RUN_COLORS[k % len(RUN_COLORS)], "width": 1.0}
-        out.append(charts.line(u[kept], value[kept], run.run, look["color"], line=look))
+        color = RUN_COLORS[k % len(RUN_COLORS)]
+        thin = {"color": color, "width": 1.0}
+        out.append(charts.line(u[kept], value[kept], run.run, color, line=thin))
     return out
 
 

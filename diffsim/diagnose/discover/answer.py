@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -86,8 +87,8 @@ def _say_turn(report: Report, laws: Mapping[str, Law]) -> str:
     sd = [report.best.sd[law.name] * report.interval_factor for law in named]
     if a * b > 0.0 or abs(a + b) > HALF_LEVEL * float(np.hypot(*sd)):
         return ""
-    weights = 1.0 / np.square(sd)
-    turn = float(np.degrees(np.arctan(weights @ np.abs([a, b]) / weights.sum())))
+    weights = [1.0 / s**2 for s in sd]
+    turn = math.degrees(math.atan(float(np.average([abs(a), abs(b)], weights=weights))))
     return f"; together they are a rotation of the axes by {turn:.2g} deg"
 
 
@@ -140,9 +141,9 @@ def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
         u = np.linspace(max(middle - half, u[0]), min(middle + half, u[-1]), len(u))
     basis = c.basis.values(u)
     sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, curve.covariance, basis))
-    told = (tuple(a.tolist()) for a in (u, basis @ curve.factors, sd))
     runs = tuple(_run_curve(*own, float(u[0]), float(u[-1])) for own in fitted.by_run)
-    return LawCurve(names[0] if names else "", *told, unit=c.entry.unit, runs=runs)
+    told = [tuple(a.tolist()) for a in (u, basis @ curve.factors, sd)]
+    return LawCurve(names[0] if names else "", told[0], told[1], told[2], c.entry.unit, runs)
 
 
 def _run_curve(run: str, u: Array, value: Array, low: float, high: float) -> RunCurve:

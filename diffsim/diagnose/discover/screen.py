@@ -52,6 +52,11 @@ class Basis:
     wave: float = 0.0
     reach: tuple[float, float] = (0.0, 0.0)
 
+    @property
+    def tried(self) -> tuple[Basis, ...]:
+        """What the law is weighed by: bumps by a trend of their range, too."""
+        return (self,) if self.wave else (trend(*self.reach), self)
+
     def values(self, u: Array) -> Array:
         """The terms at values of the variable, (len(u), num_terms)."""
         if self.wave:
@@ -65,7 +70,15 @@ class Basis:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Asked:
+    """What is asked of a law: where it enters, and on what it depends."""
+
+    entry: Entry
+    variable: Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate(Asked):
     """A law without a form: an entry, a variable, a basis, and what it explains at a fit.
 
     Attributes:
@@ -78,8 +91,6 @@ class Candidate:
         typical: Standard deviation of its factors, at the most probable amplitude.
     """
 
-    entry: Entry
-    variable: Variable
     basis: Basis
     nats: float
     gained: float
@@ -167,8 +178,11 @@ class Screen:
 
     def reweighed(self, candidate: Candidate) -> Candidate:
         """The same law by the evidence of this screen."""
-        columns = self.columns_of(candidate, candidate.basis.values)
-        return _weigh(self.weigher, candidate.entry, candidate.variable, candidate.basis, columns)
+        made = [
+            _weigh(self.weigher, candidate, basis, self.columns_of(candidate, basis.values))
+            for basis in candidate.basis.tried
+        ]
+        return _together(made)
 
 
 def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> Screen:
@@ -196,14 +210,20 @@ def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> 
     return Screen(followed, weigher, found, courses, gains)
 
 
-def _weigh(
-    weigher: Weigher, entry: Entry, variable: Variable, basis: Basis, columns: Array
-) -> Candidate:
+def _weigh(weigher: Weigher, of: Asked, basis: Basis, columns: Array) -> Candidate:
     """A law by its columns, whose factors have the most probable amplitude."""
     power = float(np.sqrt(np.sum(columns**2) / len(columns)))
     nats, amplitude = weigher.gain(columns / power)
     gained, share = weigher.left_out(columns / power * amplitude)
-    return Candidate(entry, variable, basis, nats, gained, share, amplitude / power)
+    return Candidate(of.entry, of.variable, basis, nats, gained, share, amplitude / power)
+
+
+def _together(made: Sequence[Candidate]) -> Candidate:
+    """One law by several bases: bumps say most of where the runs went, a trend holds for what they
+    did not reach."""
+    held = max(made, key=lambda c: c.gained)
+    nats = max(c.nats for c in made)
+    return replace(made[-1], nats=nats, gained=held.gained, share=held.share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,14 +240,18 @@ class _AtEntry:
         found = _range_of(np.concatenate(u))
         if found is None:
             return
-        tried = [trend(*found), bumps(*found)]
+        laws = [bumps(*found)]
         if variable.is_turn and self.entry.kind != "input":
-            tried += [_wave(k) for k in self._repeating(u)]
-        for basis in tried:
-            block = self.followed.columns_of(self.gains, [basis.values(v) for v in u])
-            power = float(np.sum(block**2))
-            if power > 0.0 and np.isfinite(power):
-                yield _weigh(self.weigher, self.entry, variable, basis, block)
+            laws += [_wave(k) for k in self._repeating(u)]
+        for law in laws:
+            made = []
+            for basis in law.tried:
+                block = self.followed.columns_of(self.gains, [basis.values(v) for v in u])
+                power = float(np.sum(block**2))
+                if power > 0.0 and np.isfinite(power):
+                    made.append(_weigh(self.weigher, Asked(self.entry, variable), basis, block))
+            if made:
+                yield _together(made)
 
     def _repeating(self, u: Sequence[Array]) -> list[float]:
         """Wave numbers with which a law of a variable would repeat, the best ones."""

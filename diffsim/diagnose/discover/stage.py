@@ -22,7 +22,7 @@ from scipy import linalg
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
-from diffsim.diagnose.discover.screen import Candidate, Screen, bumps, screen_laws
+from diffsim.diagnose.discover.screen import Candidate, Screen, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -68,6 +68,12 @@ class FittedLaw:
     forms: tuple[FittedForm, ...]
     left: float = 0.0
     by_run: tuple[tuple[str, Array, Array], ...] = ()
+
+    @property
+    def reach(self) -> float:
+        """Evidence of all that is fitted, by the best form where that fits closer than bumps."""
+        closer = self.left - self.forms[0].nats if self.forms else 0.0
+        return _nats(self.fit) + max(closer, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +122,13 @@ def find_laws(
         for k, fitted in enumerate(_rounds(screen, fit, port, has_time)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
-    num_tried = max(len(every), 1)
+    num_tried = max(sum(len(c.basis.tried) for c in every), 1)
     price = float(np.log(num_tried))
     laws: list[Law] = []
     for most, fitted in zip(MOST_LAWS, rounds, strict=False):
         # of several fits: what is said of the record with all that stands beside the law
-        fitted.sort(key=lambda f: -_nats(f.fit))
-        near = [f for f in fitted if _nats(f.fit) > _nats(fitted[0].fit) - BEHIND_NATS]
+        fitted.sort(key=lambda f: -f.reach)
+        near = [f for f in fitted if f.reach > fitted[0].reach - BEHIND_NATS]
         before = len(laws)
         laws = _without_twins([*laws, *(law for f in near for law in _laws_of(f, price))])
         laws = laws[: before + most]
@@ -142,8 +148,10 @@ def _rounds(
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
             best = max((f.nats for f in fitted), default=0.0)
-            if not has_time() or candidate.nats < FITTED_SHARE * best:
+            if not has_time():
                 break
+            if candidate.nats < FITTED_SHARE * best:
+                continue
             law = _fit_law(screen, fit, candidate, port, standing)
             if law is not None and law.nats > least:
                 fitted.append(law)
@@ -192,12 +200,20 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
         c for c in kept if not c.variable.memory or c.score > plain.get(c.entry, 0.0) + KEEP_NATS
     ]
     chosen: list[Candidate] = []
-    for c in _best_of_each(kept):
+    best = _best_of_each(kept)
+    for c in best:
         at = sum(c.entry == other.entry for other in chosen)
         on = sum(c.variable.name == other.variable.name for other in chosen)
         if at < ALIKE and on < ALIKE and not any(_is_twin(c, other) for other in chosen):
-            chosen.append(c)
+            chosen += [c, *(p for p in best if _is_plain_of(p, c) and p not in chosen)]
     return chosen[:NUM_FITTED]
+
+
+def _is_plain_of(plain: Candidate, c: Candidate) -> bool:
+    """Whether a law is of what another one has the memory of: a memory may stand for it where
+    bumps are too wide to tell."""
+    is_memory = c.variable.memory == "relaxation" and not plain.variable.memory
+    return is_memory and plain.entry == c.entry and plain.variable.name == c.variable.of
 
 
 def _is_twin(c: Candidate, other: Candidate) -> bool:
@@ -215,8 +231,6 @@ def _fit_law(
 ) -> FittedLaw | None:
     """A law fitted in the simulator from what the recordings tell; None where it cannot be."""
     variable = candidate.variable
-    if not candidate.basis.wave:  # a trend says where, not how
-        candidate = replace(candidate, basis=bumps(*candidate.basis.reach))
     size = candidate.typical / PRIOR_WIDTH
     name = f"law {len(standing)}"
     effect = port.terms(candidate.entry, variable, candidate.basis.terms, name, size)
