@@ -11,6 +11,11 @@ import pytest
 from diffsim import cli
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.data import Command, load_study, save_study
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.identify import Problem, save_extended
+from diffsim.identify.law import Entry, Law, Variable
+from diffsim.identify.linearization import linearization_at
+from diffsim.identify.whitening import WhiteNoise
 from tests.systems.toy_cart import cart_study, described
 
 
@@ -67,6 +72,41 @@ def test_next_says_what_to_record_and_writes_it(folder, capsys):
     )
     lines = (folder / "out" / "next.csv").read_text().splitlines()
     assert lines[0] == "time_s,force (N)" and len(lines) > 50
+
+
+DRAG = Entry("force", "cart", "N", 1.0)
+SPEED = Variable("v", "v", "m/s")
+
+
+def test_next_parts_two_forms_of_a_law_that_nobody_listed(folder):
+    """They are causes of the saved model alone; the run where the cart is fastest tells them."""
+    study = load_study(folder / "study")
+    port = inputs_of(study, seed=0).setup.laws
+    laws = [
+        Law("law_square", DRAG, SPEED, "square", "size*u*abs(u)", 0.5, "N"),
+        Law("law_cube", DRAG, SPEED, "power", "size*u**3", 0.5, "N"),
+    ]
+    made = port.setup_with([port.block(law) for law in laws])
+    first = next(e for e in made.effects if e.name == "law_square")
+    problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels), (first,))
+    fit, _ = gauss_newton(problem, linearization_at(problem, np.zeros(len(problem.names))))
+    out = folder / "out"
+    save_extended(fit, out / "extended_model.yaml", study=study, verdict="described")
+    report = {
+        "verdict": "described",
+        "named": ["law_square"],
+        "rivals": [["law_cube"]],
+        "table": [{"effect": law.name} for law in laws],
+        "hypotheses": [],
+        "settings": {},
+    }
+    (out / "report.json").write_text(json.dumps(report))
+    argv = ["diagnose", "next", str(folder / "study"), "--out", str(out), "--debug"]
+    assert cli.main(argv) == 0
+    advice = json.loads((out / "next.json").read_text())
+    assert advice["rivals"] == [["law_square"], ["law_cube"]]
+    gains = sorted(advice["chi2_gain"].values())
+    assert advice["chi2_gain"][advice["best"]] == gains[-1] > 10.0 * gains[0] > 0.0
 
 
 def test_another_description_is_another_diagnosis(folder):

@@ -85,7 +85,7 @@ def _say_turn(report: Report, laws: Mapping[str, Law]) -> str:
         return ""
     a, b = (report.best.values[law.name] for law in named)
     sd = [report.best.sd[law.name] * report.interval_factor for law in named]
-    if a * b > 0.0 or abs(a + b) > HALF_LEVEL * float(np.hypot(*sd)):
+    if a * b > 0.0 or abs(a + b) > HALF_LEVEL * math.hypot(*sd):
         return ""
     weights = [1.0 / s**2 for s in sd]
     turn = math.degrees(math.atan(float(np.average([abs(a), abs(b)], weights=weights))))

@@ -131,9 +131,11 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
     gains = {}
     for run in bank:
         try:
-            gains[run.name] = _nearest_pair(rivals, run)
+            gain = _nearest_pair(rivals, run)
         except DiffsimError:  # a run that the model cannot follow is no advice
             continue
+        if np.isfinite(gain):  # nor is one on which a rival runs away
+            gains[run.name] = gain
     if not gains:
         raise PredictionError(f"none of the {len(bank)} runs of the bank can be simulated")
     best = max(gains, key=lambda name: gains[name])

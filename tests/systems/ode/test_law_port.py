@@ -138,6 +138,35 @@ def test_memories_are_what_their_names_say(setup, table):
     np.testing.assert_allclose(found[:, 2], 0.0, atol=1e-12)
 
 
+@pytest.mark.reference
+def test_work_rubbing_and_rest_are_those_of_the_way_gone(setup, table):
+    """Memories that a place has of its speed, against sums over a run's samples."""
+    problem, port = problem_of(setup, table), setup.laws
+    problem = replace(problem, runs=problem.runs[:1])
+    every = {v.name: v for v in port.variables() if v.numbers.get("lasting", 0.0) < 1.0}
+    names = ("work done at shaft", "heat of |speed|", "rest at shaft")
+    work, rubbed, rest = (every[name] for name in names)
+    assert (work.memory, work.of) == ("work", "angle")
+    assert (rubbed.memory, rubbed.of) == ("heat", "speed")
+    assert (rest.memory, rest.of) == ("relaxation", "speed")
+    plain = [Variable("angle", "angle"), Variable("speed", "speed")]
+    (found,) = port.courses(problem, np.zeros(problem.num_base), [*plain, work, rubbed, rest])
+    angle, speed = found[:, 0], found[:, 1]
+    step = np.diff(problem.runs[0].time_s)
+    power = np.abs(angle * speed)
+    done = np.concatenate([[0.0], np.cumsum(0.5 * step * (power[1:] + power[:-1]))])
+    np.testing.assert_allclose(found[:, 2], done, atol=1e-2 * done[-1])
+    slow = rest.numbers["slow_speed"]
+    for column, drive, memory in (
+        (3, np.abs(speed), rubbed),
+        (4, np.exp(-((speed / slow) ** 2)), rest),
+    ):
+        kept, out = np.exp(-step / memory.numbers["lasting"]), [0.0]
+        for share, now in zip(kept, 0.5 * (drive[1:] + drive[:-1]), strict=True):
+            out.append(share * out[-1] + (1.0 - share) * now)
+        np.testing.assert_allclose(found[:, column], out, atol=2e-2 * max(out))
+
+
 def test_a_number_may_depend_on_what_is_made_of_it(setup, table):
     """The drag is made of c: a law of c over the drag means the drag as it was before."""
     port = setup.laws
