@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Where = Literal["force", "rate", "number", "input", "reading"]
+Where = Literal["force", "rate", "number", "value", "input", "reading"]
 Memory = Literal["", "heat", "slip", "oscillator", "relaxation", "work"]
 VALUE = "u"  # what the variable is called in the formula of a term
 SIZE = "size"
@@ -27,7 +27,7 @@ class Entry:
 
     Attributes:
         kind: "force" at a place, "rate" of a state, "number" (the term is added to its factor 1),
-            "input" or "reading".
+            "value" of a number that may be zero, "input" or "reading".
         target: Name of the place, state, number, input or channel.
         unit: Unit of the term.
         scale: Usual magnitude there [unit]: a term of a tenth of it would be no surprise.
@@ -45,7 +45,7 @@ class Entry:
         """The entry as a reader sees it, such as "force at shaft"."""
         if self.kind == "force":
             return f"force at {self.target}"
-        if self.kind == "number":
+        if self.kind in ("number", "value"):
             return self.target
         return f"{self.kind} of {self.target}"
 

@@ -5,6 +5,10 @@ the angle is not seen along an angle that has run away. So a free course enters 
 can push, run by run, until the simulation lies on the record. All slopes are taken there. Taking
 the course's own part out again gives the record as the model without it would miss it, and that is
 what laws are weighed by. The course is a detour: its size and its smoothness tell nothing.
+
+Where what is missing is no push at all, such as friction that no state feels, a course would bend
+the way to make up for it: the best law then keeps little of what its slopes promise, and laws are
+weighed along the simulation as fitted, too.
 """
 
 from __future__ import annotations
@@ -55,6 +59,11 @@ class FollowedRecord:
     to_knots: tuple[sparse.csr_array, ...]
     jacobian: Array
     chi2: float
+
+    @property
+    def is_led(self) -> bool:
+        """Whether anything can lead the simulations along the recordings."""
+        return any(response.shape[1] for response in self.responses)
 
     def columns_of(self, gains: Sequence[Gains], terms: Sequence[Array]) -> Array:
         """Whitened response to terms of a law, (num_valid, num_terms); nothing is simulated.
@@ -115,17 +124,18 @@ def _to_knots(knots: Array, run: Run) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(made.sum(1)).ravel()) @ made)
 
 
-def follow(fit: Fit, port: LawPort) -> FollowedRecord:
+def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecord:
     """Simulations of a fit's runs that lie on the recordings.
 
     Args:
         fit: Fit of a set of causes.
         port: What the system offers to laws.
+        max_steps: Steps towards the recordings; 0: the simulations as fitted.
     """
     problems, points, missing, slopes, chi2 = [], [], [], [], 0.0
     responses = []
     for run in fit.problem.runs:
-        problem, x = _drive(fit, run, port)
+        problem, x = _drive(fit, run, port, max_steps)
         count = len(fit.x)
         at = linearization_at(problem, x)
         columns = whitened(problem, at.columns)
@@ -164,7 +174,7 @@ def _units_of(problem: Problem) -> Array:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def _drive(fit: Fit, run: Run, port: LawPort) -> tuple[Problem, Array]:
+def _drive(fit: Fit, run: Run, port: LawPort, max_steps: int) -> tuple[Problem, Array]:
     """A run with its course, and the coordinates at which it lies on the record."""
     plain = replace(fit.problem, runs=(run,))
     courses = tuple(port.drives(run, MOST_KNOTS))
@@ -174,7 +184,7 @@ def _drive(fit: Fit, run: Run, port: LawPort) -> tuple[Problem, Array]:
     own = [i for effect in courses for i in problem.columns_of(effect)]
     x = np.concatenate([fit.x, np.zeros(len(own))])
     cost = _cost(problem, x, own)
-    for _ in range(MAX_STEPS):
+    for _ in range(max_steps):
         at = linearization_at(problem, x, own)
         slopes = whitened(problem, at.columns)
         r = whitened(problem, measured_of(problem) - at.record)

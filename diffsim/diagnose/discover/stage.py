@@ -33,6 +33,7 @@ from diffsim.identify.linearization import linearization_at
 from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
+KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
 TWIN_NATS = 0.01  # between laws that do the same
@@ -111,19 +112,21 @@ def find_laws(
         return tally.steps - begun <= most_steps
 
     every: list[Candidate] = []
+    num_tried = 0
     rounds: list[list[FittedLaw]] = []
     for fit in fits:
         if rounds and max(_nats(f.fit) for f in rounds[0]) > _nats(fit):
             break  # a law explains more than the best set of causes
         if not has_time():
             break
-        screen = screen_laws(follow(fit, port), port, progress)
+        screens = _screens(fit, port, progress)
+        num_tried += sum(len(c.basis.tried) for screen in screens for c in screen.found)
+        screen = screens[-1]
         every += screen.found
         for k, fitted in enumerate(_rounds(screen, fit, port, has_time)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
-    num_tried = max(sum(len(c.basis.tried) for c in every), 1)
-    price = float(np.log(num_tried))
+    price = float(np.log(max(num_tried, 1)))
     laws: list[Law] = []
     for most, fitted in zip(MOST_LAWS, rounds, strict=False):
         # of several fits: what is said of the record with all that stands beside the law
@@ -135,6 +138,26 @@ def find_laws(
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+
+
+def _screens(fit: Fit, port: LawPort, progress: Progress) -> list[Screen]:
+    """All laws weighed along the recordings; where the best of them keeps little of what it
+    promises there, along the simulations as fitted, too. The screen that holds comes last."""
+    led = screen_laws(follow(fit, port), port, progress)
+    promised = led.found[0].nats if led.found else 0.0
+    kept = _kept_by_best(led, fit, port) if led.followed.is_led else promised
+    if kept >= KEPT * promised:
+        return [led]
+    as_fitted = screen_laws(follow(fit, port, max_steps=0), port, progress)
+    is_better = _kept_by_best(as_fitted, fit, port) > kept
+    return [led, as_fitted] if is_better else [as_fitted, led]
+
+
+def _kept_by_best(screen: Screen, fit: Fit, port: LawPort) -> float:
+    """Nats that the best law of a screen keeps in the simulator: slopes promise, fits decide."""
+    first = next(iter(_choose(screen.found, KEEP_NATS)), None)
+    law = None if first is None else _fit_law(screen, fit, first, port, ())
+    return 0.0 if law is None else law.nats
 
 
 def _rounds(

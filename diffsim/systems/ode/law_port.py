@@ -106,7 +106,11 @@ class OdeLaws:
             yield Entry("rate", state, "1/s", self._usual_rate(state))
         used = self._names_in_use()
         for name, q in self.keys.parameters.items():
-            if name in used and q.value != 0.0:
+            if name not in used:
+                continue
+            if q.sd is not None and q.sd >= abs(q.value):  # a share of what may be zero says little
+                yield Entry("value", name, q.unit, q.sd)
+            elif q.value != 0.0:
                 yield Entry("number", name, "-", 1.0)
         for name in self.system.input_held if motion.states else ():
             assert library is not None

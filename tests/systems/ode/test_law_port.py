@@ -99,6 +99,35 @@ def test_entries_are_all_that_a_term_may_be_added_to(setup):
     assert all(e.scale > 0.0 for e in setup.laws.entries)
 
 
+def test_a_law_is_added_to_a_number_that_may_be_zero(table):
+    """A share of nothing would be nothing: a pull of 0 +- 0.1 N m gets a term of its own unit."""
+    pull = {"value": 0.0, "sd": 0.1, "unit": "N m"}
+    model = described(rates={"angle": "speed", "speed": "(torque - drag + pull)/J"})
+    model["parameters"] = {**model["parameters"], "pull": pull}
+    study = replace(table, model=model)
+    setup = setup_of(study)
+    (entry,) = [e for e in setup.laws.entries if e.target == "pull"]
+    assert (entry.kind, entry.unit, entry.scale) == ("value", "N m", 0.1)
+    law = replace(FALLS, name="pulls", entry=entry, form="line", term="size*u", shapes={})
+    extended = with_law(setup, law)
+    problem = problem_of(extended, study, ("pulls",))
+    size, x = 3e-4, np.zeros(problem.num_base + 1)
+    x[-1] = problem.standardized(np.array([*x[:-1], size / problem.size_units[-1]]))[-1]
+    run, plain = study.fit_runs[0], problem_of(setup, study)
+    shown = problem.predict(run, torch.from_numpy(x))
+    alone = plain.predict(
+        pushed_by_temp(run, size), torch.zeros(plain.num_base, dtype=torch.float64)
+    )
+    assert float((shown - alone).abs().max()) < 0.02 * float(
+        (shown - plain.predict(run, torch.zeros(plain.num_base, dtype=torch.float64))).abs().max()
+    )
+
+
+def pushed_by_temp(run, size):
+    """The run with what a law of the temperature pulls added to its torque."""
+    return replace(run, command={"torque": run.command["torque"] + size * run.columns["temp"]})
+
+
 def test_variables_have_recorded_columns_and_memories_among_them(setup):
     found = setup.laws.variables()
     plain = {v.name: v.unit for v in found if not v.memory}
