@@ -122,7 +122,7 @@ FORMS: tuple[Form, ...] = (
         ("-",),
     ),
 )
-#: the same, of variables that go through zero: even and odd powers, a step in the middle
+#: the same, of variables that reach zero, as heat does: even and odd powers
 FORMS_THROUGH_ZERO: tuple[Form, ...] = (
     Form("line", "size*u", lambda u, p: u),
     Form("square", "size*u**2", lambda u, p: u**2),
@@ -183,7 +183,7 @@ def fit_forms(curve: Curve) -> list[FittedForm]:
     project = linalg.pinv(curve.basis)
     root = linalg.cholesky(_precision(curve.covariance))
     out = [_fit(form, z, curve, project, root, mid, half) for form in FORMS]
-    if low < -0.1 * half and high > 0.1 * half:
+    if low < 0.1 * half and high > -0.1 * half:
         out += [_fit(form, curve.u, curve, project, root, mid, half) for form in FORMS_THROUGH_ZERO]
     return sorted((f for f in out if np.isfinite(f.nats)), key=lambda f: f.nats)
 

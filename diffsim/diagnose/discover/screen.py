@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
+from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
@@ -31,6 +32,9 @@ SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a per
 CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
 FLAT = 1e-9  # of its size, below which a variable rests
+MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
+SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
+NUM_TREND = 101  # points at which bumps are made a trend
 PARTS = 4  # of a recording of less runs, that are left out one after the other
 
 
@@ -106,26 +110,43 @@ def _wave(k: float) -> Basis:
     return Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k)
 
 
-def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> list[Candidate]:
+def screen_laws(
+    followed: FollowedRecord, port: LawPort, progress: Progress, most_steps: float = np.inf
+) -> list[Candidate]:
     """All laws without a form, by their evidence, the best first.
 
     Args:
         followed: Simulations that lie on the recordings.
         port: What the system offers to laws.
         progress: Receives stage, share done and message.
+        most_steps: Weighted steps after which no further terms are simulated.
     """
     out: list[Candidate] = []
     entries = port.entries
     weigher = Weigher.of(followed)
     variables = port.variables()
     courses = followed.courses(port, variables)
+    dear: list[tuple[Variable, _AtEntry, list[Array]]] = []
     for k, entry in enumerate(entries):
         progress("laws", k / len(entries), f"laws at {entry.words}")
-        gains = followed.gains(port, entry)
-        screen = _AtEntry(followed, weigher, entry, gains)
+        screen = _AtEntry(followed, weigher, port, entry, followed.gains(port, entry))
         for i, variable in enumerate(variables):
+            if not variable.may_be_at(entry):
+                continue
             u = [course[:, i] for course in courses]
-            out += screen.weigh(variable, u)
+            if screen.gains is None:
+                dear.append((variable, screen, u))
+            else:
+                out += screen.weigh(variable, u)
+    # what is there at once is tried before what lasts, its own past before that of others
+    dear.sort(key=lambda d: (bool(d[0].memory), d[0].of not in ("", d[1].entry.target)))
+    tally = followed.fit.problem.model.simulations
+    begun = tally.steps
+    for k, (variable, screen, u) in enumerate(dear[:MOST_SIMULATED]):
+        if tally.steps - begun > most_steps:
+            break
+        progress("laws", k / len(dear), f"laws at {screen.entry.words}")
+        out += screen.weigh_simulated(variable, u)
     return sorted(out, key=lambda c: -c.score)
 
 
@@ -135,8 +156,9 @@ class _AtEntry:
 
     followed: FollowedRecord
     weigher: Weigher
+    port: LawPort
     entry: Entry
-    gains: Sequence[Gains]
+    gains: Sequence[Gains] | None
 
     def weigh(self, variable: Variable, u: Sequence[Array]) -> Iterator[Candidate]:
         """Laws of one variable with bumps, and with the waves that repeat best."""
@@ -146,22 +168,41 @@ class _AtEntry:
         tried = [trend(*found), bumps(*found)]
         if variable.is_turn and self.entry.kind != "input":
             tried += [_wave(k) for k in self._repeating(u)]
+        assert self.gains is not None
         for basis in tried:
             block = self.followed.columns_of(self.gains, [basis.values(v) for v in u])
-            power = float(np.sqrt(np.sum(block**2) / len(block)))
-            if not (power > 0.0 and np.isfinite(power)):
-                continue
-            nats, amplitude = self.weigher.gain(block / power)
-            gained, share = self.weigher.left_out(block / power * amplitude)
-            typical = amplitude / power
-            yield Candidate(self.entry, variable, basis, nats, gained, share, typical)
+            yield from self._weigh(variable, basis, block)
+
+    def weigh_simulated(self, variable: Variable, u: Sequence[Array]) -> Iterator[Candidate]:
+        """The same where every term is simulated: a trend is a sum of bumps."""
+        found = _range_of(np.concatenate(u))
+        if found is None:
+            return
+        wide, slim = bumps(*found), trend(*found)
+        effect = self.port.terms(self.entry, variable, wide.terms, "law", SMALL * self.entry.scale)
+        try:
+            block = self.followed.simulated(effect)
+        except DiffsimError:  # it cannot be simulated a small step away
+            return
+        points = np.linspace(*found, NUM_TREND)
+        made_of = linalg.lstsq(wide.values(points), slim.values(points))[0]
+        yield from self._weigh(variable, slim, block @ made_of)
+        yield from self._weigh(variable, wide, block)
+
+    def _weigh(self, variable: Variable, basis: Basis, block: Array) -> Iterator[Candidate]:
+        power = float(np.sqrt(np.sum(block**2) / len(block)))
+        if not (power > 0.0 and np.isfinite(power)):
+            return
+        nats, amplitude = self.weigher.gain(block / power)
+        gained, share = self.weigher.left_out(block / power * amplitude)
+        yield Candidate(self.entry, variable, basis, nats, gained, share, amplitude / power)
 
     def _repeating(self, u: Sequence[Array]) -> list[float]:
         """Wave numbers with which a law of a variable would repeat, the best ones."""
         every = np.concatenate(u)
         reach = float(every.max() - every.min())
         steps = np.concatenate([np.abs(np.diff(v)) for v in u])
-        fastest = float(np.quantile(steps, SLOW_QUANTILE))
+        fastest = float(np.quantile(steps, SLOW_QUANTILE)) if len(steps) else 0.0
         if not fastest > 0.0:
             return []
         # a quarter of a period more over the range tells two numbers apart
@@ -184,6 +225,7 @@ class _AtEntry:
         for v in u:
             phase = np.outer(v, numbers)
             terms.append(np.concatenate([np.sin(phase), np.cos(phase)], 1))
+        assert self.gains is not None
         return self.weigher.scores(self.followed.columns_of(self.gains, terms))
 
 

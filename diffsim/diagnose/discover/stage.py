@@ -36,6 +36,7 @@ NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
 TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
+SCREEN_SHARE = 0.5  # of what laws may cost, for terms that a screen must simulate
 TABLE = "table"  # a form that is no formula
 TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
@@ -101,7 +102,7 @@ def find_laws(
         if tally.steps - begun > most_steps:
             break
         followed = follow(fit, port)
-        found = screen_laws(followed, port, progress)
+        found = screen_laws(followed, port, progress, SCREEN_SHARE * most_steps)
         every += found
         for candidate in _choose(found):
             if fitted and tally.steps - begun > most_steps:
@@ -198,9 +199,12 @@ def _start(
 ) -> Array:
     """Coordinates that the recordings ask for, by the slopes along them."""
     j, x = followed.jacobian, followed.fit.x
-    u = [c[:, 0] for c in followed.courses(port, [candidate.variable])]
-    terms = [candidate.basis.values(v) for v in u]
-    columns = followed.columns_of(followed.gains(port, candidate.entry), terms)
+    gains = followed.gains(port, candidate.entry)
+    if gains is None:
+        columns = followed.simulated(problem.effects[-1])
+    else:
+        u = [c[:, 0] for c in followed.courses(port, [candidate.variable])]
+        columns = followed.columns_of(gains, [candidate.basis.values(v) for v in u])
     every = np.hstack([j, columns * candidate.typical])
     right = followed.missing + j @ x
     found = linalg.solve(every.T @ every + np.eye(every.shape[1]), every.T @ right, assume_a="pos")
@@ -241,9 +245,11 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
         return [_repeating(fitted, price, memory)]
     best = fitted.forms[0].nats if fitted.forms else 0.0
     kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
-    if best > TABLE_PRICE * len(c.basis.terms):  # no formula is nearly as good as the curve itself
-        return [_make_table(fitted, price, memory)]
-    return [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+    laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+    if best <= TABLE_PRICE * len(c.basis.terms):
+        return laws
+    # no formula is nearly as good as the curve itself; but a memory of another length bends that
+    return [_make_table(fitted, price, memory), *(laws if memory else ())]
 
 
 def _make_table(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:
