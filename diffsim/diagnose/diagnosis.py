@@ -57,8 +57,8 @@ from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
-#: of what a first answer has cost, that laws may cost where its budget is spent, twice
-LAW_SHARE = 0.1
+LAW_SHARE = 0.1  # of what a first answer has cost, that laws may cost where its budget is spent
+ROOM_SHARE = 0.5  # of a budget that a first answer may spend before laws are looked for sparingly
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -103,7 +103,7 @@ def diagnose(
     begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
-    budget = _budget_of_laws(answer, begun)
+    budget = _budget_of_laws(answer, begun, laws)
     if laws is not None and answer.leaves_room_within(budget):
         fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
         found = find_laws(fits, laws, progress or silent, budget.steps)
@@ -165,20 +165,23 @@ class _LawBudget:
 
     Attributes:
         steps: Weighted steps of the stage, and again of the search with its laws.
-        is_short: Whether the first answer has spent the budget: then laws are looked for where
-            nothing is named, and that search is among causes of its best sets.
+        is_short: Whether the first answer has spent much of the budget: then laws are looked for
+            where nothing is named, and that search is among causes of its best sets.
     """
 
     steps: float
     is_short: bool
 
 
-def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
-    """That of the search, or a share of what the first answer has cost where that is more."""
-    if answer.found is None:
+def _budget_of_laws(answer: _Answer, begun: int, port: LawPort | None) -> _LawBudget:
+    """That of the search; where simulations are dear what is left of it, or a share of what the
+    first answer has cost."""
+    if answer.found is None or port is None:
         return _LawBudget(0.0, True)
     spent, given = answer.search.steps - begun, answer.search.settings.refit_steps
-    return _LawBudget(LAW_SHARE * spent, True) if spent > given else _LawBudget(given, False)
+    if not port.is_frugal:
+        return _LawBudget(given, False)
+    return _LawBudget(max(given - spent, LAW_SHARE * spent), spent > ROOM_SHARE * given)
 
 
 def _with_laws(
