@@ -4,14 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from diffsim.causes.ports import on_clock, on_commands, on_numbers, on_place, on_readings
-from diffsim.causes.row import Names, Row
+from diffsim.causes.acting import ByFormula
+from diffsim.causes.formulas import (
+    Formula,
+    MemoryKeys,
+    ShapeKeys,
+    constants_of,
+    fitted_shapes,
+    parse_formula,
+    signals_of,
+)
+from diffsim.causes.ports import (
+    OF_FORCES,
+    OF_SIGNALS,
+    on_clock,
+    on_commands,
+    on_numbers,
+    on_place,
+    on_readings,
+)
+from diffsim.causes.row import ANY, Names, Row
 from diffsim.causes.scales import Scales
-from diffsim.causes.signals import Between
+from diffsim.causes.signals import MAPS, Between
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.data.study import Study
@@ -29,6 +47,23 @@ class OwnRow(Row):
         description="Commands or channels that it changes alike, or the place of a force; default: "
         "all commands or channels",
     )
+    memories: dict[str, MemoryKeys] = Field(
+        {}, description="What a map remembers, by the names that it uses"
+    )
+    shapes: dict[str, ShapeKeys] = Field(
+        {}, description="Further numbers of the formula, fitted where they have an `sd`"
+    )
+    price: float = Field(0.0, ge=0, description="Nats that its choice among other formulas costs")
+
+    @model_validator(mode="after")
+    def _has_a_formula(self) -> OwnRow:
+        text = self.map or self.law
+        is_named = self.at in ("command", "reading") and text is not None and text[ANY] in MAPS
+        if (self.memories or self.shapes) and (text is None or is_named):
+            raise ValueError("memories and shapes are of a formula; write one under map or law")
+        if self.memories and self.at not in ("command", "reading"):
+            raise ValueError(f"a cause at a {self.at} remembers nothing; leave memories out")
+        return self
 
 
 @dataclass(frozen=True)
@@ -43,6 +78,7 @@ class Ports:
         numbers: Names of the numbers that may be changed.
         places: Names of the places at which forces may act, with their usual magnitudes: ``push``,
             ``distance``, ``speed``.
+        place_units: Units of forces at places, where they are not N.
         push: Function (row, place) -> how a force acts; other than through the scene's port where
             a system writes forces into its formulas.
     """
@@ -53,6 +89,7 @@ class Ports:
     has_clock: bool = False
     numbers: tuple[str, ...] = ()
     places: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    place_units: Mapping[str, str] = field(default_factory=dict)
     push: Callable[[Row, str], Apply] = on_place
 
 
@@ -115,28 +152,69 @@ def _mistakes(where: str, row: OwnRow, ports: Ports) -> Iterator[str]:
 def _effect(row: OwnRow, ports: Ports, study: Study) -> Effect:
     stated = row if row.kind is not None else row.model_copy(update={"kind": _KINDS[row.at]})
     apply, scales, unit = _acts(stated, ports, study)
-    own = {} if unit is None or row.unit not in ("command", "channel") else {"unit": unit}
+    own: dict[str, Any] = {"price": row.price, "shapes": fitted_shapes(row.shapes, row.name)}
+    if unit is not None and row.unit in ("command", "channel"):
+        own["unit"] = unit
     return stated.effect(apply, scales, **own)
 
 
 def _acts(row: OwnRow, ports: Ports, study: Study) -> tuple[Apply, Mapping[str, float], str | None]:
     """How a row acts, the magnitudes that it may use, and the unit of what it changes."""
     if row.at == "command":
-        names = row.of or tuple(ports.commands)
-        scales = ports.scales.of_commands(names)
-        units = {c.unit for c in study.commands if c.name in names}
-        apply = on_commands(row, names, scales, ports.commands[names[0]])
-        return apply, scales, units.pop() if len(units) == 1 else None
+        return _acts_on_commands(row, ports, study)
     if row.at in ("reading", "clock"):
-        names = row.of or ports.channels
-        scales = ports.scales.of_channels(names)
-        places = [ports.channels.index(name) for name in names]
-        units = {study.channels[i].unit for i in places}
-        apply = on_clock(places) if row.at == "clock" else on_readings(row, places, scales)
-        return apply, scales, units.pop() if len(units) == 1 else None
+        return _acts_on_channels(row, ports, study)
     if row.at == "force":
-        return ports.push(row, row.of[0]), ports.places[row.of[0]], None
-    return on_numbers(row), {}, None
+        place = row.of[0]
+        if ports.push is not on_place:  # the system writes it into its formulas
+            return ports.push(row, place), ports.places[place], None
+        formula = _read(row, row.said("law"), (*OF_FORCES, *constants_of(study)), {})
+        return _by(formula, row).at_place(place), ports.places[place], None
+    if row.map is None:
+        return on_numbers(row), {}, None
+    formula = _read(row, row.said("map"), ("size", *constants_of(study)), {})
+    return _by(formula, row).at_numbers(row.add or row.scale, is_factor=bool(row.scale)), {}, None
+
+
+def _acts_on_commands(
+    row: OwnRow, ports: Ports, study: Study
+) -> tuple[Apply, Mapping[str, float], str | None]:
+    names = row.of or tuple(ports.commands)
+    scales = ports.scales.of_commands(names)
+    units = {c.unit for c in study.commands if c.name in names}
+    if row.said("map") in MAPS:
+        apply = on_commands(row, names, scales, ports.commands[names[0]])
+    else:
+        known = (*OF_SIGNALS, *constants_of(study), *signals_of(study))
+        apply = _by(_read(row, row.said("map"), known, scales), row).at_commands(names)
+    return apply, scales, units.pop() if len(units) == 1 else None
+
+
+def _acts_on_channels(
+    row: OwnRow, ports: Ports, study: Study
+) -> tuple[Apply, Mapping[str, float], str | None]:
+    names = row.of or ports.channels
+    scales = ports.scales.of_channels(names)
+    places = [ports.channels.index(name) for name in names]
+    units = {study.channels[i].unit for i in places}
+    if row.at == "clock":
+        apply = on_clock(places)
+    elif row.said("map") in MAPS:
+        apply = on_readings(row, places, scales)
+    else:
+        known = (*OF_SIGNALS, *constants_of(study), *signals_of(study), *ports.channels)
+        formula = _read(row, row.said("map"), known, scales)
+        apply = _by(formula, row).at_readings(places, ports.channels)
+    return apply, scales, units.pop() if len(units) == 1 else None
+
+
+def _read(row: OwnRow, text: str, known: Sequence[str], scales: Mapping[str, float]) -> Formula:
+    return parse_formula(text, known, scales, row.memories, row.shapes)
+
+
+def _by(formula: Formula, row: OwnRow) -> ByFormula:
+    fitted = tuple(name for name, s in row.shapes.items() if s.sd is not None)
+    return ByFormula(formula, fitted, len(row.components), row.kink)
 
 
 __all__ = ["OwnRow", "Ports", "own_causes"]

@@ -30,7 +30,7 @@ from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
 
 PLAY = "with_play"  # the map that depends on where a run starts
-_OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
+OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
 OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, speed below which friction fades
 
 
@@ -66,6 +66,18 @@ class TakesNumbers(Protocol):
         ...
 
 
+class LawFormula(Protocol):
+    """A formula of ``OF_FORCES``, on tensors and on plain numbers."""
+
+    def __call__(self, values: Mapping[str, Tensor]) -> Tensor:
+        """Its value, of the shape that position and speed have."""
+        ...
+
+    def on_floats(self, *names: str) -> Callable[..., float]:
+        """The formula as a function of plain numbers."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class ForceLaw:
     """A force of position, speed and usual speed, at a size.
@@ -75,7 +87,7 @@ class ForceLaw:
         size: () or (K,).
     """
 
-    formula: Expression
+    formula: LawFormula
     size: Tensor
 
 
@@ -149,8 +161,8 @@ class SignalMapper:
         text: str = row.said("map", system)
         if text in MAPS:
             return cls(MAPS[text][between], row.kink, text == PLAY)
-        formula = parse_expression(text, (*_OF_SIGNALS, *scales))
-        used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in _OF_SIGNALS)
+        formula = parse_expression(text, (*OF_SIGNALS, *scales))
+        used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in OF_SIGNALS)
         return cls(partial(_evaluate, text=text, scales=used), row.kink, False)
 
     def at(self, scene: Any, size: Tensor) -> SignalChange:
@@ -177,7 +189,7 @@ def _evaluate(
 ) -> Tensor:
     """A formula of signals, of sizes (..., 1 or width) and of the time since the start."""
     values = {name: torch.tensor(value, dtype=u.dtype) for name, value in scales}
-    formula = _formula(text, (*_OF_SIGNALS, *values))
+    formula = _formula(text, (*OF_SIGNALS, *values))
     return formula({**values, "u": u, "size": size[..., None], "t": grid.since_start})
 
 
@@ -286,6 +298,7 @@ def _push(scene: TakesForces, size: Tensor, run: Run, *, place: str, formula: Ex
 
 __all__ = [
     "ForceLaw",
+    "LawFormula",
     "SignalChange",
     "SignalMap",
     "on_clock",

@@ -62,7 +62,8 @@ class Row(Part):
     map: TextBySystem | None = Field(
         None,
         description="Of a command or reading: a map of signals (`delayed`, `lagged`, ...), or a "
-        "formula of the signal u, of size and of the time t since the start",
+        "formula of the signal u, of size and of the time t since the start; of a number: what is "
+        "added, or how much larger it gets, where that is not the size itself",
     )
     add: Names = Field((), description="Numbers of the system that the size is added to")
     scale: Names = Field((), description="Numbers that become 1 + size times as large")
@@ -112,7 +113,9 @@ class Row(Part):
             **dict.fromkeys(("force", "law", "store"), ("law",)),
         }
         wanted = keys.get(self.at, ())
-        stated = [key for key in ("map", "add", "scale", "law") if getattr(self, key)]
+        may = ("map",) if self.at == "number" else ()
+        keys_of_acts = ("map", "add", "scale", "law")
+        stated = [key for key in keys_of_acts if key not in may and getattr(self, key)]
         if wanted and len(stated) != 1:
             raise ValueError(f"a cause at a {self.at} is stated by {' or '.join(wanted)} alone")
         if wrong := [key for key in stated if key not in wanted]:

@@ -30,7 +30,7 @@ from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of,
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
-from diffsim.diagnose.search.evidence import screen
+from diffsim.diagnose.search.evidence import Hypothesis, screen
 from diffsim.diagnose.search.fit import (
     MAX_RENEWALS,
     Case,
@@ -57,6 +57,8 @@ from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
+LAW_SHARE = 0.1  # of what a first answer has cost, that laws may cost where its budget is spent
+ROOM_SHARE = 0.5  # of a budget that a first answer may spend before laws are looked for sparingly
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -98,13 +100,14 @@ def diagnose(
         ValueError: the study cannot be judged at all, or effects share a name.
     """
     asked = _Question(study, bank, settings, progress, cache, seed)
+    begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
-    if laws is not None and answer.leaves_room:
+    budget = _budget_of_laws(answer, begun, laws)
+    if laws is not None and answer.leaves_room_within(budget):
         fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
-        budget = answer.search.settings.refit_steps
-        found = find_laws(fits, laws, progress or silent, budget)
-        answer = _with_laws(asked, answer, laws, found)
+        found = find_laws(fits, laws, progress or silent, budget.steps)
+        answer = _with_laws(asked, answer, laws, found, budget)
     frozen = answer.frozen
     # only now test runs are looked at, once
     report = tested(frozen, study, seed)
@@ -121,6 +124,12 @@ class _Question:
     progress: Progress | None
     cache: str | Path | None
     seed: int
+
+    def within(self, steps: float) -> _Question:
+        """The same with a smaller budget."""
+        settings = self.settings or DiagnosisSettings()
+        search = replace(settings.search, refit_steps=steps, scan_steps=steps)
+        return replace(self, settings=replace(settings, search=search))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,20 +152,53 @@ class _Answer:
         assert self.found is not None
         return self.found
 
-    @property
-    def leaves_room(self) -> bool:
-        """Whether something is missing, whatever its name may be."""
-        return self.found is not None and self.frozen.verdict in ("named", "ambiguous", "unknown")
+    def leaves_room_within(self, budget: _LawBudget) -> bool:
+        """Whether something is missing: whatever its name may be, or, where a budget is spent,
+        without a name."""
+        open_verdicts = ("unknown",) if budget.is_short else ("named", "ambiguous", "unknown")
+        return self.found is not None and self.frozen.verdict in open_verdicts
 
 
-def _with_laws(asked: _Question, answer: _Answer, port: LawPort, found: FoundLaws) -> _Answer:
+@dataclass(frozen=True)
+class _LawBudget:
+    """What laws may cost.
+
+    Attributes:
+        steps: Weighted steps of the stage, and again of the search with its laws.
+        is_short: Whether the first answer has spent much of the budget: then laws are looked for
+            where nothing is named, and that search is among causes of its best sets.
+    """
+
+    steps: float
+    is_short: bool
+
+
+def _budget_of_laws(answer: _Answer, begun: int, port: LawPort | None) -> _LawBudget:
+    """That of the search; where simulations are dear what is left of it, or a share of what the
+    first answer has cost."""
+    if answer.found is None or port is None:
+        return _LawBudget(0.0, True)
+    spent, given = answer.search.steps - begun, answer.search.settings.refit_steps
+    if not port.is_frugal:
+        return _LawBudget(given, False)
+    return _LawBudget(max(given - spent, LAW_SHARE * spent), spent > ROOM_SHARE * given)
+
+
+def _with_laws(
+    asked: _Question, answer: _Answer, port: LawPort, found: FoundLaws, budget: _LawBudget
+) -> _Answer:
     """The answer of a search in which laws stand among the causes, if one of them is named."""
     if not found.laws:
         return answer
     setup = port.setup_with([port.block(law) for law in found.laws])
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
-    again = _answer(asked, setup.model, setup.effects, setup.unknowns)
     names = {law.name for law in found.laws}
+    effects = setup.effects
+    if budget.is_short:
+        kept = names | _names_near_best(answer)
+        effects = tuple(e for e in effects if e.name in kept)
+        asked = asked.within(budget.steps)
+    again = _answer(asked, setup.model, effects, setup.unknowns)
     if again.frozen.verdict in NAMES:
         return again if names & set(again.frozen.best_names) else answer
     held = {effect.name for effect in again.frozen.best.problem.effects}
@@ -164,6 +206,14 @@ def _with_laws(asked: _Question, answer: _Answer, port: LawPort, found: FoundLaw
     is_better = now is not None and (before is None or now.low > before.value)
     is_open = answer.frozen.verdict == again.frozen.verdict == "unknown"
     return again if is_open and names & held and is_better else answer
+
+
+def _names_near_best(answer: _Answer) -> set[str]:
+    """Names of the causes of sets that are about as good as the best one."""
+    search = answer.search
+    nats = {members: search.nats(Hypothesis(members)) for members in search.fits}
+    least = nats[answer.best] - search.settings.rival_nats
+    return {search.wide.effects[i].name for m, n in nats.items() if n >= least for i in m}
 
 
 def _answer(

@@ -9,7 +9,7 @@ nats, a hundred times 6. Simulated records are nearly linear in u, not in x.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
+from diffsim.identify.law import Shape
 from diffsim.identify.locate import Course, Proposal
 
 KINDS = ("force", "actuator", "sensor", "material", "environment", "numerical")
@@ -94,6 +95,9 @@ class Effect:
         shown_unit: Unit in which a user reads the size, such as "mm"; None: ``unit``.
         shown_times: What a size is multiplied by to be read in it; None: as the units say.
         price: Nats that the choice of its form among others costs, beside that of its family.
+        shapes: Further numbers of its formula, such as a wave number, by name of the base
+            parameter that each is. ``apply`` gets their values after the components; they do
+            nothing without it.
     """
 
     name: str
@@ -117,11 +121,26 @@ class Effect:
     shown_unit: str | None = None
     shown_times: float | None = None
     price: float = 0.0
+    shapes: Mapping[str, Shape] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_choice(f"effect {self.name}: kind", self.kind, KINDS)
         if not self.typical > 0.0:
             raise ValueError(f"effect {self.name}: typical must be above 0, got {self.typical:g}")
+
+    def act(self, scene: Any, size: Tensor, run: Run, values: Mapping[str, Tensor]) -> Any:
+        """The scene with the effect at a size.
+
+        Args:
+            scene: What the model's ``build`` made for the run.
+            size: (..., num_components) [unit].
+            run: Run that is simulated.
+            values: Values of the base parameters by name, (...) each.
+        """
+        if self.shapes:
+            own = [values[name].expand(size.shape[:-1]) for name in self.shapes]
+            size = torch.cat([size, torch.stack(own, -1)], -1)
+        return self.apply(scene, size, run)
 
 
 def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ class ExtendedModel(SimModel):
         scene = self.inner.build(values_of_inner, run, self._settings(numerics) or Numerics())
         for effect, components in zip(self.effects, self._components, strict=True):
             size = torch.stack([values[c] for c in components], dim=-1)
-            scene = effect.apply(scene, size, run)
+            scene = effect.act(scene, size, run, values)
         return scene
 
     def predict(

@@ -7,6 +7,8 @@ A law is a term of one variable at one entry. Systems that can be extended by la
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -14,11 +16,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.data.study import Study
+
 Array = NDArray[np.float64]
 Where = Literal["force", "rate", "number", "value", "input", "reading"]
 Memory = Literal["", "heat", "slip", "oscillator", "relaxation", "work"]
 VALUE = "u"  # what the variable is called in the formula of a term
 SIZE = "size"
+LAWS = "laws"  # place of found laws in a study's frame
+#: shares of the longest run that memories are tried to last
+LASTING = (0.03, 0.1, 0.3, 1.0)
+FEWEST_VALUES = 4  # of what is constant over a run, for a law over it
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,7 @@ class Variable:
         numbers: Numbers of the hidden states, tried values by name; fitted later.
         number_units: Their units.
         is_turn: Whether laws that repeat are tried: states, readings and time, not what is hidden.
+        at: Words of the entries at which a law of it may enter; (): all.
     """
 
     name: str
@@ -90,6 +99,11 @@ class Variable:
     numbers: Mapping[str, float] = field(default_factory=dict)
     number_units: Mapping[str, str] = field(default_factory=dict)
     is_turn: bool = False
+    at: tuple[str, ...] = ()
+
+    def may_be_at(self, entry: Entry) -> bool:
+        """Whether a law of it may enter somewhere."""
+        return not self.at or entry.words in self.at
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +166,31 @@ class Law:
     signed: bool = True
 
 
+def put_variable(term: str, formula: str) -> str:
+    """The formula of a term with that of its variable put in."""
+    return re.sub(rf"\b{VALUE}\b", lambda _: f"({formula})", term)
+
+
+def numbers_of(shape: Shape) -> dict[str, float | str]:
+    """A number of a law as a cause of a user states it."""
+    stated = {"value": shape.value, "sd": shape.sd, "lower": shape.lower, "upper": shape.upper}
+    return {k: v for k, v in stated.items() if math.isfinite(v)} | {"unit": shape.unit}
+
+
+def reading_entries(study: Study) -> tuple[Entry, ...]:
+    """The readings of a study as entries of laws."""
+    out = []
+    for k, channel in enumerate(study.channels):
+        column = [run.measured[:, k] for run in study.fit_runs]
+        usual = float(np.nanstd(np.concatenate(column))) or 1.0
+        out.append(Entry("reading", channel.name, channel.unit, usual, k))
+    return tuple(out)
+
+
 __all__ = [
+    "FEWEST_VALUES",
+    "LASTING",
+    "LAWS",
     "SIZE",
     "VALUE",
     "Entry",
@@ -162,4 +200,7 @@ __all__ = [
     "Shape",
     "Variable",
     "Where",
+    "numbers_of",
+    "put_variable",
+    "reading_entries",
 ]

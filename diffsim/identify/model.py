@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from threading import Lock
 from types import MappingProxyType
@@ -39,6 +40,8 @@ class Parameter:
         lower, upper: Bounds of the value, in ``unit``.
         step: Longest step of a difference quotient, in ``unit``, where the record has edges that
             move with the value; not where ``log``.
+        of_effect: Whether it is a number of an effect's formula (``Effect.shapes``) and does
+            nothing without it.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Parameter:
     lower: float = -math.inf
     upper: float = math.inf
     step: float = math.inf
+    of_effect: bool = False
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:
@@ -259,6 +263,23 @@ class SimModel:
         self.values = BaseValues(self.base)
         self.simulations = Tally()
 
+    def with_base(self, base: Sequence[Parameter]) -> SimModel:
+        """The same simulator with further base parameters after its own."""
+        made = copy(self)
+        made.base, made.values = tuple(base), BaseValues(base)
+        return made
+
+    def with_shapes_of(self, effects: Sequence[Effect]) -> SimModel:
+        """The same simulator, in which further numbers of effects are base parameters."""
+        shapes = {name: shape for effect in effects for name, shape in effect.shapes.items()}
+        if not shapes:
+            return self
+        more = [
+            Parameter(name, s.value, s.sd, s.unit, lower=s.lower, upper=s.upper, of_effect=True)
+            for name, s in shapes.items()
+        ]
+        return self.with_base((*self.base, *more))
+
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction: what budgets count, the same on every machine.
 
@@ -341,9 +362,10 @@ class SimModel:
     ) -> Scene:
         """The run at one point, ready to be simulated; arguments as for ``predict``. Numerical
         effects act on predictions, in no scene."""
-        scene = self.build(self.values.at(q), run, Numerics() if numerics is None else numerics)
+        values = self.values.at(q)
+        scene = self.build(values, run, Numerics() if numerics is None else numerics)
         for effect, size in _split_effects(sizes)[0].items():
-            scene = effect.apply(scene, size, run)
+            scene = effect.act(scene, size, run, values)
         return scene
 
     def simulate_many(

@@ -276,9 +276,10 @@ class Problem:
         smooth = [True] * self.num_base + [e.smooth for e, _ in self.owners]
         names = self.names
         wanted = range(len(x)) if only is None else sorted(set(only))
+        idle = self._list_idle()
 
         def one(run: Run) -> tuple[Array, Array]:
-            idx = [i for i in wanted if touches(names[i], run)]
+            idx = [i for i in wanted if touches(names[i], run) and names[i] not in idle]
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_scaled(run, points),
                 point,
@@ -297,6 +298,12 @@ class Problem:
 
         parts = self._compute_each(one)
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def _list_idle(self) -> set[str]:
+        """Base parameters that are shapes of effects which are not there: nothing depends on
+        them."""
+        there = {name for e in self.effects for name in e.shapes}
+        return {p.name for p in self.model.base if p.of_effect} - there
 
     @property
     def step_factors(self) -> Array:

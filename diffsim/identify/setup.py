@@ -48,6 +48,11 @@ class LawPort(Protocol):
     """What a system offers to laws that nobody listed."""
 
     @property
+    def is_frugal(self) -> bool:
+        """Whether its simulations are dear, so that a budget is to be kept."""
+        ...
+
+    @property
     def entries(self) -> Sequence[Entry]:
         """Places where a term may be added."""
         ...
@@ -61,8 +66,9 @@ class LawPort(Protocol):
         component for each knot, at most so many in all."""
         ...
 
-    def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains:
-        """What a unit at an entry does along the simulation of a problem's one run at a point."""
+    def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains | None:
+        """What a unit at an entry does along the simulation of a problem's one run at a point;
+        None where terms must be simulated for that."""
         ...
 
     def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -27,6 +27,9 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Quantity(Part):
@@ -162,6 +165,18 @@ class EffectChoice(Part):
         (), description="Causes of your own: of commands, readings, clocks, numbers or forces"
     )
 
+    def holds(self, blocks: Sequence[Mapping[str, Any]]) -> bool:
+        """Whether causes of these names are among those of the description."""
+        return {str(b["name"]) for b in blocks} <= {block.name for block in self.own}
+
+    def joined(self, blocks: Sequence[Mapping[str, Any]]) -> EffectChoice:
+        """The choice with further causes that are written as rows, which are always judged."""
+        return self._with_more(tuple(OwnRow.model_validate(dict(b)) for b in blocks))
+
+    def _with_more(self, more: tuple[Any, ...]) -> Self:
+        only = (*self.only, *(b.name for b in more)) if self.only else ()
+        return self.model_copy(update={"own": (*self.own, *more), "only": only})
+
 
 class Effort(Part):
     """How much is simulated; the defaults suit most studies."""
@@ -209,6 +224,17 @@ class Description(Part):
             study: Study with this description as its ``model``.
         """
         raise NotImplementedError
+
+    def ports(self, study: Study) -> Ports | None:
+        """What the system offers to causes of a user, and to laws that nobody listed.
+
+        Args:
+            study: Study with this description as its ``model``.
+
+        Returns:
+            None: nothing.
+        """
+        return None
 
 
 class BaseParameters:

@@ -13,12 +13,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from diffsim.causes.law_port import PortLaws
 from diffsim.core.check import require_choice
 from diffsim.core.plugins import SYSTEMS, find_plugins, load_plugin
 from diffsim.core.schema import read_part
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel
+from diffsim.identify.law import LAWS
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import Description
@@ -119,15 +121,37 @@ def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup
     """
     known = study.without_tests()
     if len(known.runs) in (0, len(study.runs)):  # runs to be judged by a saved model have its frame
-        return described.setup(study)
-    seen = described.setup(known)
-    whole = described.setup(replace(study, frame={**seen.model.frame, **study.frame}))
+        return _offer_laws(_make(described, study), described, study)
+    seen = _make(described, known)
+    whole = _make(described, replace(study, frame={**seen.model.frame, **study.frame}))
     of_all = {effect.name: effect for effect in whole.effects}
     effects = tuple(_with_own_components(e, of_all.get(e.name, e)) for e in seen.effects)
-    laws = seen.laws
-    if laws is not None:
-        laws = laws.made_by(partial(_setup_without_tests, described), study)
-    return replace(seen, model=whole.model, effects=effects, laws=laws, study=whole.study)
+    made = replace(seen, effects=effects)
+    laws = _offer_laws(made, described, study).laws
+    return replace(made, model=whole.model, laws=laws, study=whole.study)
+
+
+def _make(described: Description, study: Study) -> DiagnosisSetup:
+    """A setup with laws that were found, those of the study's frame, among the causes."""
+    found = study.frame.get(LAWS)
+    if found and not described.effects.holds(found):
+        described = described.model_copy(update={"effects": described.effects.joined(found)})
+    made = described.setup(study)
+    if found:
+        made.model.frame = {**made.model.frame, LAWS: found}
+    return replace(made, model=made.model.with_shapes_of(made.effects))
+
+
+def _offer_laws(made: DiagnosisSetup, described: Description, study: Study) -> DiagnosisSetup:
+    """A setup with a port for laws that nobody listed: the system's own, or that of its ports."""
+    make = partial(_setup_without_tests, described)
+    if made.laws is not None:
+        return replace(made, laws=made.laws.made_by(make, study))
+    if type(described).ports is Description.ports:
+        return made
+    known = study.without_tests() if study.without_tests().runs else study
+    laws = PortLaws(partial(described.ports, known), made.study or known, made.model, make, study)
+    return replace(made, laws=laws)
 
 
 def _with_own_components(effect: Effect, of_all: Effect) -> Effect:

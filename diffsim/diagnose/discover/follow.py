@@ -87,12 +87,26 @@ class FollowedRecord:
             parts.append(own)
         return np.concatenate(parts)
 
-    def gains(self, port: LawPort, entry: Entry) -> list[Gains]:
-        """What a unit at an entry does in each run."""
-        return [
-            port.gains(problem, x, entry)
-            for problem, x in zip(self.problems, self.points, strict=True)
-        ]
+    def gains(self, port: LawPort, entry: Entry) -> list[Gains] | None:
+        """What a unit at an entry does in each run; None where terms must be simulated."""
+        out = []
+        for problem, x in zip(self.problems, self.points, strict=True):
+            found = port.gains(problem, x, entry)
+            if found is None:
+                return None
+            out.append(found)
+        return out
+
+    def simulated(self, effect: Effect) -> Array:
+        """Whitened response to the components of an effect, (num_valid, num_components) [per
+        unit]: a tangent for each."""
+        unit, parts = PRIOR_WIDTH * effect.typical, []
+        for problem, x in zip(self.problems, self.points, strict=True):
+            wide = replace(problem, effects=(*problem.effects, effect))
+            own = list(range(len(x), len(x) + len(effect.components)))
+            at = linearization_at(wide, np.concatenate([x, np.zeros(len(own))]), own)
+            parts.append(whitened(problem, at.columns) / unit)
+        return np.concatenate(parts)
 
     def courses(self, port: LawPort, variables: Sequence[Variable]) -> list[Array]:
         """Variables along the recordings, (num_samples, num_variables) for each run."""
@@ -154,18 +168,21 @@ def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecor
         tuple(points),
         np.concatenate(missing),
         tuple(responses),
-        tuple(_to_knots(_knots(p.runs[0], _num_knots(p)), p.runs[0]) for p in problems),
+        tuple(_to_knots_of(problem) for problem in problems),
         np.concatenate(slopes),
         chi2,
     )
 
 
+def _to_knots_of(problem: Problem) -> sparse.csr_array:
+    courses, (run,) = _courses_of(problem), problem.runs
+    if not courses:
+        return sparse.csr_array((0, len(run.time_s)))
+    return _to_knots(_knots(run, len(courses[0].components)), run)
+
+
 def _courses_of(problem: Problem) -> list[Effect]:
     return [e for e in problem.effects if e.family == COURSE]
-
-
-def _num_knots(problem: Problem) -> int:
-    return max((len(e.components) for e in _courses_of(problem)), default=2)
 
 
 def _units_of(problem: Problem) -> Array:

@@ -125,7 +125,7 @@ FORMS: tuple[Form, ...] = (
         ("-",),
     ),
 )
-#: the same, of variables that go through zero: even and odd powers, a step in the middle
+#: the same, of variables that reach zero, as heat does: even and odd powers
 FORMS_THROUGH_ZERO: tuple[Form, ...] = (
     Form("line", "u", lambda u, p: u, power=1.0),
     Form("square", "u**2", lambda u, p: u**2, power=2.0),
@@ -248,12 +248,12 @@ def fit_forms(told: Told) -> list[FittedForm]:
     with the fewest numbers."""
     low, high = float(told.u[0]), float(told.u[-1])
     mid, half = 0.5 * (low + high), 0.5 * (high - low)
-    goes_through_zero = low < -0.1 * half and high > 0.1 * half
+    reaches_zero = low < 0.1 * half and high > -0.1 * half
     if told.of_number:
         told = told.without_level()
     over_range = _Scaled(told, low, high, mid)
     fitted = []
-    if goes_through_zero:
+    if reaches_zero:
         at_zero = replace(over_range, mid=0.0)
         forms = (*FACTORS_THROUGH_ZERO, *FORMS_THROUGH_ZERO)
         fitted += [at_zero.fit(form) for form in forms if told.of_number or not form.is_factor]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
+from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord
 from diffsim.diagnose.discover.forms import Told
 from diffsim.diagnose.search.evidence import AMPLITUDES
@@ -35,6 +36,8 @@ FLAT = 1e-9  # of its size, below which a variable rests
 NUM_POINTS = 81  # over the range of a variable, at which forms are held against the record
 TOLD = 1e-9  # of what the record tells best, below which it tells nothing
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
+MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
+SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
 PARTS = 4  # of a recording of less runs, that are left out one after the other
 
 
@@ -135,14 +138,16 @@ class Screen:
         weigher: Evidence beside the model, and beside laws that stand already.
         found: The laws, the best first.
         courses: Each variable along the recordings, by its words and numbers.
-        gains: What a unit at each entry does in each run.
+        gains: What a unit at each entry does in each run; None where terms are simulated.
+        simulated: Whitened response to bumps over a variable at such an entry, (num_valid, k).
     """
 
     followed: FollowedRecord
     weigher: Weigher
     found: tuple[Candidate, ...]
     courses: Mapping[int, Sequence[Array]]
-    gains: Mapping[Entry, Sequence[Gains]]
+    gains: Mapping[Entry, Sequence[Gains] | None]
+    simulated: Mapping[tuple[Entry, int], Array]
 
     def values(self, candidate: Candidate) -> Sequence[Array]:
         """A law's variable along the recordings, (num_samples,) for each run."""
@@ -150,8 +155,12 @@ class Screen:
 
     def columns_of(self, candidate: Candidate, terms: Callable[[Array], Array]) -> Array:
         """Whitened response to terms of a law's variable at its entry, (num_valid, num_terms)."""
-        values = [terms(u) for u in self.values(candidate)]
-        return self.followed.columns_of(self.gains[candidate.entry], values)
+        gains = self.gains[candidate.entry]
+        if gains is not None:
+            return self.followed.columns_of(gains, [terms(u) for u in self.values(candidate)])
+        return self.simulated[candidate.entry, id(candidate.variable)] @ _made_of_bumps(
+            candidate.basis.reach, terms
+        )
 
     def told(self, candidate: Candidate) -> Told:
         """What the record tells of a law over its variable, by straight lines between points."""
@@ -185,13 +194,22 @@ class Screen:
         return _together(made)
 
 
-def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> Screen:
+def _made_of_bumps(reach: tuple[float, float], terms: Callable[[Array], Array]) -> Array:
+    """Factors of bumps over a range that come nearest to terms, (NUM_BUMPS, num_terms)."""
+    points = np.linspace(*reach, NUM_POINTS)
+    return np.asarray(linalg.lstsq(bumps(*reach).values(points), terms(points))[0])
+
+
+def screen_laws(
+    followed: FollowedRecord, port: LawPort, progress: Progress, most_steps: float = np.inf
+) -> Screen:
     """All laws without a form, by their evidence.
 
     Args:
         followed: Simulations that lie on the recordings.
         port: What the system offers to laws.
         progress: Receives stage, share done and message.
+        most_steps: Weighted steps after which no further terms are simulated.
     """
     out: list[Candidate] = []
     entries = port.entries
@@ -199,15 +217,33 @@ def screen_laws(followed: FollowedRecord, port: LawPort, progress: Progress) -> 
     variables = port.variables()
     along = followed.courses(port, variables)
     courses = {id(v): [course[:, i] for course in along] for i, v in enumerate(variables)}
-    gains = {}
+    gains: dict[Entry, Sequence[Gains] | None] = {}
+    dear: list[tuple[Variable, _AtEntry]] = []
     for k, entry in enumerate(entries):
         progress("laws", k / len(entries), f"laws at {entry.words}")
         gains[entry] = followed.gains(port, entry)
-        screen = _AtEntry(followed, weigher, entry, gains[entry])
-        for variable in variables:
-            out += screen.weigh(variable, courses[id(variable)])
+        at = _AtEntry(followed, weigher, port, entry, gains[entry])
+        for variable in (v for v in variables if v.may_be_at(entry)):
+            if at.gains is None:
+                dear.append((variable, at))
+            else:
+                out += at.weigh(variable, courses[id(variable)])
+    # what is there at once is tried before what lasts, its own past before that of others
+    dear.sort(key=lambda d: (bool(d[0].memory), d[0].of not in ("", d[1].entry.target)))
+    simulated: dict[tuple[Entry, int], Array] = {}
+    tally = followed.fit.problem.model.simulations
+    begun = tally.steps
+    for k, (variable, at) in enumerate(dear[:MOST_SIMULATED]):
+        if tally.steps - begun > most_steps:
+            break
+        progress("laws", k / len(dear), f"laws at {at.entry.words}")
+        reach = _range_of(np.concatenate(courses[id(variable)]))
+        block = None if reach is None else at.simulate(variable, reach)
+        if reach is not None and block is not None:
+            simulated[at.entry, id(variable)] = block
+            out += at.weigh_simulated(variable, reach, block)
     found = tuple(sorted(out, key=lambda c: c.rank))
-    return Screen(followed, weigher, found, courses, gains)
+    return Screen(followed, weigher, found, courses, gains, simulated)
 
 
 def _weigh(weigher: Weigher, of: Asked, basis: Basis, columns: Array) -> Candidate:
@@ -232,8 +268,9 @@ class _AtEntry:
 
     followed: FollowedRecord
     weigher: Weigher
+    port: LawPort
     entry: Entry
-    gains: Sequence[Gains]
+    gains: Sequence[Gains] | None
 
     def weigh(self, variable: Variable, u: Sequence[Array]) -> Iterator[Candidate]:
         """Laws of one variable with bumps, and with the waves that repeat best."""
@@ -243,22 +280,53 @@ class _AtEntry:
         laws = [bumps(*found)]
         if variable.is_turn and self.entry.kind != "input":
             laws += [_wave(k) for k in self._repeating(u)]
+        gains = self.gains
+        assert gains is not None
         for law in laws:
-            made = []
-            for basis in law.tried:
-                block = self.followed.columns_of(self.gains, [basis.values(v) for v in u])
-                power = float(np.sum(block**2))
-                if power > 0.0 and np.isfinite(power):
-                    made.append(_weigh(self.weigher, Asked(self.entry, variable), basis, block))
-            if made:
-                yield _together(made)
+            yield from self._weigh(
+                variable,
+                law,
+                lambda basis: self.followed.columns_of(gains, [basis.values(v) for v in u]),
+            )
+
+    def simulate(self, variable: Variable, reach: tuple[float, float]) -> Array | None:
+        """Whitened response to bumps of a variable, a tangent for each; None where there is none
+        a small step away."""
+        terms, small = bumps(*reach).terms, SMALL * self.entry.scale
+        try:
+            return self.followed.simulated(
+                self.port.terms(self.entry, variable, terms, "law", small)
+            )
+        except DiffsimError:
+            return None
+
+    def weigh_simulated(
+        self, variable: Variable, reach: tuple[float, float], block: Array
+    ) -> Iterator[Candidate]:
+        """The law of one variable whose bumps were simulated."""
+        yield from self._weigh(
+            variable, bumps(*reach), lambda basis: block @ _made_of_bumps(reach, basis.values)
+        )
+
+    def _weigh(
+        self, variable: Variable, law: Basis, columns_of: Callable[[Basis], Array]
+    ) -> Iterator[Candidate]:
+        """The law by what it is weighed by, if it does anything."""
+        made = []
+        for basis in law.tried:
+            block = columns_of(basis)
+            power = float(np.sum(block**2))
+            if power > 0.0 and np.isfinite(power):
+                made.append(_weigh(self.weigher, Asked(self.entry, variable), basis, block))
+        if made:
+            yield _together(made)
 
     def _repeating(self, u: Sequence[Array]) -> list[float]:
         """Wave numbers with which a law of a variable would repeat, the best ones."""
         every = np.concatenate(u)
         reach = float(every.max() - every.min())
         steps = np.concatenate([np.abs(np.diff(v)) for v in u])
-        fastest = float(np.quantile(steps, SLOW_QUANTILE))
+        fastest = float(np.quantile(steps, SLOW_QUANTILE)) if len(steps) else 0.0
         if not fastest > 0.0:
             return []
         # a quarter of a period more over the range tells two numbers apart
@@ -281,6 +349,7 @@ class _AtEntry:
         for v in u:
             phase = np.outer(v, numbers)
             terms.append(np.concatenate([np.sin(phase), np.cos(phase)], 1))
+        assert self.gains is not None
         return self.weigher.scores(self.followed.columns_of(self.gains, terms))
 
 

@@ -38,6 +38,7 @@ NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
 TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
+SCREEN_SHARE = 0.5  # of what laws may cost, for terms that a screen must simulate
 TABLE = "table"  # a form that is no formula
 TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
@@ -119,7 +120,7 @@ def find_laws(
             break  # a law explains more than the best set of causes
         if not has_time():
             break
-        screens = _screens(fit, port, progress)
+        screens = _screens(fit, port, progress, SCREEN_SHARE * most_steps)
         num_tried += sum(len(c.basis.tried) for screen in screens for c in screen.found)
         screen = screens[-1]
         every += screen.found
@@ -140,15 +141,15 @@ def find_laws(
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
 
 
-def _screens(fit: Fit, port: LawPort, progress: Progress) -> list[Screen]:
+def _screens(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> list[Screen]:
     """All laws weighed along the recordings; where the best of them keeps little of what it
     promises there, along the simulations as fitted, too. The screen that holds comes last."""
-    led = screen_laws(follow(fit, port), port, progress)
+    led = screen_laws(follow(fit, port), port, progress, most_steps)
     promised = led.found[0].nats if led.found else 0.0
     kept = _kept_by_best(led, fit, port) if led.followed.is_led else promised
     if kept >= KEPT * promised:
         return [led]
-    as_fitted = screen_laws(follow(fit, port, max_steps=0), port, progress)
+    as_fitted = screen_laws(follow(fit, port, max_steps=0), port, progress, most_steps)
     is_better = _kept_by_best(as_fitted, fit, port) > kept
     return [led, as_fitted] if is_better else [as_fitted, led]
 
@@ -336,11 +337,11 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
         return [_repeating(fitted, price, memory)]
     best = fitted.forms[0].nats if fitted.forms else np.inf
     kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
-    if best - fitted.left > TABLE_PRICE * len(
-        c.basis.terms
-    ):  # no formula is nearly as good as the curve itself
-        return [_make_table(fitted, price, memory)]
-    return [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+    laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
+    if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
+        return laws
+    # no formula is nearly as good as the curve itself; but a memory of another length bends that
+    return [_make_table(fitted, price, memory), *(laws if memory else ())]
 
 
 def _make_table(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:

@@ -25,7 +25,7 @@ from diffsim.systems.ode.law_effects import (
     law_scales,
     unknown_laws,
 )
-from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
+from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.names import Reader
 
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
@@ -57,8 +57,6 @@ class BenchDescription(FormulaKeys):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
-        if study.frame.get(LAWS) and not self.effects.holds(study.frame[LAWS]):
-            return with_laws(self, study.frame[LAWS]).setup(study)
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
@@ -69,7 +67,6 @@ class BenchDescription(FormulaKeys):
         model.frame = {
             LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
             SCALES: scales.saved(),
-            **frame_of_laws(study),
         }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         # what differs between groups of a search for faults is their stated scatter, and no fault

@@ -90,9 +90,14 @@ class MulticopterDescription(MulticopterKeys):
             study=study,
         )
 
-    def _list_ports(self, study: Study, flights: DescribedFlights, scales: Scales) -> Ports:
+    def ports(self, study: Study) -> Ports:
         """What causes of a user may change; commands are the rotors' thrusts, whatever asks for
         them."""
+        study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
+        flights = assembled(self, study)
+        return self._list_ports(study, flights, usual_magnitudes(flights, study))
+
+    def _list_ports(self, study: Study, flights: DescribedFlights, scales: Scales) -> Ports:
         return Ports(
             scales,
             dict.fromkeys(rotor_names(flights.nominal_fleet().num_rotors), "held"),

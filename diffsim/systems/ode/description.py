@@ -37,7 +37,7 @@ from diffsim.systems.ode.law_effects import (
     law_effects,
     law_scales,
 )
-from diffsim.systems.ode.law_port import LAWS, OdeLaws, frame_of_laws, with_laws
+from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
 from diffsim.systems.ode.names import Reader, longest, where_of
 from diffsim.systems.ode.unknown import unknown_forces
@@ -122,8 +122,6 @@ class OdeDescription(FormulaKeys):
         """Model, candidate causes and options for a study."""
         if self.function is not None:
             raise ValueError(f"{where_of(study)}.function: {self._say_not_run()}")
-        if study.frame.get(LAWS) and not self.effects.holds(study.frame[LAWS]):
-            return with_laws(self, study.frame[LAWS]).setup(study)
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
@@ -150,7 +148,6 @@ class OdeDescription(FormulaKeys):
             PARTS: read.parts,
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
             SCALES: scales.saved(),
-            **frame_of_laws(study),
         }
         found = (*ode_effects(library), *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)

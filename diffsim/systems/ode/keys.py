@@ -300,15 +300,9 @@ class OwnEffects(EffectChoice):
         """Those that are written as formulas."""
         return tuple(block for block in self.own if isinstance(block, OwnEffect))
 
-    def holds(self, blocks: Sequence[Mapping[str, Any]]) -> bool:
-        """Whether causes of these names are among those of the description."""
-        return {str(b["name"]) for b in blocks} <= {block.name for block in self.formulas}
-
     def joined(self, blocks: Sequence[Mapping[str, Any]]) -> OwnEffects:
         """The choice with further causes that are written as formulas, which are always judged."""
-        more = tuple(OwnEffect.model_validate(dict(b)) for b in blocks)
-        only = (*self.only, *(b.name for b in more)) if self.only else ()
-        return self.model_copy(update={"own": (*self.own, *more), "only": only})
+        return self._with_more(tuple(OwnEffect.model_validate(dict(b)) for b in blocks))
 
 
 class FormulaKeys(Description):

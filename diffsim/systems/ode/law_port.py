@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +16,21 @@ from torch import Tensor
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.identify.law import VALUE, Entry, Gains, HiddenState, Law, Memory, Variable
+from diffsim.identify.law import (
+    FEWEST_VALUES,
+    LASTING,
+    LAWS,
+    VALUE,
+    Entry,
+    Gains,
+    HiddenState,
+    Law,
+    Memory,
+    Variable,
+    numbers_of,
+    put_variable,
+    reading_entries,
+)
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
 from diffsim.identify.setup import DiagnosisSetup
@@ -30,10 +43,7 @@ from diffsim.systems.ode.network import READING, TIME, Change, filled, named
 from diffsim.systems.ode.scene import OdeScene, at_start
 
 Array = NDArray[np.float64]
-LAWS = "laws"  # place of found laws in a study's frame
 USUAL_FACTOR = 0.1  # of a number: what a law may do to it without surprise
-#: shares of the longest run that memories are tried to last
-LASTING = (0.03, 0.1, 0.3, 1.0)
 #: shares of the way that a slipping spring is tried to give way after
 GIVING_WAY = (0.03, 0.1, 0.3)
 #: periods that hidden masses are tried to swing with, as shares of the longest run
@@ -46,20 +56,6 @@ _RATE = "hidden_rate"
 _LASTING, _REACH, _SWING, _SLOW = "lasting", "slip_reach", "swing_rate", "slow_speed"
 
 
-Described = TypeVar("Described", bound=FormulaKeys)
-
-
-def with_laws(described: Described, blocks: Sequence[Mapping[str, Any]]) -> Described:
-    """A description with found laws among its own causes."""
-    return described.model_copy(update={"effects": described.effects.joined(blocks)})
-
-
-def frame_of_laws(study: Study) -> dict[str, Any]:
-    """What a model's frame says of laws that were found."""
-    blocks = study.frame.get(LAWS)
-    return {LAWS: blocks} if blocks else {}
-
-
 @dataclass(frozen=True, eq=False)
 class OdeLaws:
     """Entries and variables of a described system (``identify.law.LawPort``).
@@ -70,6 +66,8 @@ class OdeLaws:
         study: Study with the recordings.
         model: Plain model.
         make: Function (study) -> setup, of a study whose frame holds laws.
+        whole: Study with runs to test by; None: ``study`` has all.
+        is_frugal: Whether its simulations are dear.
     """
 
     system: FormulaSystem
@@ -78,6 +76,7 @@ class OdeLaws:
     model: SimModel
     make: Callable[[Study], DiagnosisSetup]
     whole: Study | None = None
+    is_frugal: bool = False
 
     def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> OdeLaws:
         """The same for a study of more runs, whose setup another function makes."""
@@ -117,10 +116,7 @@ class OdeLaws:
             reach = library.scales.of_commands((name,))["reach"]
             unit = next((c.unit for c in self.study.commands if c.name == name), None)
             yield Entry("input", name, unit or "-", reach)
-        for k, channel in enumerate(self.study.channels):
-            column = [run.measured[:, k] for run in self.study.fit_runs]
-            usual = float(np.nanstd(np.concatenate(column))) or 1.0
-            yield Entry("reading", channel.name, channel.unit, usual, k)
+        yield from reading_entries(self.study)
 
     def _names_in_use(self) -> set[str]:
         """Names that rates, definitions and readings are made of."""
@@ -159,7 +155,7 @@ class OdeLaws:
             yield Variable(column, column, unit, columns=(column,), is_turn=True)
         if motion.states:
             yield Variable("time", TIME, "s", is_turn=False)
-        if len({run.order for run in runs}) > 3:
+        if len({run.order for run in runs}) >= FEWEST_VALUES:
             yield Variable("order of the runs", "run_order")
 
     def _units(self) -> dict[str, str]:
@@ -396,8 +392,7 @@ class OdeLaws:
     def block(self, law: Law) -> Mapping[str, Any]:
         """A law as a cause of formulas, as ``effects.own`` takes it."""
         entry, variable = law.entry, law.variable
-        value = f"({variable.formula})"
-        term = _put(law.term, VALUE, value)
+        term = put_variable(law.term, variable.formula)
         target = {"adds_to": entry.target}
         if entry.kind == "force":
             place = self._place(entry.target)
@@ -408,26 +403,12 @@ class OdeLaws:
                 target = {"adds_to": place.force}
         elif entry.kind == "number":
             target, term = {"multiplies": entry.target}, f"1 + ({term})"
-        shapes = {
-            name: {
-                key: number
-                for key, number in (
-                    ("value", s.value),
-                    ("sd", s.sd),
-                    ("lower", s.lower),
-                    ("upper", s.upper),
-                )
-                if math.isfinite(number)
-            }
-            | {"unit": s.unit}
-            for name, s in law.shapes.items()
-        }
         return {
             "name": law.name,
             **target,
             "term": term,
             "states": {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()},
-            "shapes": shapes,
+            "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
             "typical": law.typical,
             "unit": law.unit,
             "signed": law.signed,
@@ -484,8 +465,3 @@ def _remember(
         numbers=numbers,
         number_units=dict.fromkeys(numbers, unit),
     )
-
-
-def _put(text: str, name: str, value: str) -> str:
-    """A formula with a name of it replaced."""
-    return re.sub(rf"\b{name}\b", lambda _: value, text)

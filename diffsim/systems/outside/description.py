@@ -193,12 +193,12 @@ class OutsideDescription(Description):
         )
         return DiagnosisSetup(
             model=made.model,
-            effects=chosen_effects(made.effects, self.effects, study, self._list_ports(study)),
+            effects=chosen_effects(made.effects, self.effects, study, self.ports(study)),
             unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
         )
 
-    def _list_ports(self, study: Study) -> Ports:
+    def ports(self, study: Study) -> Ports:
         """What the simulator offers to causes of a user."""
         between: Between = "held" if self._are_commands_held(study) else "smooth"
         return Ports(
@@ -215,6 +215,7 @@ class OutsideDescription(Description):
                 }
                 for name, place in self.hooks.force.items()
             },
+            place_units={name: place.unit for name, place in self.hooks.force.items()},
         )
 
     def _are_commands_held(self, study: Study) -> bool:

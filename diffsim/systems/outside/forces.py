@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.causes.ports import OF_FORCES
-from diffsim.core.expression import Expression
+from diffsim.causes.ports import OF_FORCES, LawFormula
 
 SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
 
@@ -32,7 +31,7 @@ class Term:
     """
 
     place: int
-    law: Expression
+    law: LawFormula
     size: float
     scale: float = 1.0
 

@@ -202,7 +202,7 @@ class TossModel(SimModel):
         values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
         made = TossModel(self.runs, self.channels, self.thrown, values)
         made.frame = self.frame
-        return made
+        return made.with_base(self.base)
 
 
 def _prepare_table(

@@ -106,9 +106,10 @@ class SoftBodyDescription(SoftBodyKeys):
             jacobian=Jacobian(step=DIFFERENCE) if self.tendons else Jacobian(),
             noise_rounds=1,
         )
+        ports = self.ports(study) if self.effects.own else None
         return DiagnosisSetup(
             model,
-            chosen_effects(library(self, study, scales), self.effects),
+            chosen_effects(library(self, study, scales), self.effects, study, ports),
             unknowns=unknowns(self, study, scales),
             settings=settings_with(advised, self.effort),
         )

@@ -139,7 +139,7 @@ class _PlainScenes:
     """
 
     def __init__(self, model: SoftModel, run: Run, numerics: Numerics | None):
-        self.run = run
+        self.run, self.values = run, model.values
         self._model, self._numerics = model, numerics
         self._made: dict[bytes, Any] = {}
 
@@ -161,6 +161,6 @@ def _build_owned_scene(
     owners: list[Effect | None] = [None] * len(scene.forces)
     for effect, size in at.sizes.items():
         if effect in present and not isinstance(effect, NumericalEffect):
-            scene = effect.apply(scene, size, plain.run)
+            scene = effect.act(scene, size, plain.run, plain.values.at(at.q))
             owners += [effect] * (len(scene.forces) - len(owners))
     return OwnedScene(scene, tuple(owners))

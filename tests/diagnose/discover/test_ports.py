@@ -1,0 +1,117 @@
+"""Laws that nobody listed, in systems that offer ports and no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.discover import screen
+from diffsim.identify.model_file import read_extended
+from diffsim.systems.registry import load_extended, setup_of
+from tests.diagnose.discover import pump_rig
+from tests.diagnose.discover.pump_rig import NOISE, recorded
+
+
+def found(study):
+    made = setup_of(study)
+    return diagnose(
+        made.study or study,
+        made.model,
+        made.effects,
+        seed=0,
+        unknowns=made.unknowns,
+        settings=made.settings,
+        laws=made.laws,
+    )
+
+
+def found_beside_commands(study):
+    """The same; at commands, where terms are simulated, laws are looked for in few places."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(screen, "MOST_SIMULATED", 4)
+        return found(study)
+
+
+def with_temperature(p_a, p_b, temperature):
+    return p_a + 1.5 * (temperature - 298.0)
+
+
+def with_cross_talk(p_a, p_b, temperature):
+    return p_a + 0.05 * (p_b - 700.0)
+
+
+def stiffer_when_cold(day):
+    return 1.0 - 0.004 * (day - 297.0)
+
+
+def weaker_when_warm(flow):
+    return flow - 0.03e9 * pump_rig.heated(flow**2, 4.0)
+
+
+def entry_of(law):
+    return (law.entry["kind"], law.entry["target"], law.variables, law.memory)
+
+
+@pytest.fixture(scope="module")
+def warm():
+    return found_beside_commands(recorded(show=with_temperature))
+
+
+def is_confirmed(report):
+    (row,) = [row for row in report.errors if row.use == "test"]
+    return row.after < 1.15 * NOISE and row.before > 2.0 * NOISE
+
+
+@pytest.mark.cpu(14)  # a whole diagnosis, then another one with the laws that it found
+def test_a_reading_over_a_recorded_column_is_described(warm):
+    assert warm.verdict == "described", warm.sentences
+    law = warm.described.laws[0]
+    assert entry_of(law) == ("reading", "p_a", ("temperature",), None)
+    assert law.form == "line"
+    size = law.numbers["amplitude"]
+    assert abs(size.value - 1.5) < size.high - size.low < 0.15
+    assert is_confirmed(warm)
+
+
+def test_a_saved_law_is_a_row_that_judges_other_runs(warm, tmp_path):
+    warm.save(tmp_path)
+    other = recorded(show=with_temperature, uses=("test",), seed=7)
+    other = replace(other, runs=tuple(replace(r, name="later") for r in other.runs))
+    model = load_extended(tmp_path, other)
+    (run,) = other.runs
+    left = run.measured - model.predict(run, model.at_prior()).detach().numpy()
+    assert np.sqrt(np.mean(left**2)) < 1.15 * NOISE
+    assert "temperature" in read_extended(tmp_path).frame["laws"][0]["map"]
+
+
+def test_nothing_is_described_where_nothing_is_hidden():
+    report = found(recorded())
+    assert report.verdict == "none" and report.described is None
+
+
+@pytest.mark.cpu(18)  # two diagnoses, and laws of five numbers
+@pytest.mark.parametrize(
+    ("hidden", "entry"),
+    [
+        ({"show": with_cross_talk}, ("reading", "p_a", ("p_b",), None)),
+        ({"stiffen": stiffer_when_cold}, ("number", "resistance_c", ("day temperature",), None)),
+    ],
+)
+def test_place_and_variable_are_found(hidden, entry):
+    report = found_beside_commands(recorded(**hidden))
+    assert report.verdict == "described", report.sentences
+    assert entry_of(report.described.laws[0]) == entry
+    assert is_confirmed(report)
+
+
+@pytest.mark.cpu(30)  # of a command every term is simulated
+def test_a_pump_that_warms_is_found_with_its_time():
+    report = found(recorded(pump=weaker_when_warm))
+    assert report.verdict == "described", report.sentences
+    law = report.described.laws[0]
+    assert entry_of(law) == ("input", "pump_a", ("pump_a",), "heat")
+    assert law.numbers["time"].value == pytest.approx(4.0, rel=0.05)
+    assert is_confirmed(report)
