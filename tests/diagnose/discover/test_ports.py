@@ -7,12 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diffsim.causes.ports import OF_FORCES
+from diffsim.core.expression import parse_expression
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.discover import screen
+from diffsim.diagnose.discover import screen, stage
+from diffsim.diagnose.discover.stage import find_laws
+from diffsim.diagnose.search.fit import silent
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.identify import Problem
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended
+from diffsim.identify.whitening import WhiteNoise
+from diffsim.systems.outside.forces import Term
 from diffsim.systems.registry import load_extended, setup_of
 from tests.diagnose.discover import pump_rig
 from tests.diagnose.discover.pump_rig import NOISE, recorded
+from tests.systems.outside import scenes
 
 
 def found(study):
@@ -115,3 +125,24 @@ def test_a_pump_that_warms_is_found_with_its_time():
     assert entry_of(law) == ("input", "pump_a", ("pump_a",), "heat")
     assert law.numbers["time"].value == pytest.approx(4.0, rel=0.05)
     assert is_confirmed(report)
+
+
+@pytest.mark.cpu(22)  # forces have no tangents: every term is simulated in all four runs
+def test_a_force_at_a_place_of_an_outside_simulator_is_found():
+    """A brake that begins at 1 rad/s, one way only: position, speed and command are weighed."""
+    brake = parse_expression("-size*max(v - 1.0, 0)", OF_FORCES)
+    study = scenes.recorded(Term(0, brake, 0.15, scale=3.0))
+    made = setup_of(study)
+    problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
+    start = linearization_at(problem, np.zeros(problem.num_base))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(screen, "MOST_SIMULATED", 4)
+        patch.setattr(stage, "NUM_FITTED", 1)
+        laws = find_laws([gauss_newton(problem, start)[0]], made.laws, silent)
+    best = laws.screened[0]
+    assert (best.entry.words, best.variable.name) == ("force at hinge", "speed at hinge")
+    law = laws.laws[0]
+    assert law.form == "threshold" and law.unit == "N m"
+    assert law.typical == pytest.approx(0.15, rel=0.05)
+    assert law.shapes["threshold"].value == pytest.approx(1.0, abs=0.05)
+    assert made.laws.block(law)["at"] == "force"
