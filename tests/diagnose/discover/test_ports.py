@@ -143,6 +143,13 @@ def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     assert (best.entry.words, best.variable.name) == ("force at hinge", "speed at hinge")
     law = laws.laws[0]
     assert law.form == "threshold" and law.unit == "N m"
-    assert law.typical == pytest.approx(0.15, rel=0.05)
-    assert law.shapes["threshold"].value == pytest.approx(1.0, abs=0.05)
-    assert made.laws.block(law)["at"] == "force"
+    block = made.laws.block(law)
+    assert block["at"] == "force"
+    extended = made.laws.setup_with([block])
+    (effect,) = [e for e in extended.effects if e.name == law.name]
+    problem = Problem(extended.model, study.fit_runs, WhiteNoise(study.channels), (effect,))
+    at = np.zeros(problem.num_base + 1)
+    at[-1] = 1.0  # at its usual size
+    fit, _ = gauss_newton(problem, linearization_at(problem, at))
+    assert fit.values[law.name] == pytest.approx(-0.15, rel=0.05)
+    assert fit.values[f"threshold_of_{law.name}"] == pytest.approx(1.0, abs=0.05)
