@@ -119,7 +119,7 @@ class ByFormula:
         for i, name in enumerate(names):
             own = {"size": sizes[..., i // num_each]} if self.num_sizes else {}
             amount = self.formula({**shapes, **own}, run)
-            out = out.with_number(name, partial(_changed, amount=amount, is_factor=is_factor))
+            out = out.with_number(name, partial(_change_number, amount=amount, is_factor=is_factor))
         return out
 
     def _push(self, scene: TakesForces, size: Tensor, run: Run, *, place: str) -> object:
@@ -135,7 +135,7 @@ class ByFormula:
         return [name for name in self.formula.expression.names if name not in own]
 
 
-def _changed(value: Tensor, amount: Tensor, is_factor: bool) -> Tensor:
+def _change_number(value: Tensor, amount: Tensor, is_factor: bool) -> Tensor:
     return value * (1.0 + amount) if is_factor else value + amount
 
 

@@ -165,9 +165,9 @@ class Formula:
             if name in self.expression.names:
                 assert grid is not None
                 known[name] = self._remember(memory, known, run, grid)
-        return self.expression(self._filled(self.expression, known, run, grid))
+        return self.expression(self._fill_in(self.expression, known, run, grid))
 
-    def _filled(
+    def _fill_in(
         self, expression: Expression, known: Mapping[str, Tensor], run: Run, grid: Grid | None
     ) -> dict[str, Tensor]:
         """Values of all names of a formula."""
@@ -187,7 +187,7 @@ class Formula:
         # a simulated signal is known where its grid is; what was recorded, over the whole run
         is_recorded = not any(n in known for n in memory.of.names)
         at = _grid_of(run) if is_recorded else grid
-        u = memory.of(self._filled(memory.of, known, run, at))
+        u = memory.of(self._fill_in(memory.of, known, run, at))
         lasts = known.get(memory.lasts)
         if lasts is None:
             lasts = torch.tensor(float(memory.lasts), dtype=torch.float64)

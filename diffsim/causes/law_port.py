@@ -223,7 +223,7 @@ class PortLaws:
             out[:, k] = formula(used, run, grid).expand(count).numpy()
         return out
 
-    def _watch(self, problem: Problem, x: Array, run: Run) -> _Watched:
+    def _watch(self, problem: Problem, x: Array, run: Run) -> _WatchedRun:
         """One simulation that is listened to at commands and places."""
         at = torch.from_numpy(np.array(x))
         q, sizes = at[: problem.num_base], problem.sizes_at(at)
@@ -239,7 +239,7 @@ class PortLaws:
             problem.model.note_simulations(run, 1, problem.numerics)
             record = scene.simulate()
         commands = {n: s.at_samples(run) for n, s in signals.items() if s.seen}
-        return _Watched(record, commands, forces)
+        return _WatchedRun(record, commands, forces)
 
     def terms(
         self, entry: Entry, variable: Variable, terms: Sequence[str], name: str, typical: float
@@ -334,7 +334,7 @@ def _grid_of(run: Run) -> Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class _Watched:
+class _WatchedRun:
     """What a simulation did.
 
     Attributes:

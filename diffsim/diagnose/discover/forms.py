@@ -212,7 +212,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ToldLaw:
     """What a record tells of a law over its variable, without any prior of the law.
 
     The misfit of a law with values v at ``u`` is |target - root v|^2 and a constant.
@@ -229,7 +229,7 @@ class Told:
     target: Array
     of_number: bool = False
 
-    def without_level(self) -> Told:
+    def without_level(self) -> ToldLaw:
         """The same, what is level taken out: it says nothing of a law."""
         level = self.root.sum(1)
         along = level / max(float(linalg.norm(level)), 1e-300)
@@ -243,7 +243,7 @@ class Told:
         return 0.5 * float(np.sum((self.target - shapes @ factors) ** 2))
 
 
-def fit_forms(told: Told) -> list[FittedForm]:
+def fit_forms(told: ToldLaw) -> list[FittedForm]:
     """Forms beside what a record tells, the best first; of those that it cannot tell apart the one
     with the fewest numbers."""
     low, high = float(told.u[0]), float(told.u[-1])
@@ -251,7 +251,7 @@ def fit_forms(told: Told) -> list[FittedForm]:
     reaches_zero = low < 0.1 * half and high > -0.1 * half
     if told.of_number:
         told = told.without_level()
-    over_range = _Scaled(told, low, high, mid)
+    over_range = _ScaledLaw(told, low, high, mid)
     fitted = []
     if reaches_zero:
         at_zero = replace(over_range, mid=0.0)
@@ -269,10 +269,10 @@ def fit_forms(told: Told) -> list[FittedForm]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Scaled:
+class _ScaledLaw:
     """What a record tells, over a variable from -1 to 1."""
 
-    told: Told
+    told: ToldLaw
     low: float
     high: float
     mid: float

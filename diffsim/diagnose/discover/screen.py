@@ -17,7 +17,7 @@ from scipy import linalg, special
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord
-from diffsim.diagnose.discover.forms import Told
+from diffsim.diagnose.discover.forms import ToldLaw
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
@@ -73,7 +73,7 @@ class Basis:
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class AskedLaw:
     """What is asked of a law: where it enters, and on what it depends."""
 
     entry: Entry
@@ -81,7 +81,7 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate(Asked):
+class Candidate(AskedLaw):
     """A law without a form: an entry, a variable, a basis, and what it explains at a fit.
 
     Attributes:
@@ -162,7 +162,7 @@ class Screen:
             candidate.basis.reach, terms
         )
 
-    def told(self, candidate: Candidate) -> Told:
+    def told(self, candidate: Candidate) -> ToldLaw:
         """What the record tells of a law over its variable, by straight lines between points."""
         every = np.concatenate(list(self.values(candidate)))
         points = np.linspace(float(np.nanmin(every)), float(np.nanmax(every)), NUM_POINTS)
@@ -172,7 +172,7 @@ class Screen:
         )
         root, target = self.weigher.told(columns)
         is_free = candidate.entry.target in self.followed.fit.problem.names
-        return Told(points, root, target, candidate.entry.kind == "number" and is_free)
+        return ToldLaw(points, root, target, candidate.entry.kind == "number" and is_free)
 
     def beside(self, law: Candidate) -> Screen:
         """What laws would explain beside one that stands, of those that explain anything alone."""
@@ -246,7 +246,7 @@ def screen_laws(
     return Screen(followed, weigher, found, courses, gains, simulated)
 
 
-def _weigh(weigher: Weigher, of: Asked, basis: Basis, columns: Array) -> Candidate:
+def _weigh(weigher: Weigher, of: AskedLaw, basis: Basis, columns: Array) -> Candidate:
     """A law by its columns, whose factors have the most probable amplitude."""
     power = float(np.sqrt(np.sum(columns**2) / len(columns)))
     nats, amplitude = weigher.gain(columns / power)
@@ -317,7 +317,7 @@ class _AtEntry:
             block = columns_of(basis)
             power = float(np.sum(block**2))
             if power > 0.0 and np.isfinite(power):
-                made.append(_weigh(self.weigher, Asked(self.entry, variable), basis, block))
+                made.append(_weigh(self.weigher, AskedLaw(self.entry, variable), basis, block))
         if made:
             yield _together(made)
 
@@ -390,7 +390,7 @@ class Weigher:
         Args:
             columns: Slopes by its factors, (N, k); of root mean square one.
         """
-        gram, right = self._asked(columns)
+        gram, right = self._reduce(columns)
         values, vectors = linalg.eigh(gram)
         values, along = np.maximum(values, 0.0), (vectors.T @ right) ** 2
         squares = np.array(AMPLITUDES)[:, None] ** 2
@@ -400,7 +400,7 @@ class Weigher:
         mean = float(special.logsumexp(nats)) - float(np.log(len(nats)))
         return mean, AMPLITUDES[int(np.argmax(nats))]
 
-    def _asked(self, columns: Array) -> tuple[Array, Array]:
+    def _reduce(self, columns: Array) -> tuple[Array, Array]:
         """Parabola of the misfit over factors of columns, whatever the model's numbers are."""
         j = self.jacobian
         mixed = j.T @ columns
@@ -414,7 +414,7 @@ class Weigher:
         Args:
             columns: Slopes by factors, (N, k).
         """
-        gram, right = self._asked(columns)
+        gram, right = self._reduce(columns)
         values, vectors = linalg.eigh(gram)
         kept = values > TOLD * values[-1]
         size = np.sqrt(values[kept])

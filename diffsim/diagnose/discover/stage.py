@@ -261,7 +261,7 @@ def _fit_law(
     problem = replace(before.problem, effects=(*before.problem.effects, effect))
     try:
         candidates = [*(f.candidate for f in standing), candidate]
-        asked = _asked(screen, candidates)
+        asked = _solve_slopes(screen, candidates)
         low, high = problem.bounds
         start = np.clip(problem.standardized(asked), low, high)
         ended, _ = gauss_newton(problem, linearization_at(problem, start))
@@ -278,7 +278,7 @@ def _fit_law(
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
 
 
-def _asked(screen: Screen, candidates: Sequence[Candidate]) -> Array:
+def _solve_slopes(screen: Screen, candidates: Sequence[Candidate]) -> Array:
     """Scaled coordinates that the recordings ask for, with those of laws, by the slopes."""
     every, right = _slopes(screen, candidates)
     gram = every.T @ every + np.eye(every.shape[1])
