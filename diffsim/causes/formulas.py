@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from diffsim.causes.instruments import grid_of
 from diffsim.causes.signals import Grid, lagged
 from diffsim.core.expression import FUNCTIONS, Expression, parse_expression
 from diffsim.core.schema import Part
@@ -186,7 +187,7 @@ class Formula:
     ) -> Tensor:
         # a simulated signal is known where its grid is; what was recorded, over the whole run
         is_recorded = not any(n in known for n in memory.of.names)
-        at = _grid_of(run) if is_recorded else grid
+        at = grid_of(run) if is_recorded else grid
         u = memory.of(self._fill_in(memory.of, known, run, at))
         lasts = known.get(memory.lasts)
         if lasts is None:
@@ -202,11 +203,6 @@ def _follow(u: Tensor, grid: Grid, lasts: Tensor, *, from_zero: bool) -> Tensor:
         return out
     since = grid.times - grid.times[0]
     return out - u[..., :1] * torch.exp(-since / lasts[..., None].clamp(min=1e-12))
-
-
-def _grid_of(run: Run) -> Grid:
-    times = np.asarray(run.time_s, dtype=np.float64)
-    return Grid(torch.from_numpy(times), torch.arange(len(times)), times)
 
 
 def _read_at(values: Tensor, run: Run, grid: Grid) -> Tensor:

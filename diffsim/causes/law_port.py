@@ -29,6 +29,7 @@ from diffsim.causes.formulas import (
     parse_formula,
     signals_of,
 )
+from diffsim.causes.instruments import grid_of
 from diffsim.causes.own import Ports
 from diffsim.causes.ports import OF_FORCES, ForceLaw
 from diffsim.causes.signals import Grid
@@ -53,6 +54,7 @@ from diffsim.identify.setup import DiagnosisSetup
 
 Array = NDArray[np.float64]
 _HIDDEN, _LASTING = "hidden", "lasting"
+_USUAL = 0.1  # factor of a number, of which slopes are asked
 _OUTER = 1.0  # percent of the positions of a place that its usual range leaves out at each end
 
 
@@ -186,11 +188,7 @@ class PortLaws:
         if entry.kind == "reading":
             readings[:, entry.channel] = 1.0
         elif entry.kind == "number":
-            one = ByFormula(_formula("size", ("size",)), ())
-            apply = one.at_numbers((entry.target,), is_factor=True)
-            effect = Effect(
-                name="law", family="law", kind="material", unit="-", typical=0.1, apply=apply
-            )
+            effect = self.terms(entry, Variable("one", "1"), ("1",), "law", _USUAL)
             wide = replace(problem, effects=(*problem.effects, effect))
             at = linearization_at(wide, np.append(x, 0.0), [len(x)])
             readings = (at.columns / (PRIOR_WIDTH * effect.typical)).reshape(count, width)
@@ -205,7 +203,7 @@ class PortLaws:
 
     def _follow(self, problem: Problem, x: Array, run: Run, variables: Sequence[Variable]) -> Array:
         watched = self._watch(problem, x, run)
-        count, grid = len(run.time_s), _grid_of(run)
+        count, grid = len(run.time_s), grid_of(run)
         shown = {c.name: watched.record[:, k] for k, c in enumerate(self.study.channels)}
         unknown = torch.full((count,), torch.nan, dtype=torch.float64)
         out = np.zeros((count, len(variables)))
@@ -256,15 +254,7 @@ class PortLaws:
             "number": lambda: by.at_numbers((entry.target,), is_factor=True),
             "force": lambda: by.at_place(entry.target),
         }
-        return Effect(
-            name=name,
-            family="law",
-            kind="force",
-            unit=entry.unit,
-            typical=typical,
-            components=tuple(f"term_{k}" for k in range(len(terms))),
-            apply=acts[entry.kind](),
-        )
+        return law_effect(name, entry, len(terms), typical, acts[entry.kind]())
 
     def _read(self, text: str, variable: Variable, more: Sequence[str] = ()) -> Formula:
         known = (*OF_FORCES, "u", "t", *more, *constants_of(self.study))
@@ -314,6 +304,21 @@ class Remembering(Variable):
     memories: Mapping[str, MemoryKeys] = field(default_factory=dict)
 
 
+def law_effect(
+    name: str, entry: Entry, num_terms: int, typical: float, apply: Callable[..., Any]
+) -> Effect:
+    """A law without a form, whose components are the factors of its terms."""
+    return Effect(
+        name=name,
+        family="law",
+        kind="force",
+        unit=entry.unit,
+        typical=typical,
+        components=tuple(f"term_{k}" for k in range(num_terms)),
+        apply=apply,
+    )
+
+
 def _memories_of(variable: Variable) -> dict[str, MemoryKeys]:
     """What a variable remembers, as a row states it."""
     return dict(variable.memories) if isinstance(variable, Remembering) else {}
@@ -326,11 +331,6 @@ def _formula(
     shapes: Mapping[str, ShapeKeys] | None = None,
 ) -> Formula:
     return parse_formula(text, known, {}, memories or {}, shapes or {})
-
-
-def _grid_of(run: Run) -> Grid:
-    times = np.asarray(run.time_s, dtype=np.float64)
-    return Grid(torch.from_numpy(times), torch.arange(len(times)), times)
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,7 +109,7 @@ def find_laws(
     tally = fits[0].problem.model.simulations
     begun = tally.steps
 
-    def has_time() -> bool:
+    def may_fit() -> bool:
         return tally.steps - begun <= most_steps
 
     every: list[Candidate] = []
@@ -118,13 +118,12 @@ def find_laws(
     for fit in fits:
         if rounds and max(_nats(f.fit) for f in rounds[0]) > _nats(fit):
             break  # a law explains more than the best set of causes
-        if not has_time():
+        if not may_fit():
             break
-        screens = _screens(fit, port, progress, SCREEN_SHARE * most_steps)
-        num_tried += sum(len(c.basis.tried) for screen in screens for c in screen.found)
-        screen = screens[-1]
-        every += screen.found
-        for k, fitted in enumerate(_rounds(screen, fit, port, has_time)):
+        screened = _screen(fit, port, progress, SCREEN_SHARE * most_steps)
+        num_tried += screened.num_tried
+        every += screened.screen.found
+        for k, fitted in enumerate(_rounds(screened, fit, port, may_fit)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
     price = float(np.log(max(num_tried, 1)))
@@ -141,30 +140,59 @@ def find_laws(
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
 
 
-def _screens(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> list[Screen]:
+@dataclass(frozen=True, eq=False)
+class _Screened:
+    """A screen, and its best law fitted in the simulator: slopes promise, fits decide.
+
+    Attributes:
+        screen: All laws weighed.
+        candidate: The best law that was fitted; None where none was.
+        law: Its fit; None where it cannot be fitted.
+        num_tried: Entries by variables by bases that were weighed until this screen held.
+    """
+
+    screen: Screen
+    candidate: Candidate | None
+    law: FittedLaw | None
+    num_tried: int
+
+    @property
+    def kept(self) -> float:
+        """Nats that the best law keeps in the simulator."""
+        return 0.0 if self.law is None else self.law.nats
+
+
+def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _Screened:
     """All laws weighed along the recordings; where the best of them keeps little of what it
-    promises there, along the simulations as fitted, too. The screen that holds comes last."""
-    led = screen_laws(follow(fit, port), port, progress, most_steps)
-    promised = led.found[0].nats if led.found else 0.0
-    kept = _kept_by_best(led, fit, port) if led.followed.is_led else promised
-    if kept >= KEPT * promised:
-        return [led]
-    as_fitted = screen_laws(follow(fit, port, max_steps=0), port, progress, most_steps)
-    is_better = _kept_by_best(as_fitted, fit, port) > kept
-    return [led, as_fitted] if is_better else [as_fitted, led]
+    promises there, along the simulations as fitted, too: the screen that keeps more."""
+    screen = screen_laws(follow(fit, port), port, progress, most_steps)
+    if not screen.followed.is_led:
+        return _Screened(screen, None, None, _count_tried(screen))
+    led = _with_best_fitted(screen, fit, port)
+    promised = screen.found[0].nats if screen.found else 0.0
+    if led.kept >= KEPT * promised:
+        return led
+    along_fit = screen_laws(follow(fit, port, max_steps=0), port, progress, most_steps)
+    as_fitted = _with_best_fitted(along_fit, fit, port)
+    better = as_fitted if as_fitted.kept > led.kept else led
+    return replace(better, num_tried=led.num_tried + as_fitted.num_tried)
 
 
-def _kept_by_best(screen: Screen, fit: Fit, port: LawPort) -> float:
-    """Nats that the best law of a screen keeps in the simulator: slopes promise, fits decide."""
+def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _Screened:
     first = next(iter(_choose(screen.found, KEEP_NATS)), None)
     law = None if first is None else _fit_law(screen, fit, first, port, ())
-    return 0.0 if law is None else law.nats
+    return _Screened(screen, first, law, _count_tried(screen))
+
+
+def _count_tried(screen: Screen) -> int:
+    return sum(len(c.basis.tried) for c in screen.found)
 
 
 def _rounds(
-    screen: Screen, fit: Fit, port: LawPort, has_time: Callable[[], bool]
+    screened: _Screened, fit: Fit, port: LawPort, may_fit: Callable[[], bool]
 ) -> Iterator[list[FittedLaw]]:
     """Fitted laws beside a fit, then beside the best of them, while that is worth its price."""
+    screen = screened.screen
     standing: tuple[FittedLaw, ...] = ()
     first = 0.0
     for _ in MOST_LAWS:
@@ -172,11 +200,15 @@ def _rounds(
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
             best = max((f.nats for f in fitted), default=0.0)
-            if not has_time():
+            if not may_fit():
                 break
             if candidate.nats < FITTED_SHARE * best:
                 continue
-            law = _fit_law(screen, fit, candidate, port, standing)
+            law = (
+                screened.law
+                if candidate is screened.candidate
+                else _fit_law(screen, fit, candidate, port, standing)
+            )
             if law is not None and law.nats > least:
                 fitted.append(law)
         if not fitted:
@@ -261,7 +293,8 @@ def _fit_law(
     problem = replace(before.problem, effects=(*before.problem.effects, effect))
     try:
         candidates = [*(f.candidate for f in standing), candidate]
-        asked = _solve_slopes(screen, candidates)
+        every, right = _slopes(screen, candidates)
+        asked = _solve_slopes(every, right)
         low, high = problem.bounds
         start = np.clip(problem.standardized(asked), low, high)
         ended, _ = gauss_newton(problem, linearization_at(problem, start))
@@ -270,7 +303,7 @@ def _fit_law(
     u = np.concatenate(list(screen.values(candidate)))
     curve = _curve(ended, candidate, u[np.isfinite(u)], len(effect.components))
     nats = _nats(ended) - _nats(before)
-    by_run = tuple(_by_run(screen, candidates, asked))
+    by_run = tuple(_by_run(screen, candidate, every, right, asked))
     if candidate.basis.wave:
         return FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run)
     told = screen.told(candidate)
@@ -278,9 +311,8 @@ def _fit_law(
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
 
 
-def _solve_slopes(screen: Screen, candidates: Sequence[Candidate]) -> Array:
+def _solve_slopes(every: Array, right: Array) -> Array:
     """Scaled coordinates that the recordings ask for, with those of laws, by the slopes."""
-    every, right = _slopes(screen, candidates)
     gram = every.T @ every + np.eye(every.shape[1])
     return np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
 
@@ -294,11 +326,9 @@ def _slopes(screen: Screen, candidates: Sequence[Candidate]) -> tuple[Array, Arr
 
 
 def _by_run(
-    screen: Screen, candidates: Sequence[Candidate], asked: Array
+    screen: Screen, law: Candidate, every: Array, right: Array, asked: Array
 ) -> Iterator[tuple[str, Array, Array]]:
     """The last law as each run alone tells it beside all else that the recordings ask for."""
-    law = candidates[-1]
-    every, right = _slopes(screen, candidates)
     count = len(law.basis.terms)
     left = right - every[:, :-count] @ asked[:-count]
     begins = 0

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.causes.law_port import law_effect
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
@@ -326,20 +327,13 @@ class OdeLaws:
             term = filled(parse_expression(text, (VALUE,)), {VALUE: value})
             parts = {"before": total, "factor": named(factor), "term": term}
             total = filled(parse_expression("before + factor*term"), parts)
-        return Effect(
-            name=name,
-            family="law",
-            kind="force",
-            unit=entry.unit,
-            typical=typical,
-            components=tuple(f"term_{k}" for k in range(len(terms))),
-            apply=partial(
-                _apply_terms,
-                change=self._enter(entry, total, change),
-                symbols=tuple(symbols),
-                numbers=self._numbers(variable, name),
-            ),
+        apply = partial(
+            _apply_terms,
+            change=self._enter(entry, total, change),
+            symbols=tuple(symbols),
+            numbers=self._numbers(variable, name),
         )
+        return law_effect(name, entry, len(terms), typical, apply)
 
     def _numbers(self, variable: Variable, name: str) -> dict[str, Tensor]:
         return {

@@ -9,7 +9,6 @@ import pytest
 
 from diffsim.causes.ports import OF_FORCES
 from diffsim.core.expression import parse_expression
-from diffsim.diagnose import diagnose
 from diffsim.diagnose.discover import screen, stage
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.search.fit import silent
@@ -21,21 +20,9 @@ from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.outside.forces import Term
 from diffsim.systems.registry import load_extended, setup_of
 from tests.diagnose.discover import pump_rig
+from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.pump_rig import NOISE, recorded
 from tests.systems.outside import scenes
-
-
-def found(study):
-    made = setup_of(study)
-    return diagnose(
-        made.study or study,
-        made.model,
-        made.effects,
-        seed=0,
-        unknowns=made.unknowns,
-        settings=made.settings,
-        laws=made.laws,
-    )
 
 
 def found_beside_commands(study):

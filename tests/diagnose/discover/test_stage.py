@@ -12,7 +12,6 @@ import pytest
 from diffsim import cli
 from diffsim.data import Command, save_study
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose import diagnose
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.search.fit import silent
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -21,6 +20,7 @@ from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.registry import load_extended, setup_of
+from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.turntable import DAMPING, turntable_study
 
 USES = ("fit", "fit", "select", "test")
@@ -34,19 +34,6 @@ def cogging(angle, speed, temp):
 
 def thinner_when_warm(angle, speed, temp):
     return 0.024 * (temp - 298.0) * DAMPING * speed
-
-
-def found(study):
-    made = setup_of(study)
-    return diagnose(
-        study,
-        made.model,
-        made.effects,
-        seed=0,
-        unknowns=made.unknowns,
-        settings=made.settings,
-        laws=made.laws,
-    )
 
 
 @pytest.fixture(scope="module")

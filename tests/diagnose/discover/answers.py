@@ -1,0 +1,22 @@
+"""Whole answers about studies, as a command makes them."""
+
+from __future__ import annotations
+
+from diffsim.data.study import Study
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.say.report import Report
+from diffsim.systems.registry import setup_of
+
+
+def found(study: Study) -> Report:
+    """What a diagnosis says, laws that nobody listed included."""
+    made = setup_of(study)
+    return diagnose(
+        made.study or study,
+        made.model,
+        made.effects,
+        seed=0,
+        unknowns=made.unknowns,
+        settings=made.settings,
+        laws=made.laws,
+    )
