@@ -50,7 +50,7 @@ from diffsim.identify.law import (
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
-from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.setup import DiagnosisSetup, law_effect
 
 Array = NDArray[np.float64]
 _HIDDEN, _LASTING = "hidden", "lasting"
@@ -302,21 +302,6 @@ class Remembering(Variable):
     """
 
     memories: Mapping[str, MemoryKeys] = field(default_factory=dict)
-
-
-def law_effect(
-    name: str, entry: Entry, num_terms: int, typical: float, apply: Callable[..., Any]
-) -> Effect:
-    """A law without a form, whose components are the factors of its terms."""
-    return Effect(
-        name=name,
-        family="law",
-        kind="force",
-        unit=entry.unit,
-        typical=typical,
-        components=tuple(f"term_{k}" for k in range(num_terms)),
-        apply=apply,
-    )
 
 
 def _memories_of(variable: Variable) -> dict[str, MemoryKeys]:

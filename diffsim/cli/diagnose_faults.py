@@ -10,6 +10,7 @@ from diffsim.cli.diagnose_inputs import study_file
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_json_atomic
+from diffsim.core.units import after_number
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.faults import FaultReport, FaultVerdict, judge_faults
@@ -119,7 +120,7 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
     out = [f"{verdict.group}{said}: {verdict.status}", f"  {_of_what(verdict)}"]
     out.append(f"  {verdict.words}")
     for size in verdict.sizes:
-        i, unit = size.interval, "" if size.unit == "-" else f" {size.unit}"
+        i, unit = size.interval, after_number(size.unit)
         out.append(f"  {size.cause} {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
     if verdict.causes:
         by_runs, by_labels = verdict.lead_by_runs, verdict.lead_by_labels

@@ -14,6 +14,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
+from diffsim.core.units import after_number
+
 Ended = Literal[
     "converged",
     "rank_deficient",
@@ -84,7 +86,7 @@ class Solve:
             return f"{self.solver}: nothing to solve"
         i = self.worst
         of = f" (item {i} of {len(self.ended)})" if len(self.ended) > 1 else ""
-        unit = "" if self.unit == "-" else f" {self.unit}"
+        unit = after_number(self.unit)
         needed = "" if math.isnan(self.tolerance[i]) else f", needed {self.tolerance[i]:.1e}{unit}"
         return (
             f"{self.solver}{of}: {self.ended[i]} after {self.num_iters[i]} iterations at residual "

@@ -11,9 +11,8 @@ from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from diffsim.core.check import did_you_mean
-
 NO_UNIT = "-"
+_RELATIVE = (NO_UNIT, "", "command", "channel")  # units that say nothing after a number
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
 _POWER = re.compile(r"(?<![A-Za-z_])(m|mm|cm|km|s)([234])(?![0-9])")
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
@@ -65,6 +64,8 @@ def _parse_unit(unit: str) -> Any:
     try:
         return registry.parse_units(text)
     except Exception as error:  # pint raises errors of its parser, of tokenize and of its own
+        from diffsim.core.check import did_you_mean  # brings torch, which `info` does without
+
         raise ValueError(
             f"unit {unit!r} is unknown{did_you_mean(unit, _COMMON)}; write it as in m/s^2, N m, "
             f"mbar, deg, or - for none"
@@ -175,6 +176,11 @@ def in_unit(value: float | int | str, unit: str, *, difference: bool = False) ->
 
 
 SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these
+
+
+def after_number(unit: str) -> str:
+    """A unit as it follows a number; nothing for one that is none."""
+    return "" if unit in _RELATIVE else f" {unit}"
 
 
 def small_unit(unit: str, values: Iterable[float]) -> str:

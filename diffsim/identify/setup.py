@@ -101,3 +101,18 @@ class LawPort(Protocol):
     def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
         """The system with laws among its candidate causes."""
         ...
+
+
+def law_effect(
+    name: str, entry: Entry, num_terms: int, typical: float, apply: Callable[..., Any]
+) -> Effect:
+    """A law without a form, whose components are the factors of its terms."""
+    return Effect(
+        name=name,
+        family="law",
+        kind="force",
+        unit=entry.unit,
+        typical=typical,
+        components=tuple(f"term_{k}" for k in range(num_terms)),
+        apply=apply,
+    )

@@ -20,7 +20,7 @@ from diffsim.causes.own import OwnRow, Ports, own_causes
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import KindWords, Part, number
-from diffsim.core.units import in_unit
+from diffsim.core.units import after_number, in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effect import Effect
@@ -67,7 +67,7 @@ class Quantity(Part):
             raise ValueError("per needs sd or percent: a value of its own is a fitted one")
         if not self.lower <= self.value <= self.upper:
             ends = f"[{self.lower:g}, {self.upper:g}]"
-            unit = "" if self.unit == "-" else f" {self.unit}"
+            unit = after_number(self.unit)
             raise ValueError(f"value must lie within {ends}{unit}, got {self.value:g}")
         return self
 

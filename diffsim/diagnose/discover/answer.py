@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.units import after_number
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
@@ -193,7 +194,7 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
 def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
     what, on = _what(law), law.variable.name
     size = numbers.get("amplitude")
-    unit = "" if law.unit == "-" else f" {law.unit}"
+    unit = after_number(law.unit)
     amount = "" if size is None else f", {size.value:.3g}{unit} ({size.low:.3g} to {size.high:.3g})"
     like = f"; looks like {' or '.join(looks)}" if looks else ""
     if law.form == "periodic":

@@ -141,7 +141,7 @@ def find_laws(
 
 
 @dataclass(frozen=True, eq=False)
-class _Screened:
+class _ScreenWithFit:
     """A screen, and its best law fitted in the simulator: slopes promise, fits decide.
 
     Attributes:
@@ -162,12 +162,12 @@ class _Screened:
         return 0.0 if self.law is None else self.law.nats
 
 
-def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _Screened:
+def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _ScreenWithFit:
     """All laws weighed along the recordings; where the best of them keeps little of what it
     promises there, along the simulations as fitted, too: the screen that keeps more."""
     screen = screen_laws(follow(fit, port), port, progress, most_steps)
     if not screen.followed.is_led:
-        return _Screened(screen, None, None, _count_tried(screen))
+        return _ScreenWithFit(screen, None, None, _count_tried(screen))
     led = _with_best_fitted(screen, fit, port)
     promised = screen.found[0].nats if screen.found else 0.0
     if led.kept >= KEPT * promised:
@@ -178,10 +178,10 @@ def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _
     return replace(better, num_tried=led.num_tried + as_fitted.num_tried)
 
 
-def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _Screened:
+def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _ScreenWithFit:
     first = next(iter(_choose(screen.found, KEEP_NATS)), None)
     law = None if first is None else _fit_law(screen, fit, first, port, ())
-    return _Screened(screen, first, law, _count_tried(screen))
+    return _ScreenWithFit(screen, first, law, _count_tried(screen))
 
 
 def _count_tried(screen: Screen) -> int:
@@ -189,7 +189,7 @@ def _count_tried(screen: Screen) -> int:
 
 
 def _rounds(
-    screened: _Screened, fit: Fit, port: LawPort, may_fit: Callable[[], bool]
+    screened: _ScreenWithFit, fit: Fit, port: LawPort, may_fit: Callable[[], bool]
 ) -> Iterator[list[FittedLaw]]:
     """Fitted laws beside a fit, then beside the best of them, while that is worth its price."""
     screen = screened.screen

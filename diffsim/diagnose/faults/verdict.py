@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from diffsim.core.units import after_number
 from diffsim.diagnose.faults.candidates import Candidate
 from diffsim.diagnose.faults.evidence import Evidence
 from diffsim.diagnose.faults.groups import Group
@@ -293,8 +294,7 @@ def cause_words(effect: Effect, size: float) -> str:
     """A cause at a size in plain words."""
     if effect.words is not None:
         return effect.words(size)
-    unit = "" if effect.unit == "-" else f" {effect.unit}"
-    return f"{words_of(effect.name)} {size:.3g}{unit}"
+    return f"{words_of(effect.name)} {size:.3g}{after_number(effect.unit)}"
 
 
 def _words(status: str, sizes: Sequence[Size], rivals: Sequence[tuple[str, ...]]) -> str:

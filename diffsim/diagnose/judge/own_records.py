@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from diffsim.core.units import factor, small_unit
+from diffsim.core.units import after_number, factor, small_unit
 
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
@@ -43,7 +43,7 @@ class OwnRow:
         shown = small_unit(self.unit, (self.value, self.prior_value, self.prior_sd))
         times = 1.0 if shown == self.unit else factor(self.unit, shown)
         value, prior, sd = (times * v for v in (self.value, self.prior_value, self.prior_sd))
-        unit = "" if self.unit == "-" else f" {shown}"
+        unit = after_number(shown)
         name = self.name.partition("@")[0].rstrip(".").replace("_", " ")
         stated = f"{prior:.4g} +- {sd:.2g}{unit}"
         return f"{name} {value:.4g}{unit}, stated {stated}: {abs(self.pull):.2g} sd off"

@@ -12,7 +12,7 @@ from math import isfinite
 
 from scipy.special import ndtri
 
-from diffsim.core.units import factor, small_unit
+from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_records import UNTOLD_PULL
 
@@ -215,20 +215,16 @@ def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
     for row in errors:
         better = {"a constant": row.constant, "the first reading, held,": row.held}
         said = [
-            f"{what} would leave {value:.3g}{_after(row.unit)}"
+            f"{what} would leave {value:.3g}{after_number(row.unit)}"
             for what, value in better.items()
             if value is not None and value < SKILL * row.after
         ]
         if said:
             out.append(
                 f"Run {row.run}: the model has no skill in {row.kind}: it leaves "
-                f"{row.after:.3g}{_after(row.unit)}, {' and '.join(said)}."
+                f"{row.after:.3g}{after_number(row.unit)}, {' and '.join(said)}."
             )
     return out
-
-
-def _after(unit: str) -> str:
-    return "" if unit in ("-", "") else f" {unit}"
 
 
 def band_share(errors: Sequence[ErrorRow]) -> float | None:

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from diffsim.core.units import after_number
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
@@ -23,7 +24,6 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.diagnose.say.wording import (
     Answer,
-    after_number,
     capital,
     effects_of,
     opened,

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
     CUTS,
@@ -50,7 +51,6 @@ VERDICTS = (
 )
 MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
-_RELATIVE = ("-", "command", "channel")  # units that say nothing after a number
 
 
 @dataclass(frozen=True)
@@ -153,11 +153,6 @@ def _spread(row: CauseRow) -> str:
 def component_words(component: str) -> str:
     """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
     return component.strip("[]").replace("=", " ").replace("_", " ")
-
-
-def after_number(unit: str) -> str:
-    """A unit as it follows a number; nothing for one that is none."""
-    return "" if unit in _RELATIVE else f" {unit}"
 
 
 def ends(size: Interval) -> str:

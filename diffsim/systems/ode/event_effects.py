@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.expression import parse_expression
+from diffsim.core.units import after_number
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.locate import Course, Proposal
@@ -246,7 +247,7 @@ def _say_event(
     """In words: how large, where, of what form, from when to when."""
     ways = [(way.name, way.unit, 1.0), *way.alike]
     much = " or ".join(
-        f"{size * factor:.4g}{_format_unit(u)} at {name}" for name, u, factor in ways
+        f"{size * factor:.4g}{after_number(u)} at {name}" for name, u, factor in ways
     )
     at = {timing: values.get(name, math.nan) for timing, name in names.items()}
     since = f"from {at[ONSET]:.3f} s"
@@ -258,10 +259,6 @@ def _say_event(
     if form == "burst":
         return f"a sine of {much} and {at[PERIOD]:.3g} s {until}"
     return f"a {form.replace('_', ' ')} of {much} {until}"
-
-
-def _format_unit(unit: str) -> str:
-    return "" if unit in ("-", "command") else f" {unit}"
 
 
 def _make_curve(events: Events, way: _Way, knots: Array) -> Effect:

@@ -13,7 +13,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.causes.law_port import law_effect
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
@@ -34,7 +33,7 @@ from diffsim.identify.law import (
 )
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
-from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.setup import DiagnosisSetup, law_effect
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.ode.applying import symbol
 from diffsim.systems.ode.described import FormulaSystem
