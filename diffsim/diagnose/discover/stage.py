@@ -294,7 +294,8 @@ def _fit_law(
     try:
         candidates = [*(f.candidate for f in standing), candidate]
         every, right = _slopes(screen, candidates)
-        asked = _solve_slopes(every, right)
+        gram = every.T @ every + np.eye(every.shape[1])
+        asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
         low, high = problem.bounds
         start = np.clip(problem.standardized(asked), low, high)
         ended, _ = gauss_newton(problem, linearization_at(problem, start))
@@ -309,12 +310,6 @@ def _fit_law(
     told = screen.told(candidate)
     left = told.left_by(candidate.basis.values(told.u))
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
-
-
-def _solve_slopes(every: Array, right: Array) -> Array:
-    """Scaled coordinates that the recordings ask for, with those of laws, by the slopes."""
-    gram = every.T @ every + np.eye(every.shape[1])
-    return np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
 
 
 def _slopes(screen: Screen, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
