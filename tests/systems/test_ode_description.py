@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from diffsim.data.steps import looks_held
-from diffsim.data.study import Command, Run
+from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics
 from diffsim.systems.ode import described as described_file
@@ -498,3 +498,37 @@ def test_a_start_that_runs_shared_is_told_anew_where_each_has_its_own(tmp_path):
         0.003
     )  # not what the others had
     assert at["m"] == pytest.approx(entries["m"]["value"])
+
+
+def risen(stated, starts_at_s):
+    """A reading that stands 0.1 above its mean at rest, which is 0.25 until 0.1 s."""
+    time = np.arange(0.0, 1.0, 0.02)
+    reading = np.where(time <= 0.1, 0.25, 0.35)[:, None]
+    kept = time >= starts_at_s
+    setup = {} if stated is None else {"rest_height": stated}
+    run = Run("late", time[kept], reading[kept], {}, "late", setup=setup)
+    model = {
+        "system": "ode",
+        "states": {"risen": 0.1},
+        "rates": {"risen": "0*gain"},
+        "parameters": {"gain": {"value": 1.0, "sd": 0.1}},
+        "readings": {"height": "rest_height + risen"},
+        "rest": {"until_s": 0.1},
+    }
+    return Study("heights", "ode", (Channel("height", "m", "position", 1e-3),), (run,), model=model)
+
+
+def predicted(study):
+    model = setup_of(study).model
+    return model.predict(study.runs[0], model.at_prior())[:, 0]
+
+
+def test_a_run_that_begins_after_its_rest_states_what_it_rested_at():
+    before, after = predicted(risen(None, 0.0)), predicted(risen(0.25, 0.5))
+    assert before[-1] == pytest.approx(0.35, abs=1e-12)
+    np.testing.assert_allclose(after, before[-len(after) :], rtol=0, atol=1e-12)
+
+
+def test_a_run_that_begins_after_its_rest_is_told_what_to_state():
+    with pytest.raises(ValueError, match=r"no sample of height.*rest_height: \.\.\."):
+        predicted(risen(None, 0.5))

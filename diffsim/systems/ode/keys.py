@@ -321,7 +321,9 @@ class FormulaKeys(Description):
     )
     effects: OwnEffects = Field(OwnEffects(), description="Which candidate causes are judged")
     rest: Rest | None = Field(
-        None, description="Window of rest: the mean of a channel in it is rest_CHANNEL in formulas"
+        None,
+        description="Window of rest: the mean of a channel in it is rest_CHANNEL in formulas; "
+        "a run that begins later states it in its `setup`",
     )
 
     _read_names = field_validator("define", "readings", mode="before")(read_names_as_text)

@@ -55,6 +55,7 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
     """First samples of the channels, and their means while the system rests.
 
     They are facts of the recording: those of the whole run also where a part of it is left out.
+    A mean that the run states among its facts is no longer taken from samples.
 
     Raises:
         ValueError: nothing was measured while it should rest.
@@ -64,14 +65,15 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
     for channel, column in zip(study.channels, run.measured.T, strict=True):
         seen = column[np.isfinite(column)]
         out[f"first_{channel.name}"] = float(seen[0]) if len(seen) else 0.0
-        if rest is not None:
+        if rest is not None and f"rest_{channel.name}" not in facts_of(run):
             low = -math.inf if rest.from_s is None else _evaluate_fact(rest.from_s, run)
             high = _evaluate_fact(rest.until_s, run)
             inside = column[(run.time_s >= low) & (run.time_s <= high) & np.isfinite(column)]
             if not len(inside):
                 raise ValueError(
                     f"{where_of(study)}.rest: run {run.name} has no sample of {channel.name} "
-                    f"from {low:g} to {high:g} s"
+                    f"from {low:g} to {high:g} s; where the run begins later, state it: "
+                    f"`setup: {{rest_{channel.name}: ...}}`"
                 )
             out[f"rest_{channel.name}"] = float(inside.mean())
     return out
