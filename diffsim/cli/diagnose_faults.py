@@ -94,6 +94,7 @@ def judged(
             groups=groups,
             progress=lambda done, of: progress("group", done / of, f"{done + 1} of {of}"),
         )
+    print(f"{report.headline}\n")
     for line in lines(report):
         print(line)
     print(f"wrote {write_json_atomic(out / FAULTS_FILE, report.to_dict())}")

@@ -43,6 +43,7 @@ from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
 CACHE, JUDGE_FILE, JUDGE_PAGE, NEXT_FILE = "interrupted", "judge.json", "judge.html", "next.json"
+FAULTS_PAGE = "faults.html"
 MAX_OUTSIDE = 3  # lines per run; the file holds all
 MAX_FITTED = 4  # values in a run's line; the file holds all
 
@@ -124,7 +125,7 @@ def _explain(args: argparse.Namespace) -> None:
         print(f"{study.name} has `faults`: every group is judged for itself, by the others")
         require_ready(study, args.study, plan=False)
         out = args.out or Path(DIAGNOSES) / study.name
-        judged(study, out, everything=True, seed=args.seed)
+        _judge_groups(study, out, everything=True, seed=args.seed)
         return
     for line in _pictures_left_out():
         print(line)
@@ -327,7 +328,20 @@ def _faults(args: argparse.Namespace) -> None:
     require_ready(study, args.study, plan=False)
     out = args.out or Path(DIAGNOSES) / study.name
     groups = args.groups or new_labels(len(args.new))
-    judged(study, out, groups=groups, everything=args.all, seed=args.seed)
+    _judge_groups(study, out, groups=groups, everything=args.all, seed=args.seed)
+
+
+def _judge_groups(study: Study, out: Path, **which: Any) -> None:
+    """Verdicts on groups, printed, saved and drawn."""
+    (out / FAULTS_PAGE).unlink(missing_ok=True)  # of other groups: not to pass for these
+    report = judged(study, out, **which)
+
+    def page() -> Path:
+        from diffsim.viz.faults_report import write_faults
+
+        return write_faults(report, out / FAULTS_PAGE)
+
+    _if_installed(page)
 
 
 def _next(args: argparse.Namespace) -> None:

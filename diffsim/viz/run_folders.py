@@ -87,6 +87,10 @@ def _judgment(files: dict[str, Path]) -> tuple[str, str]:
     return str(_json(files.get("judge.json")).get("headline") or ""), "finished"
 
 
+def _faults(files: dict[str, Path]) -> tuple[str, str]:
+    return str(_json(files.get("faults.json")).get("headline") or ""), "finished"
+
+
 def _training(files: dict[str, Path]) -> tuple[str, str]:
     rows = [row for row in _rows(files["results.jsonl"]) if isinstance(row, dict)]
     if not rows:
@@ -120,6 +124,7 @@ _KINDS = {
     "report.json": "diagnosis",
     "inputs.json": "diagnosis",
     "judge.json": "judgment",
+    "faults.json": "faults",
     "results.jsonl": "training",
     "progress.jsonl": "device",
     "flight.csv": "flight",
@@ -129,6 +134,7 @@ _KINDS = {
 _TOLD: dict[str, Callable[[dict[str, Path]], tuple[str, str]]] = {
     "diagnosis": _diagnosis,
     "judgment": _judgment,
+    "faults": _faults,
     "training": _training,
     "device": _device,
     "flight": _flight,

@@ -30,6 +30,7 @@ VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
 MAX_ROWS = 8
+MAX_SAID = 3  # groups with a fault that the first sentence names
 TAILS = (0.05, 0.95)
 
 
@@ -145,9 +146,26 @@ class FaultReport:
     spreads: tuple[Spread, ...]
     verdicts: tuple[FaultVerdict, ...]
 
+    @property
+    def num_faulty(self) -> int:
+        """Groups that differ from sound ones by more than the scatter."""
+        return sum(v.status != SILENT for v in self.verdicts)
+
+    @property
+    def headline(self) -> str:
+        """How many groups have a fault, and which."""
+        found = [v for v in self.verdicts if v.status != SILENT]
+        of = f"{len(self.verdicts)} group{'' if len(self.verdicts) == 1 else 's'}"
+        if not found:
+            return f"No fault is visible in {of}."
+        said = "; ".join(f"{v.group}: {v.words.rstrip('.')}" for v in found[:MAX_SAID])
+        more = f"; and {len(found) - MAX_SAID} more" if len(found) > MAX_SAID else ""
+        has = "has" if len(found) == 1 else "have"
+        return f"{len(found)} of {of} {has} a fault. {said}{more}."
+
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain records, with ``is_right`` beside each verdict."""
-        out = asdict(self)
+        """The report as plain records, with ``headline`` and ``is_right`` of each verdict."""
+        out = {"headline": self.headline, **asdict(self)}
         for row, verdict in zip(out["verdicts"], self.verdicts, strict=True):
             row["is_right"] = verdict.is_right
         return out

@@ -293,7 +293,8 @@ class OutsideRow:
             return f"{said}{numbers[1]}{unit}."
         of = "the largest" if self.what.startswith(RATIOS) else "as far from the middle"
         times = f"{self.times:.2g}" if self.times < 10.0 else _plain(self.times, 0)
-        far = f" ({times} times {of})" if isfinite(self.times) else ""
+        is_told = isfinite(self.times) and times != "1"
+        far = f" ({times} times {of})" if is_told else ""
         return f"{said}{numbers[1]} to {numbers[2]}{unit}{far}."
 
     @property
