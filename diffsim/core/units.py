@@ -15,6 +15,8 @@ NO_UNIT = "-"
 _RELATIVE = (NO_UNIT, "", "command", "channel")  # units that say nothing after a number
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
 _POWER = re.compile(r"(?<![A-Za-z_])(m|mm|cm|km|s)([234])(?![0-9])")
+_LONGEST = 100  # letters of a unit; the longest in common use has some forty
+_RAISED = re.compile(r"(?<![A-Za-z_0-9.])[\d.]+\s*(\^|\*\*)")  # pint would evaluate 9**9**9
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
 _COHERENT = {
     "dimensionless": NO_UNIT,
@@ -54,6 +56,12 @@ def _parse_unit(unit: str) -> Any:
     text = unit.strip()
     if text in ("", NO_UNIT, "1"):
         return registry.dimensionless
+    if len(text) > _LONGEST or _RAISED.search(text):
+        shown = text if len(text) <= _LONGEST else f"{text[:20]}..."
+        raise ValueError(
+            f"unit {shown!r} is no unit: at most {_LONGEST} letters, and powers of units alone, "
+            f"such as m/s^2; got {len(text)} letters"
+        )
     # "N m" and "Nm" are both written; pint reads a space as a product
     text = re.sub(r"(?<=[A-Za-z0-9)])\s+(?=[A-Za-z(])", "*", text.replace("·", "*"))
     for one, other in (("Nm", "N*m"), ("²", "^2"), ("³", "^3"), ("µ", "u"), ("Ohm", "ohm")):

@@ -61,3 +61,13 @@ def test_a_temperature_moves_with_the_zero_of_its_unit_and_a_difference_does_not
     assert in_unit("300 K", "degC") == pytest.approx(26.85, rel=1e-12)
     assert in_unit("2 degC", "K", difference=True) == pytest.approx(2.0, rel=1e-14)
     assert in_unit("9 degF", "degC", difference=True) == pytest.approx(5.0, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "unit", ["9**9**9", "10**10**8*m", "(9^99)^99", "m^(9^9^9)", "m" * 100_000]
+)
+def test_a_unit_that_would_never_end_is_refused_at_once(unit):
+    """pint evaluates powers of numbers, without hearing Ctrl-C."""
+    with pytest.raises(ValueError, match="powers of units alone") as refused:
+        to_si(unit)
+    assert len(str(refused.value)) < 250
