@@ -75,6 +75,18 @@ def elastic_force() -> tuple[Layer, Tensor]:
     return body.elastic_force, deformed(m)
 
 
+def elastic_energy() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m)
+    x = deformed(m)
+
+    def layer(stiffness: Tensor) -> Tensor:
+        at = torch.stack([x, 1.01 * x])
+        return body.elastic_energy(at, physics=body.physics(youngs_modulus=1e4 * stiffness))
+
+    return layer, 1.0 + 0.1 * noise(m.num_elements, seed=5).abs()
+
+
 def flight() -> tuple[Layer, Tensor]:
     from diffsim.copter.dynamics.flight import fly
 
@@ -143,7 +155,7 @@ def cut_cells() -> tuple[Layer, Tensor]:
 
 LAYERS = [
     soft_step, linearly_implicit_step, soft_rollout, soft_statics, soft_contact, elastic_force,
-    flight, least_hover, gain, ode, decomposition, stokes_flow, cut_cells,
+    elastic_energy, flight, least_hover, gain, ode, decomposition, stokes_flow, cut_cells,
 ]  # fmt: skip
 
 

@@ -195,6 +195,16 @@ void bind_soft(nb::module_& m) {
       nb::kw_only(), nb::arg("pattern"), nb::arg("inputs"), nb::arg("x"), nb::arg("z"),
       nb::arg("grad_x"), nb::arg("grads"), nb::arg("num_threads"));
   m.def(
+      "elastic_energy_slopes",
+      [](const SoftPattern& pattern, const SoftArrays& inputs, Address x, const SoftArrays& slopes,
+         int num_threads) {
+        nb::gil_scoped_release release;
+        elastic_energy_slopes(pattern.model(), inputs.inputs(), in(x), slopes.adjoint().parameters,
+                              num_threads);
+      },
+      nb::kw_only(), nb::arg("pattern"), nb::arg("inputs"), nb::arg("x"), nb::arg("slopes"),
+      nb::arg("num_threads"));
+  m.def(
       "elastic_gradient_tangent",
       [](const SoftPattern& pattern, const SoftArrays& inputs, Address x, Address dx,
          const SoftArrays& directions, Address tangent, int num_threads) {

@@ -186,6 +186,83 @@ def _elastic_tangent(ctx, dx, moved):
     return tangent, energy  # as in reverse mode, of the positions alone
 
 
+@custom_op("diffsim::elastic_energy")
+def elastic_energy(
+    x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
+) -> tuple[Tensor, Tensor]:
+    """Elastic and pressure energy [J] per batch item, and its gradient in x [N].
+
+    ``inputs`` are the tensors of an :class:`EnergyArrays` without damping.
+    """
+    gradient, energy = elastic_gradient(x, inputs, handle=handle, num_threads=num_threads)
+    return energy, gradient
+
+
+@elastic_energy.register_fake
+def _(x, inputs, **_options):
+    return x.new_empty(x.shape[0]), torch.empty_like(x)
+
+
+@custom_op("diffsim::elastic_energy_slopes")
+def elastic_energy_slopes(
+    x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
+) -> list[Tensor]:
+    """Slopes of each item's energy by its parameters, in op order; all have a batch axis."""
+    ctx = context(handle)
+    arrays = _require(ctx, inputs, x=x)
+    slopes = arrays.gradient_buffers(x.shape[0])
+    for k in range(x.shape[0]):
+        core.elastic_energy_slopes(
+            pattern=ctx.pattern,
+            inputs=soft_addresses(arrays.item(k)),
+            x=x[k].data_ptr(),
+            slopes=soft_addresses({n: g[k] if g.numel() else g for n, g in slopes.items()}),
+            num_threads=num_threads,
+        )
+    return list(slopes.values())
+
+
+@elastic_energy_slopes.register_fake
+def _(x, inputs, **_options):
+    return list(EnergyArrays.of(inputs).gradient_buffers(x.shape[0]).values())
+
+
+def _energy_setup(ctx, inputs, keyword_only_inputs, output):
+    x, tensors = inputs
+    ctx.arguments = keyword_only_inputs
+    ctx.save_for_backward(x, output[1], *tensors)
+    ctx.owner = context(keyword_only_inputs["handle"])
+    ctx.mark_non_differentiable(output[1])
+
+
+def _energy_backward(ctx, grad_energy, _grad_gradient):
+    x, gradient, *tensors = ctx.saved_tensors
+    arrays = EnergyArrays.of(tensors)
+    slopes = elastic_energy_slopes_layer(x, tensors, **ctx.arguments)
+    named = {
+        name: slope * grad_energy.reshape(-1, *(1,) * (slope.ndim - 1)) if slope.numel() else slope
+        for name, slope in zip(arrays.differentiable(), slopes, strict=True)
+    }
+    g_x = grad_energy[:, None, None] * gradient
+    return g_x, EnergyArrays.all_gradients(arrays.summed(named))
+
+
+def _energy_tangent(ctx, dx, moved):
+    x, gradient, *tensors = ctx.saved_tensors
+    arrays = EnergyArrays.of(tensors)
+    slopes = elastic_energy_slopes_layer(x, tensors, **ctx.arguments)
+    tangent = torch.zeros_like(x[:, 0, 0]) if dx is None else (gradient * dx).sum((-2, -1))
+    directions = dict(zip(arrays.specs, moved, strict=True))
+    for name, slope in zip(arrays.differentiable(), slopes, strict=True):
+        if directions[name] is not None and slope.numel():
+            tangent = tangent + (slope * directions[name]).flatten(1).sum(1)
+    return tangent, None
+
+
+elastic_energy_slopes_layer = make_first_order(elastic_energy_slopes)
+elastic_energy_layer = make_layer(
+    elastic_energy, setup=_energy_setup, backward=_energy_backward, tangent=_energy_tangent
+)
 elastic_gradient_vjp_layer = make_first_order(elastic_gradient_vjp)
 elastic_gradient_jvp_layer = make_first_order(elastic_gradient_jvp)
 elastic_gradient_layer = make_layer(

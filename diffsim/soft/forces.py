@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -110,21 +108,16 @@ def elastic_energy(
         physics: Parameters; None: the body's own.
 
     Returns:
-        Energies, (...) [J]. Gradient: x only (parameters are treated as constants).
+        Energies, (...) [J]. Gradients: x, activation, pressure, physics; first order.
     """
     x, loads = _check_state(body, x, activation=activation, pressure=pressure, physics=physics)
-    constants = replace(
-        loads.physics,
-        weights=loads.physics.weights.detach(),
-        fiber_stiffness=loads.physics.fiber_stiffness.detach(),
+    energy, _ = _ops_elastic.elastic_energy_layer(
+        flat(x),
+        energy_arrays(loads).tensors(),
+        handle=body.handle,
+        num_threads=body.solver.num_threads,
     )
-    loads = replace(
-        loads,
-        activation=loads.activation.detach(),
-        pressure=loads.pressure.detach(),
-        prepared=PreparedBody(body, constants),
-    )
-    return elastic_gradient(x, loads)[1]
+    return energy.reshape(x.shape[:-2])
 
 
 def _check_state(

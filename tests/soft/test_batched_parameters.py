@@ -118,6 +118,10 @@ def test_statics_and_forces_take_members_too():
             down[k], body.static_equilibrium(physics=own).x, rtol=0, atol=1e-8
         )
         assert torch.equal(force[k], soft.elastic_force(body, x[k], physics=own))
+    modulus = leaf([500.0, 1000.0, 4000.0])
+    energy = soft.elastic_energy(body, x, physics=body.physics(batch=3, youngs_modulus=modulus))
+    (slope,) = torch.autograd.grad(energy.sum(), modulus)  # linear in each member's own modulus
+    torch.testing.assert_close(slope * modulus, energy, rtol=1e-12, atol=0)
     sag = down[:, -1, 2]
     (slope,) = torch.autograd.grad(sag.sum(), E)
     assert bool((slope > 0).all())

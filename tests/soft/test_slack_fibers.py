@@ -56,8 +56,9 @@ def test_taut_it_is_a_length_muscle(kind):
         force = body.elastic_force(y, activation=activation, physics=physics)
         weights = noise(*x.shape)
         grads = torch.autograd.grad((force * weights).sum(), (y, activation, stiffness))
-        energy = body.elastic_energy(y, activation=activation)
-        results.append([force, energy, *grads, body(at_rest(x), activation=below).x])
+        energy = body.elastic_energy(y, activation=activation, physics=physics)
+        slopes = torch.autograd.grad(energy, (y, activation, stiffness))
+        results.append([force, energy, *grads, *slopes, body(at_rest(x), activation=below).x])
     for one, other in zip(*results, strict=True):
         assert one.abs().max() > 1e-6
         torch.testing.assert_close(one, other, rtol=0, atol=0)
@@ -215,3 +216,25 @@ def test_methods_agree_across_the_kink(method, kind):
 def test_it_says_what_kinds_there_are():
     with pytest.raises(ValueError, match=r"one of .*'tendon'.*, got 'tendom'; did you"):
         soft.Muscle(elements=torch.tensor([0]), direction=[1, 0, 0], stiffness=1.0, kind="tendom")
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+def test_the_energy_s_slopes_by_fibers(kind):
+    """Taut and slack, with another stiffness of the solid at each element."""
+    m = irregular_mesh(kind)
+    body = soft_body(m, muscles=fibers_of(m))
+    x = affine(m)
+    for offset in (-0.2, 0.1):
+        args = (
+            leaf(x),
+            leaf(row(stretches(m, x) + offset)),
+            leaf([20.0]),
+            leaf(30.0 + noise(m.num_elements, seed=3)),
+        )
+
+        def energy(x, activation, fiber_stiffness, youngs_modulus):
+            physics = body.physics(fiber_stiffness=fiber_stiffness, youngs_modulus=youngs_modulus)
+            return body.elastic_energy(x, activation=activation, physics=physics)
+
+        check_directions(energy, args, check_forward_ad=True)

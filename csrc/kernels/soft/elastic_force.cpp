@@ -64,4 +64,15 @@ void elastic_gradient_tangent(const SoftModel& model, const StepInputs& in, cons
   for (std::size_t i = 0; i < size; ++i) out[i] += moved[i];
 }
 
+void elastic_energy_slopes(const SoftModel& model, const StepInputs& in, const double* x,
+                           const ParameterAdjoint& out, int num_threads) {
+  ThreadPool pool(num_threads);
+  ElasticityScratch scratch;
+  energy_slopes(model, in.parameters, x, out, scratch, pool);
+  pressure_adjoint(model, x, x, out.pressure, pool);
+  if (!out.pressure) return;
+  // a volume is homogeneous of degree three: x . dV/dx = 3 V
+  for (std::int64_t c = 0; c < model.chambers.num_chambers; ++c) out.pressure[c] /= 3.0;
+}
+
 }  // namespace diffsim

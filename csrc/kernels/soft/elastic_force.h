@@ -22,4 +22,8 @@ void elastic_gradient_tangent(const SoftModel& model, const StepInputs& inputs, 
                               const double* dx, const ParameterDirections& directions, double* out,
                               int num_threads);
 
+/// d(E - p V)/dp [J] by the parameters of one item, without damping.
+void elastic_energy_slopes(const SoftModel& model, const StepInputs& inputs, const double* x,
+                           const ParameterAdjoint& out, int num_threads);
+
 }  // namespace diffsim

@@ -224,18 +224,65 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
   });
 }
 
+/// The energy is linear in weights and stiffnesses: its slopes are the energies of units.
+template <typename Group, typename M>
+void energy_slopes_of(const SoftModel& model, const SoftParameters& p, const double* x,
+                      const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fiber = model.fiber;
+  const auto unit = unit_weights<M>();
+  const KeptFrames kept = kept_frames(scratch, model, x);
+  for_stages(solid, pool, [&](Index first, int count) {
+    const Stage<Group> stage(solid, first, count, x, kept, false);
+    for (int n = 0; n < count; ++n) {
+      const Index g = first + n;
+      Native by_weight[M::kWeights][kParts], d[3];
+      for (int part = 0; part < kParts; ++part) {
+        const typename M::template Sample<Native> sample(stage.frame(n * kParts + part));
+        const Native weight = split(Group::shape(solid, g).weight, part);
+        for (int k = 0; k < M::kWeights; ++k)
+          by_weight[k][part] = weight * M::stress(sample, unit[k].data(), d);
+      }
+      add_weights<Group, M>(solid, g, by_weight, out.weights);
+    }
+  });
+  for_groups(fiber, pool, [&](Index g) {
+    Native F[kParts][9], by_stiffness[kParts], by_activation[kParts];
+    deformation_gradient<Group>(fiber, g, x, F);
+    for (int part = 0; part < kParts; ++part) {
+      const FiberPull<Native> pull = fiber_part<Group>(model, p, g, part, F[part]).pull;
+      const Native weight = split(Group::shape(fiber, g).weight, part);
+      by_stiffness[part] = 0.5 * weight * pull.stretch * pull.stretch;
+      by_activation[part] = -weight * pull.stiffness * pull.stretch;
+    }
+    Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
+    Group::add_element_value(fiber, g, by_activation, out.activation);
+  });
+}
+
+void clear_elastic(const SoftModel& model, const ParameterAdjoint& out) {
+  std::fill(out.weights, out.weights + model.weights_size(), 0.0);
+  std::fill(out.fiber_stiffness, out.fiber_stiffness + model.fiber.num_elements, 0.0);
+  std::fill(out.activation, out.activation + model.fiber.num_elements, 0.0);
+}
+
 }  // namespace
+
+void energy_slopes(const SoftModel& model, const SoftParameters& p, const double* x,
+                   const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  clear_elastic(model, out);
+  with_types(model, [&](auto group, auto material) {
+    energy_slopes_of<decltype(group), decltype(material)>(model, p, x, out, scratch, pool);
+  });
+}
 
 void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
                        const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
-  const auto clear = [](double* values, Index size) { std::fill(values, values + size, 0.0); };
-  clear(out.weights, model.weights_size());
-  clear(out.fiber_stiffness, model.fiber.num_elements);
-  clear(out.activation, model.fiber.num_elements);
+  clear_elastic(model, out);
   if (p.damp_mu) {
-    clear(out.damp_mu, model.solid.num_elements);
-    clear(out.damp_lambda, model.solid.num_elements);
+    std::fill(out.damp_mu, out.damp_mu + model.solid.num_elements, 0.0);
+    std::fill(out.damp_lambda, out.damp_lambda + model.solid.num_elements, 0.0);
   }
   scratch.vectors.resize(at(model.vectors_size));
   with_types(model, [&](auto group, auto material) {

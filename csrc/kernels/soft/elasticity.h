@@ -68,6 +68,10 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
                        const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
 
+/// dE/dp for the weights, stiffnesses and activations of E, without damping, overwritten.
+void energy_slopes(const SoftModel& model, const SoftParameters& parameters, const double* x,
+                   const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
+
 /// Directions in the parameters of the energy, (count, ...) each; null where none moves. Those of
 /// damping need a damped body.
 struct ParameterDirections {
