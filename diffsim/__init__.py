@@ -20,6 +20,7 @@ from diffsim.core.errors import (
     ConvergenceWarning,
     DiffsimError,
     FactorizationError,
+    IntegrationError,
     InvertedElementError,
     MeshError,
 )
@@ -85,6 +86,7 @@ __all__ = [
     "ConvergenceWarning",
     "DiffsimError",
     "FactorizationError",
+    "IntegrationError",
     "InvertedElementError",
     "MeshError",
     "Record",

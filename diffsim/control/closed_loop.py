@@ -8,7 +8,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require, require_constant, require_count, require_number
 
 
 class Normalizer(nn.Module):
@@ -27,6 +27,7 @@ class Normalizer(nn.Module):
 
     def __init__(self, size: int, clip: float = 10.0):
         super().__init__()
+        size = require_count("size", size, at_least=1)
         self.clip = require_number("clip", clip, above=0.0)
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
@@ -34,8 +35,16 @@ class Normalizer(nn.Module):
 
     @torch.no_grad()
     def update(self, observations: Tensor) -> None:
-        """Take more observations (..., size) into account."""
-        rows = observations.reshape(-1, observations.shape[-1])
+        """Take more observations (..., size) into account; none change nothing.
+
+        Raises:
+            TypeError: no float64 tensor.
+            ValueError: another size, or an entry that is not finite.
+        """
+        observations = require("observations", observations, ("...", len(self.mean)))
+        rows = observations.reshape(-1, len(self.mean))
+        if not len(rows):
+            return
         new = float(len(rows))
         total = self.count + new
         away = rows.mean(0) - self.mean
@@ -94,6 +103,7 @@ class MLPController(nn.Module):
             nn.init.zeros_(layer.bias)
             layers += [layer, nn.Tanh()]
         self.layers = nn.Sequential(*layers)
+        require_constant("input_gains", input_gains, "weights are trained from them on")
         if input_gains is not None:
             gains = require("input_gains", input_gains, (num_observations,))
             with torch.no_grad():

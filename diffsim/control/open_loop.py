@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require_number
+from diffsim.core.check import require_constant, require_number
+from diffsim.core.values import as_array
 
 
 class OpenLoop(nn.Module):
@@ -64,6 +65,8 @@ class Sinusoid(OpenLoop):
         learn_phases: bool = True,
     ):
         super().__init__(num_commands, dt)
+        for name, given in (("frequency", frequency), ("frequency_range", frequency_range)):
+            require_constant(name, given, "it is a first guess of a parameter")
         low, high = frequency_range
         if not 0.0 < low < frequency < high:
             raise ValueError(
@@ -123,6 +126,7 @@ class Knots(OpenLoop):
         self.duration = require_number("duration", duration, above=0.0)
         count = int(require_number("num_knots", num_knots, at_least=2))
         self.periodic = periodic
+        require_constant("start", start, "it is a first guess of the parameters")
         values = torch.zeros(count, num_commands, dtype=torch.float64) if start is None else start
         if tuple(values.shape) != (count, num_commands):
             raise ValueError(
@@ -146,7 +150,9 @@ class Knots(OpenLoop):
 
 
 def _row(name: str, values: Sequence[float] | None, width: int, default: float) -> Tensor:
-    row = torch.as_tensor([default] * width if values is None else list(values)).double()
+    require_constant(name, values, "it is a first guess of parameters")
+    given = [default] * width if values is None else values
+    row = as_array(name, given).detach().to(torch.float64).clone()
     if row.shape != (width,):
         raise ValueError(f"{name} must have {width} entries, one per command, got {len(row)}")
     return row

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 
 def values_of(value: Tensor) -> Tensor:
@@ -97,6 +98,29 @@ def require_tensor(name: str, value: Tensor, dtype: torch.dtype = torch.float64)
         if value.is_meta:
             raise TypeError(f"{name} must be on the CPU, got device meta: a shape without values")
         raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
+
+
+def require_constant(name: str, value: Any, hint: str = "") -> None:
+    """Refuse tensors that a derivative is asked of, where none would be computed.
+
+    Args:
+        name: The argument's name, for the message.
+        value: A tensor, a list of them, or anything else, which is let pass.
+        hint: What carries a derivative instead.
+
+    Raises:
+        ValueError: a tensor requires a gradient, or moves in forward mode.
+    """
+    parts = value if isinstance(value, (list, tuple)) else (value,)
+    if any(isinstance(part, Tensor) and _is_followed(part) for part in parts):
+        raise ValueError(
+            f"{name} must not require grad: no derivative by it is computed; pass "
+            f"{name}.detach(){_hint(hint)}"
+        )
+
+
+def _is_followed(value: Tensor) -> bool:
+    return value.requires_grad or forward_ad.unpack_dual(value).tangent is not None
 
 
 def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:

@@ -53,6 +53,20 @@ class ConvergenceError(DiffsimError):
         self.num_iters = num_iters
 
 
+class IntegrationError(DiffsimError):
+    """States of an equation are no numbers from some time on.
+
+    Attributes:
+        item: Index in the batch.
+        time: The first sample that is none [s].
+    """
+
+    def __init__(self, message: str, *, item: int, time: float):
+        super().__init__(message)
+        self.item = item
+        self.time = time
+
+
 class ConvergenceWarning(UserWarning):
     """An iterative solve stopped above its tolerance, where the caller chose to go on."""
 

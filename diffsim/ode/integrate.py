@@ -11,7 +11,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice, require_threads
+from diffsim.core.check import (
+    all_finite,
+    require,
+    require_choice,
+    require_constant,
+    require_threads,
+    values_of,
+)
+from diffsim.core.errors import IntegrationError
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.ode import _ops
 from diffsim.ode.tape import Tapes, make_tapes
@@ -96,6 +104,7 @@ class Ode:
         *,
         num_steps: int = 1,
         num_threads: int = 1,
+        finite: bool = True,
     ) -> tuple[Tensor, Tensor]:
         """Integrate by the classical Runge-Kutta method, fixed steps between samples.
 
@@ -106,6 +115,8 @@ class Ode:
             parameters: (num_parameters,) or (batch, num_parameters).
             num_steps: Steps between two samples.
             num_threads: Worker threads; results do not depend on it.
+            finite: Whether NaN and infinity are an error; else they are returned, for callers
+                that judge each member of a batch.
 
         Returns:
             Readings, (num_samples, num_channels), and states, (num_samples, num_states), both with
@@ -113,10 +124,13 @@ class Ode:
             first order, exact for the steps that were computed.
 
         Raises:
-            ValueError: shapes disagree, or times do not increase.
+            ValueError: shapes disagree, times do not increase or require a gradient.
+            IntegrationError: a state or reading is no number: a formula has no value there (the
+                logarithm of a negative number), or steps are too long.
         """
         num_threads = require_threads(num_threads)
         n, m, q = len(self.rates), len(self.inputs), len(self.parameters)
+        require_constant("times", times, "a time that is sought can scale all rates")
         times = require("times", times, ("num_samples",))
         if not bool((times.diff() > 0).all()):
             raise ValueError("times must increase from sample to sample")
@@ -138,7 +152,26 @@ class Ode:
             inputs=u,
             parameters=parameters.expand(batch, q),
         )
+        if finite:
+            self._require_finite(times, readings, states)
         return (readings, states) if sizes else (readings[0], states[0])
+
+    def _require_finite(self, times: Tensor, readings: Tensor, states: Tensor) -> None:
+        if torch.compiler.is_compiling():
+            return  # without values
+        seen = values_of(torch.cat([states.detach(), readings.detach()], -1))
+        if all_finite(seen):
+            return
+        lost = ~seen.reshape(-1, *states.shape[-2:-1], seen.shape[-1]).isfinite()
+        item, sample, quantity = (int(i) for i in lost.nonzero()[0])
+        name = [*self.rates, *self.readings][quantity]
+        of = f" of item {item}" if len(lost) > 1 else ""
+        raise IntegrationError(
+            f"{name}{of} is no number from {float(times[sample]):g} s on: a formula has no value "
+            f"there, or the steps are too long; look at its terms, or raise num_steps",
+            item=item,
+            time=float(times[sample]),
+        )
 
     def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
         """Arguments of the ops that do not depend on values."""

@@ -12,6 +12,7 @@ from torch import Tensor
 from diffsim.core.check import (
     require,
     require_choice,
+    require_constant,
     require_indices,
     require_number,
     require_range,
@@ -57,6 +58,9 @@ class Muscle:
         )
         if elements.numel() == 0:
             raise ValueError("elements must name at least one element, got none")
+        for name in ("direction", "weights", "stiffness"):
+            hint = "Physics carries fiber_stiffness" if name == "stiffness" else ""
+            require_constant(name, getattr(self, name), hint)
         direction = as_array("direction", self.direction, torch.float64)
         if direction.ndim == 1:
             direction = direction.expand(elements.numel(), -1)

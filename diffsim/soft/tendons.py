@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require, require_constant, require_number
 from diffsim.core.values import as_array
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle
@@ -67,7 +67,8 @@ class Tendon(nn.Module):
         self.axial_stiffness = require_number(
             "axial_stiffness", axial_stiffness, above=0.0, hint="unit is N"
         )
-        corners = require("path", as_array("path", path, torch.float64), ("k", 3)).detach()
+        require_constant("path", path)
+        corners = require("path", as_array("path", path, torch.float64), ("k", 3))
         if corners.shape[0] < 2:
             raise ValueError(f"path must have at least two corners, got {corners.shape[0]}")
         if bool((corners.diff(dim=0).norm(dim=1) == 0).any()):

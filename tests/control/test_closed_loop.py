@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
-from diffsim.control import MLPController, Normalizer
+from diffsim.control import Knots, MLPController, Normalizer, Sinusoid
 
 
 @pytest.fixture
@@ -56,3 +58,40 @@ def test_gains_of_observations_are_factors_on_them():
     scaled = MLPController(3, 1, normalize=False, output_gain=1.0, input_gains=gains)
     seen = torch.tensor([[0.3, 0.7, -0.2]], dtype=torch.float64)
     torch.testing.assert_close(scaled(seen), plain(gains * seen), rtol=1e-12, atol=0)
+
+
+def test_an_observation_that_is_no_number_is_refused_and_changes_nothing():
+    """It made every later command NaN."""
+    normalizer = Normalizer(2)
+    normalizer.update(torch.tensor([[1.0, 2.0], [3.0, 5.0]], dtype=torch.float64))
+    before = {name: value.clone() for name, value in normalizer.state_dict().items()}
+    with pytest.raises(ValueError, match="observations must be finite"):
+        normalizer.update(torch.tensor([[math.nan, 0.0]], dtype=torch.float64))
+    normalizer.update(torch.zeros(0, 2, dtype=torch.float64))
+    for name, value in normalizer.state_dict().items():
+        assert torch.equal(value, before[name])
+
+
+def test_a_normalizer_of_nothing_or_of_a_list_is_refused():
+    with pytest.raises(ValueError, match="size must be a whole number >= 1"):
+        Normalizer(0)
+    with pytest.raises(TypeError, match=r"observations must be a torch\.Tensor"):
+        Normalizer(2).update([[1.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [
+        ("amplitudes", lambda p: Sinusoid(2, 0.1, amplitudes=p)),
+        ("phases", lambda p: Sinusoid(2, 0.1, phases=p)),
+        ("frequency", lambda p: Sinusoid(2, 0.1, frequency=2.0 * p[0])),
+        ("start", lambda p: Knots(1, 0.1, num_knots=2, duration=1.0, start=p[:, None])),
+        ("input_gains", lambda p: MLPController(2, 1, input_gains=p)),
+    ],
+)
+def test_a_first_guess_carries_no_gradient_and_says_so(name, make):
+    """They were copied without a word."""
+    given = torch.tensor([0.5, 0.4], dtype=torch.float64)
+    make(given)
+    with pytest.raises(ValueError, match=f"{name} must not require grad"):
+        make(given.requires_grad_())

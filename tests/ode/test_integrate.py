@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from diffsim import IntegrationError
 from diffsim.ode import Ode
 from tests.gradients import check_directions
 
@@ -182,3 +183,40 @@ def test_times_must_increase():
     ode = Ode(rates={"x": "-x"}, readings={"x": "x"})
     with pytest.raises(ValueError, match="increase"):
         ode.solve(torch.tensor([0.0, 1.0, 1.0]).double(), torch.ones(1).double())
+
+
+@pytest.mark.parametrize(("rate", "start"), [("log(x) - 1", 0.5), ("-x**2.5 - 1", 0.1)])
+def test_a_formula_without_a_value_is_an_error_with_its_time(rate, start):
+    ode = Ode(rates={"x": rate}, readings={"y": "x"})
+    times = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
+    with pytest.raises(IntegrationError, match=r"x is no number from 0\.\d+ s on") as lost:
+        ode.solve(times, torch.tensor([start], dtype=torch.float64))
+    assert lost.value.item == 0 and 0.0 < lost.value.time < 2.0
+    found, _ = ode.solve(times, torch.tensor([start], dtype=torch.float64), finite=False)
+    first = int(torch.nonzero(~found[:, 0].isfinite())[0])
+    assert float(times[first]) == lost.value.time
+
+
+def test_the_member_of_a_batch_that_is_lost_is_said():
+    ode = Ode(rates={"x": "log(x) - 1"}, readings={"y": "x"})
+    times = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
+    with pytest.raises(IntegrationError, match="x of item 1") as lost:
+        ode.solve(times, torch.tensor([[4.0], [0.5]], dtype=torch.float64))
+    assert lost.value.item == 1
+
+
+def test_times_carry_no_gradient_and_say_so():
+    """It was silently zero, where differences give -0.368."""
+    ode = Ode(rates={"x": "-x"}, readings={"y": "x"})
+    times = torch.linspace(0.0, 1.0, 11, dtype=torch.float64)
+    one = torch.ones(1, dtype=torch.float64)
+
+    def last(scale):
+        return ode.solve(times * scale, one)[0][-1, 0]
+
+    with pytest.raises(ValueError, match="times must not require grad"):
+        last(torch.ones((), dtype=torch.float64, requires_grad=True))
+    with pytest.raises(ValueError, match="times must not require grad"):
+        torch.func.jvp(last, (one[0],), (one[0],))
+    with pytest.raises(ValueError, match="times must not require grad"):
+        torch.func.grad(last)(one[0])

@@ -229,10 +229,10 @@ class _Flow:
     def solve(self, start: Tensor, first: int, last: int) -> tuple[Tensor, Tensor]:
         """Readings and states from one time of the grid to another, both included."""
         if (first, last) == (0, len(self.times) - 1):
-            return self.ode.solve(self.times, start, self.inputs, self.parameters)
+            return self.ode.solve(self.times, start, self.inputs, self.parameters, finite=False)
         piece = slice(first, last + 1)
         inputs = None if self.inputs is None else self.inputs[..., piece, :]
-        return self.ode.solve(self.times[piece], start, inputs, self.parameters)
+        return self.ode.solve(self.times[piece], start, inputs, self.parameters, finite=False)
 
 
 def at_start(state: str) -> str:
