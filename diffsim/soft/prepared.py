@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from diffsim.core.check import require_constant
 from diffsim.core.layer import is_kernel_alone
 from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
@@ -47,6 +48,18 @@ class StageTerms:
         )
 
 
+def _require_own_shape(body: Solid) -> None:
+    """Refuse a rest shape that was put in place of the mesh's, or that a gradient is asked of: what
+    kernels know of the shape was made from the mesh, once."""
+    hint = "no gradient by the rest shape is computed; parameters of a shape move its mesh"
+    require_constant("x_rest", body.x_rest, hint)
+    if body.x_rest is not body.mesh.x_rest and not torch.equal(body.x_rest, body.mesh.x_rest):
+        raise ValueError(
+            "x_rest of a body must be its mesh's, float64; make a new body of a mesh with other "
+            "positions (to(), float() and functional_call cannot change the shape)"
+        )
+
+
 class PreparedBody:
     """A body with parameters: what all steps of a rollout share.
 
@@ -66,6 +79,7 @@ class PreparedBody:
     """
 
     def __init__(self, body: Solid, physics: Physics | None):
+        _require_own_shape(body)
         physics = body.physics() if physics is None else physics
         mesh, muscles = body.mesh, body.muscles
         require_physics(physics, mesh.num_nodes, mesh.num_elements, body.material.law)

@@ -531,3 +531,28 @@ def test_arrays_of_kernels_are_named():
         EnergyArrays(one, one)
     with pytest.raises(TypeError, match="missing 7 required keyword-only"):
         EnergyArrays(fiber_stiffness=one)
+
+
+def at_rest(x):
+    return soft.State(x, torch.zeros_like(x))
+
+
+def test_a_gradient_by_the_rest_shape_is_refused():
+    """It was -0.030 where differences give 0.955."""
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m)
+    body.x_rest = body.x_rest.clone().requires_grad_()
+    with pytest.raises(ValueError, match="x_rest must not require grad"):
+        body(at_rest(body.x_rest.detach()))
+
+
+def test_a_rest_shape_in_place_of_the_mesh_s_is_refused():
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m)
+    other = {"x_rest": 1.1 * m.x_rest}
+    with pytest.raises(ValueError, match="must be its mesh's"):
+        torch.func.functional_call(body, other, (at_rest(m.x_rest),))
+    same = torch.func.functional_call(body, {"x_rest": m.x_rest.clone()}, (at_rest(m.x_rest),))
+    assert torch.equal(same.x, body(at_rest(m.x_rest)).x)
+    with pytest.raises(ValueError, match="must be its mesh's, float64"):
+        soft_body(m).float()(at_rest(m.x_rest))
