@@ -1,4 +1,7 @@
-"""Formulas of columns: names that are no words of a formula stand in backquotes."""
+"""Formulas of columns: names that are no words of a formula stand in backquotes.
+
+``derivative(NAME)`` is the slope of a column in time, by central differences [1/s].
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,27 @@ from diffsim.core.expression import parse_expression
 Array = NDArray[np.float64]
 CLOCK = "t"
 _QUOTED = re.compile(r"`([^`]*)`")
+_DERIVATIVE = re.compile(r"\bderivative\(\s*([A-Za-z_]\w*)\s*\)")
+_SLOPE = "derivative_of_"  # before the word of a column: its slope
 
 
 def quoted_names(text: str) -> tuple[str, dict[str, str]]:
-    """A formula with words in place of names in backquotes, and the name of each word."""
-    names: dict[str, str] = {}
+    """A formula with words in place of names in backquotes and of derivatives, and their names."""
+    words: dict[str, str] = {}
 
     def word(match: re.Match[str]) -> str:
         name = match.group(1)
-        return names.setdefault(name, f"quoted_{len(names)}")
+        return words.setdefault(name, f"quoted_{len(words)}")
 
     plain = _QUOTED.sub(word, text)
-    return plain, {word: name for name, word in names.items()}
+    names = {word: name for name, word in words.items()}
+
+    def slope(match: re.Match[str]) -> str:
+        of = match.group(1)
+        names[_SLOPE + of] = names.get(of, of)
+        return _SLOPE + of
+
+    return _DERIVATIVE.sub(slope, plain), names
 
 
 def names_in(text: str) -> tuple[str, ...]:
@@ -63,7 +75,9 @@ def evaluate(
         elif word == "nan":
             values[word] = torch.tensor(float("nan"), dtype=torch.float64)
         elif name in there:
-            values[word] = torch.as_tensor(np.array(value_of(name), dtype=np.float64))
+            of = np.array(value_of(name), dtype=np.float64)
+            is_slope = word != name and word.startswith(_SLOPE)
+            values[word] = torch.as_tensor(_slope(of, clock) if is_slope else of)
         else:
             written = [n if n.isidentifier() else f"`{n}`" for n in there]
             raise ValueError(
@@ -71,3 +85,10 @@ def evaluate(
                 f"there are {', '.join(written)}, and {CLOCK}"
             )
     return np.array(np.broadcast_to(parsed(values).numpy(), clock.shape))
+
+
+def _slope(values: Array, clock: Array) -> Array:
+    """Derivative in time by central differences; of a fact, or of a single row, there is none."""
+    if values.ndim == 0 or len(values) < 2:
+        raise ValueError("derivative() needs a column with two rows or more")
+    return np.asarray(np.gradient(values, clock), dtype=np.float64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -189,7 +190,11 @@ class RunReader:
         if entry.missing_if is not None:
             measured[samples.formula(entry.missing_if) != 0.0] = np.nan
         command = {c.name: self._values(c, entry, samples) for c in self.study.commands}
-        columns = numeric_columns(samples)
+        columns = {
+            name: values
+            for name, values in numeric_columns(samples).items()
+            if not any(fnmatchcase(name, pattern) for pattern in self.study.ignore)
+        }
         run = Run(name, samples.time_s, measured, command, name, setup=facts, columns=columns)
         run = run.part(keep)
         return run if entry.every == 1 or not entry.average else averaged(run, entry.every)

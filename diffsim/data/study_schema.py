@@ -378,6 +378,11 @@ class StudyFile(Part):
         description="Facts of `setup` that can be changed for a next run, with possible values: "
         "{payload_kg: [0, 0.1, 0.3]}",
     )
+    ignore: Texts = Field(
+        (),
+        description="Columns that nothing may be read from, such as what others computed: "
+        "`residual_*`",
+    )
     faults: FaultKeys | None = Field(
         None, description="Groups of runs that are each judged for a fault: `diagnose faults`"
     )

@@ -75,6 +75,16 @@ def test_a_column_that_the_study_does_not_mention_arrives_in_si_units(load):
         np.testing.assert_allclose(run.columns["temp"], temperature(seed) + 273.15, rtol=1e-14)
 
 
+def test_what_the_study_ignores_is_read_by_nothing(load):
+    def more(seed: int) -> dict[str, Any]:
+        return {"residual_x": temperature(seed + 3), "residual_y": temperature(seed + 6)}
+
+    assert len(load(more).columns) == 3
+    study = load(more, ignore=["residual_*"])
+    assert [column.name for column in study.columns] == ["temp"]
+    assert all(list(run.columns) == ["temp"] for run in study.runs)
+
+
 def test_windows_and_blocks_cut_it(load):
     window = {"from_s": 0.1, "until_s": 0.3, "every": 2}
     run = load(defaults=window).runs[0]
