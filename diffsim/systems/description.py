@@ -260,8 +260,12 @@ class BaseParameters:
 
     def with_further(self, more: Sequence[Parameter]) -> BaseParameters:
         """The same with base parameters that no quantity states, such as starts of pieces."""
+        return self.with_priors((*self.base, *more))
+
+    def with_priors(self, base: Sequence[Parameter]) -> BaseParameters:
+        """The same quantities, with these base parameters."""
         out = BaseParameters({}, ())
-        out.quantities, out.base = self.quantities, (*self.base, *more)
+        out.quantities, out.base = self.quantities, tuple(base)
         return out
 
     def name_of(self, key: str, run: Run) -> str:

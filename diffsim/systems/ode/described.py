@@ -23,7 +23,7 @@ from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.applying import labels_of
 from diffsim.systems.ode.gaps import Gap, find_gaps
-from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
+from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store, Swing
 from diffsim.systems.ode.names import (
     RUN_ORDER,
     Reader,
@@ -56,6 +56,7 @@ class DescribedMotion:
     places: tuple[Place, ...] = ()
     stores: tuple[Store, ...] = ()
     events: tuple[Events, ...] = ()
+    swings: tuple[Swing, ...] = ()
     time_step: float | None = None
     slow_time: Quantity | None = None
     clocks: Mapping[str, Quantity] = field(default_factory=dict)
@@ -106,6 +107,7 @@ class FormulaSystem:
         if motion != DescribedMotion():
             self._check_places()
             self._check_events()
+            self._check_swings()
         states = tuple(motion.states)
         own = keys.effects.formulas
         every = (*self.known, *self.columns)
@@ -117,6 +119,7 @@ class FormulaSystem:
         self.base = self.base.with_further([g.parameter for gs in self.gaps.values() for g in gs])
         self.pieces: dict[str, tuple[Piece, ...]] = {}
         self.parts = self._count_parts()
+        self.base = self._with_frequencies_seen()
         self.pieces = self._cut_runs()
         if self.pieces:
             self.base = self.base.with_further(self._list_starts_of_pieces())
@@ -158,7 +161,10 @@ class FormulaSystem:
         return self._reader.parse(f"states.{state}", given, (*numbers, *self.input_held))
 
     def _parse_definitions(self) -> dict[str, Expression]:
-        made = self._parse_formulas("define", self.keys.define)
+        from diffsim.systems.ode.swings import with_swings
+
+        swings = [s for s in self.motion.swings if s.of in self.keys.define]
+        made = self._parse_formulas("define", with_swings(self.keys.define, swings))
         for name, table in self.keys.tables.items():
             made[name] = piecewise(
                 self._reader.parse(f"tables.{name}.of", table.of, self.known),
@@ -251,10 +257,12 @@ class FormulaSystem:
         from diffsim.systems.ode.event_effects import timings
         from diffsim.systems.ode.place_effects import shapes
         from diffsim.systems.ode.store_effects import spilled
+        from diffsim.systems.ode.swings import swing_quantities
 
         motion, given = self.motion, dict[str, Quantity]()
         for events in motion.events:
             given |= timings(events, self.study)
+        given |= swing_quantities(motion.swings)
         given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
         for place in motion.places:
             given |= shapes(place)
@@ -341,6 +349,22 @@ class FormulaSystem:
                 f"state `time_step` [s] to choose, such as {self.step / parts:.2g}",
             )
         return parts
+
+    def _with_frequencies_seen(self) -> BaseParameters:
+        """Base parameters, with frequencies of swings as the records suggest."""
+        if self._reader.has_errors or not self.motion.swings:
+            return self.base
+        from diffsim.systems.ode.swings import with_frequencies_seen
+
+        formulas = repr((self.keys, self._given, self.motion, self.parts, self.input_held))
+        swings, runs = self.motion.swings, self.study.runs
+        return self.base.with_priors(with_frequencies_seen(self.model(), swings, runs, formulas))
+
+    def _check_swings(self) -> None:
+        for i, swing in enumerate(self.motion.swings):
+            if swing.of not in self.keys.define:
+                close = did_you_mean(swing.of, self.keys.define)
+                self._reader.report(f"swings[{i}].of", f"no definition {swing.of!r}{close}")
 
     def _find_gaps(self) -> dict[str, tuple[Gap, ...]]:
         """Gaps of the runs in which held commands changed, by name of the run."""

@@ -29,6 +29,7 @@ from diffsim.systems.ode.keys import (
     Place,
     States,
     Store,
+    Swing,
     read_names_as_text,
 )
 from diffsim.systems.ode.law_effects import (
@@ -71,6 +72,11 @@ class OdeDescription(FormulaKeys):
     events: tuple[Events, ...] = Field(
         (), description="What may have acted for a limited time; opens its forms at each place"
     )
+    swings: tuple[Swing, ...] = Field(
+        (),
+        description="What may swing in each run with a period of its own; where, and how fast, is "
+        "read off the record and fitted, with a value for every run",
+    )
     time_step: Seconds | None = Field(
         None,
         gt=0,
@@ -110,6 +116,7 @@ class OdeDescription(FormulaKeys):
             places=self.places,
             stores=self.stores,
             events=self.events,
+            swings=self.swings,
             time_step=self.time_step,
             slow_time=self.slow_time,
             clocks=self.clocks,

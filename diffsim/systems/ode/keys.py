@@ -189,6 +189,14 @@ class Events(Part):
     )
 
 
+class Swing(Part):
+    """What may swing in every run with a period of its own, such as a gust."""
+
+    name: str = Field(description="Name; its numbers are NAME_sine, NAME_cosine, NAME_frequency")
+    of: str = Field(description="Definition that swings")
+    typical: AnyQuantity = Field(description="Amplitude that would be no surprise")
+
+
 class Rest(Part):
     """Window of each run in which the system rests."""
 

@@ -19,6 +19,7 @@ from diffsim.systems.ode.place_effects import pushed
 from diffsim.systems.ode.scene import OdeScene
 
 KNOTS, LEAST_KNOTS = 40, 4  # over the longest run, before anything is fitted
+MOST_OF_INPUTS = 2000  # knots of all inputs in all runs: 12,800 took 5 s for each set of causes
 MOST_KNOTS = 200  # each costs about a simulation of every command; 4 Hz over 6 s asks for 193
 
 
@@ -39,13 +40,23 @@ def unknown_forces(library: Library) -> tuple[Unknown, ...]:
         out.append(_make_smooth(library, name, said, change, unit, typical))
     if out:
         return tuple(out)
+    groups = len({run.group for run in library.study.runs})
+    knots = MOST_OF_INPUTS // max(groups * len(library.held), 1)
     for name in library.held:
         most = library.scales.of_commands((name,))["reach"]
         own = f"unknown_change_of_{name}"
         total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
         change = Change(names={name: total}, inputs=(own,))
         out.append(
-            _make_smooth(library, own, f"unknown change of {name}", change, "command", 0.05 * most)
+            _make_smooth(
+                library,
+                own,
+                f"unknown change of {name}",
+                change,
+                "command",
+                0.05 * most,
+                most_knots=knots,
+            )
         )
     return tuple(out)
 
@@ -58,6 +69,7 @@ def _make_smooth(
     unit: str,
     typical: float,
     knots_per_s: float | None = None,
+    most_knots: int = MOST_KNOTS,
 ) -> UnknownForce:
     longest = library.scales.longest_s
     if knots_per_s is not None:
@@ -65,7 +77,7 @@ def _make_smooth(
         return _make_of(longest, name, said, change, unit, typical, count)
     make = partial(_make_of, longest, name, said, change, unit, typical)
     samples = max(len(run.time_s) for run in library.study.runs)
-    most = max(min(MOST_KNOTS, samples // 2), LEAST_KNOTS)
+    most = max(min(most_knots, MOST_KNOTS, samples // 2), LEAST_KNOTS)
     return make(min(KNOTS, most), most)
 
 
