@@ -190,6 +190,11 @@ class Effort(Part):
     difference_step: float | None = Field(
         None, gt=0, description="Step of difference quotients, in standard deviations of the priors"
     )
+    unlisted_laws: bool = Field(
+        True,
+        description="Whether laws that no library holds are looked for in what is left; they take "
+        "several times as long as a first answer",
+    )
 
 
 class Description(Part):
@@ -364,7 +369,7 @@ def chosen_effects(
 
 def settings_with(advised: DiagnosisSettings, effort: Effort) -> DiagnosisSettings:
     """Settings that a system advises, with what a description changes of them."""
-    given = effort.model_dump(exclude_none=True)
+    given = effort.model_dump(exclude_none=True, exclude={"unlisted_laws"})
     step = given.pop("difference_step", None)
     settings = replace(advised, search=replace(advised.search, **given))
     return (

@@ -144,6 +144,8 @@ def _make(described: Description, study: Study) -> DiagnosisSetup:
 
 def _offer_laws(made: DiagnosisSetup, described: Description, study: Study) -> DiagnosisSetup:
     """A setup with a port for laws that nobody listed: the system's own, or that of its ports."""
+    if not described.effort.unlisted_laws:
+        return replace(made, laws=None)
     make = partial(_setup_without_tests, described)
     if made.laws is not None:
         return replace(made, laws=made.laws.made_by(make, study))
