@@ -87,7 +87,12 @@ class Scores(NamedTuple):
     num_starts: int
 
 
-def compared(predictions: Mapping[str, Predict], truth: Record, every: int = 1) -> Scores:
+def compared(
+    predictions: Mapping[str, Predict],
+    truth: Record,
+    every: int = 1,
+    starts: Tensor | None = None,
+) -> Scores:
     """Errors over starts that every prediction can fly: a start that one of them fails is left out
     of all, and counted.
 
@@ -95,15 +100,16 @@ def compared(predictions: Mapping[str, Predict], truth: Record, every: int = 1) 
         predictions: Functions of starts (num_starts,): what follows them, (num_starts, AHEAD, ...).
         truth: Recording, (num_samples, ...).
         every: Samples from start to start; 1 is the rule.
+        starts: Samples to start from, in place of these.
 
     Raises:
         DiffsimError: no start can be flown by all.
     """
-    chosen = torch.arange(0, len(truth.position) - AHEAD, every)
+    chosen = torch.arange(0, len(truth.position) - AHEAD, every) if starts is None else starts
     total = {name: torch.zeros(AHEAD, 4, dtype=torch.float64) for name in predictions}
     failed, count = dict.fromkeys(predictions, 0), 0
-    for starts in chosen.split(_CHUNK):
-        found = {name: _errors_from(p, truth, starts) for name, p in predictions.items()}
+    for some in chosen.split(_CHUNK):
+        found = {name: _errors_from(p, truth, some) for name, p in predictions.items()}
         flies = {name: torch.isfinite(e).all(-1).all(-1) for name, e in found.items()}
         by_all = torch.stack(list(flies.values())).all(0)
         count += int(by_all.sum())
