@@ -22,6 +22,7 @@ from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
 from diffsim.diagnose.faults.given import take_apart
+from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.registry import description_of, setup_of
 
 MAX_RUNS = 24  # rows of the table
@@ -182,6 +183,7 @@ def _not_mentioned(study: Study) -> Iterator[Problem]:
 
 def _without_use(model: Mapping[str, Any]) -> Iterator[Problem]:
     """Parameters that no formula has."""
+    model = write_out(model)
     words = {w for key, part in model.items() if key != "parameters" for w in _words(part)}
     for name in model.get("parameters") or ():
         if str(name) not in words:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -41,6 +41,7 @@ from diffsim.systems.ode.law_effects import (
 from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
 from diffsim.systems.ode.names import Reader, longest, where_of
+from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
 
@@ -59,6 +60,11 @@ class OdeDescription(FormulaKeys):
         description="FILE.py:NAME instead of rates: a Python function of states, inputs and "
         "parameters, by the names of its arguments, that returns the rates by state. It is run, "
         "once, only where the command line says so: --setup FILE.py",
+    )
+    repeat: dict[str, Annotated[int, Field(ge=1)]] = Field(
+        {},
+        description="Entries of names with {k} in them are written once for all of a row: {k: 5} "
+        "makes five, and in them {k}, {k-1}, {k+1} are numbers; a list has an item for each",
     )
     inputs: Inputs = Field((), description="What drives the system: commands, or formulas of them")
     limits: dict[str, tuple[float, float]] = Field(
@@ -87,7 +93,13 @@ class OdeDescription(FormulaKeys):
         None, description="Time in which slow shares of inputs and forces come; none: fitted"
     )
     clocks: dict[str, Time] = Field({}, description=CLOCKS)
+    find_laws: bool = Field(
+        True,
+        description="Whether laws that nobody listed are looked for; dear where definitions are "
+        "counted in hundreds",
+    )
 
+    _write_out = model_validator(mode="before")(write_out)
     _read_state_names = field_validator("states", "rates", mode="before")(read_names_as_text)
 
     @model_validator(mode="after")
@@ -165,7 +177,7 @@ class OdeDescription(FormulaKeys):
             effects,
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
-            laws=OdeLaws(read, library, study, model, self.setup),
+            laws=OdeLaws(read, library, study, model, self.setup) if self.find_laws else None,
         )
 
 
