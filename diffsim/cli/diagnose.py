@@ -16,6 +16,7 @@ STEPS = {
     "extend": "refit a saved extended model, and measure its gain on test runs",
     "judge": "errors of a saved model on new runs; nothing is fitted",
     "faults": "which groups of runs have a fault, and which, against the scatter between groups",
+    "export": "constants of a saved model in the words of other programs",
     "next": "which run to record next to settle what is open",
 }
 
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         step.add_argument(
             "study", metavar="STUDY", help="study.yaml, its folder, or a published data set's name"
         )
-        if name != "check":
+        if name not in ("check", "export"):
             _judging(step)
     _choosing(made["explain"])
     made["explain"].add_argument(
@@ -45,7 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
     made["next"].add_argument(
         "--csv", action="store_true", help="write the commands of the best run to OUT/next.csv"
     )
-    for name in ("extend", "judge", "next"):
+    made["export"].add_argument(
+        "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
+    )
+    for name in ("extend", "judge", "export", "next"):
         made[name].add_argument(
             "--report" if name == "next" else "--model",
             dest="saved",

@@ -12,6 +12,7 @@ from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, not_used, require_ready
+from diffsim.cli.diagnose_export import constants_of
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
     INPUTS_FILE,
@@ -344,6 +345,19 @@ def _judge_groups(study: Study, out: Path, **which: Any) -> None:
     _if_installed(page)
 
 
+def _export(args: argparse.Namespace) -> None:
+    study = read_study(args.study)
+    out = args.out or Path(DIAGNOSES) / study.name
+    saved = read_extended(args.saved or out)
+    found = constants_of(study, saved)
+    for program, constants in found.items():
+        print(f"{program}:")
+        for name, (value, sd) in constants.items():
+            print(f"  {name:<24} {value:>12.6g} +- {sd:.2g}")
+        values = {name: value for name, (value, _) in constants.items()}
+        print(f"wrote {write_json_atomic(out / f'{program}.json', values)}")
+
+
 def _next(args: argparse.Namespace) -> None:
     study = read_study(args.study)
     path = args.saved or (args.out or Path(DIAGNOSES) / study.name) / REPORT_FILE
@@ -414,5 +428,6 @@ STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
     "extend": _extend,
     "judge": _judge,
     "faults": _faults,
+    "export": _export,
     "next": _next,
 }

@@ -1,7 +1,8 @@
 """Jumps of commands that nothing commanded: a marker that is lost for a sample, a value misread.
 
-A channel's outliers are taken out by the diagnosis, which knows what the model expects there. A
-command is taken as it is: an outlier in a motion that drives a model is an acceleration to it.
+A channel's outliers are taken out by the diagnosis, which knows what the model expects there;
+`check` tells of them, too. A command is taken as it is: an outlier in a motion that drives a model
+is an acceleration to it.
 """
 
 from __future__ import annotations
@@ -36,12 +37,13 @@ class Jumps(NamedTuple):
     size: float
 
 
-def jumps_of(values: Array, *, is_measured: bool) -> Jumps:
-    """Jumps of a command in a run.
+def jumps_of(values: Array, *, is_measured: bool, noise: float = 0.0) -> Jumps:
+    """Jumps of a command or channel in a run.
 
     Args:
         values: Its samples; those that are not finite are left out.
-        is_measured: Whether it was measured: what is commanded may jump and stay.
+        is_measured: Whether lasting jumps are looked for: what is commanded may jump and stay.
+        noise: Standard deviation that is usual, of a sensor that may stand still for a while.
     """
     valid = np.flatnonzero(np.isfinite(values))
     seen = values[valid]
@@ -49,7 +51,7 @@ def jumps_of(values: Array, *, is_measured: bool) -> Jumps:
         return Jumps([], [], 0.0)
     change, least = np.abs(np.diff(seen)), LEAST * float(np.ptp(seen))
     away = np.abs(seen - median_filter(seen, size=WIDTH, mode="nearest"))
-    usual = max(1.4826 * float(np.median(away)), float(np.median(change)))
+    usual = max(1.4826 * float(np.median(away)), float(np.median(change)), noise)
     if not usual > 0.0:  # it rests but for what was commanded
         return Jumps([], [], 0.0)
     back = np.flatnonzero(away > max(FAR * usual, least))

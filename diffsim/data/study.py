@@ -140,6 +140,7 @@ class Study:
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
         allows: Facts of ``setup`` that can be changed for a next run, with possible values.
+        export: Formulas of constants for other programs, by program and name.
         frame: What an earlier fit took from its runs, such as usual magnitudes: with it the causes
             of a saved model mean the same on new runs. Empty: it is taken from these runs.
         faults: How groups of runs are judged for faults; None: they are not.
@@ -158,6 +159,7 @@ class Study:
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    export: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     frame: Mapping[str, Any] = field(default_factory=dict)
     faults: FaultKeys | None = None
     columns: tuple[Column, ...] = ()

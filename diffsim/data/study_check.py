@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.units import factor, to_si
-from diffsim.data.command_jumps import jumps_of
+from diffsim.data.command_jumps import Array, jumps_of
 from diffsim.data.signal import scatter
 from diffsim.data.steps import step_of
 from diffsim.data.study import SYSTEMS, USES, Channel, Command, Run, Study
@@ -233,6 +233,7 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             )
         if missing < 1.0 and n >= MIN_SAMPLES and np.nanmin(values) == np.nanmax(values):
             yield Problem("warning", where, f"{channel.name} never changes; is the sensor stuck?")
+        yield from _find_misread(run, channel, values)
     for name, values in run.command.items():
         if values.shape != (n,):
             yield Problem(
@@ -244,6 +245,23 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             yield Problem("warning", where, f"command {name} is unknown in {share} of samples")
         if values.shape == (n,):
             yield from _find_jumps(run, study, name)
+
+
+def _find_misread(run: Run, channel: Channel, values: Array) -> Iterator[Problem]:
+    """Samples of a channel that lie off both sides: the sensor or the bus lost them."""
+    jumps = jumps_of(values, is_measured=False, noise=channel.sd or 0.0)
+    if not jumps.back:
+        return
+    unit = channel.shown_unit or channel.unit
+    size = factor(channel.unit, unit) * jumps.size
+    at = "sample" if len(jumps.back) == 1 else "samples"
+    yield Problem(
+        "note",
+        f"run {run.name}",
+        f"channel {channel.name} is misread at {len(jumps.back)} {at}, off by up to {size:.3g}"
+        f"{'' if unit == '-' else f' {unit}'}, first at {run.time_s[jumps.back[0]]:g} s: the "
+        "diagnosis leaves such samples out where the model does not jump, too",
+    )
 
 
 def _find_jumps(run: Run, study: Study, name: str) -> Iterator[Problem]:

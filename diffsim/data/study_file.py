@@ -102,6 +102,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
         left_out=_left_out(reader, stated, root),
         todo=stated.todo,
         allows=stated.allows,
+        export=stated.export,
         faults=stated.faults,
         columns=reader.columns,
     )

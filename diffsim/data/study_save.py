@@ -100,6 +100,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
         ],
         "metadata": to_plain(dict(study.metadata)),
         **({"allows": to_plain(dict(study.allows))} if study.allows else {}),
+        **({"export": to_plain(dict(study.export))} if study.export else {}),
         **({"todo": list(study.todo)} if study.todo else {}),
     }
 

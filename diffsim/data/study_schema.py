@@ -386,6 +386,11 @@ class StudyFile(Part):
     faults: FaultKeys | None = Field(
         None, description="Groups of runs that are each judged for a fault: `diagnose faults`"
     )
+    export: dict[str, dict[str, str]] = Field(
+        {},
+        description="Constants for other programs, by program and name: formulas of the model's "
+        "numbers and causes, for `diagnose export`: {mujoco: {damping: kt**2/resistance}}",
+    )
     metadata: dict[str, Any] = Field({}, description="Anything else worth keeping: source, licence")
     todo: Texts = Field((), description="What is still to be stated; `check` repeats it")
 

@@ -70,3 +70,19 @@ def test_check_says_which_command_of_which_run_jumps_by_how_much():
     assert "mm, first at 0.6 s" in said[0].message
     still = replace(study, runs=(replace(run, command={"support": SWAY + NOISE}),))
     assert not [p for p in check_study(still) if "jumps" in p.message]
+
+
+def test_check_tells_samples_that_a_sensor_misread():
+    position = np.where(TIME < 2.0, 0.0, np.sin(TIME - 2.0))  # it stands still, and then moves
+    position[[50, 301]] = -3.14159
+    run = Run("drop", TIME, position[:, None], {}, "drop", 0, "fit")
+    channel = Channel("position", "rad", "angle", sd=0.003, shown_unit="mrad")
+    study = Study("servo", "ode", (channel,), (run,))
+    told = [p.message for p in check_study(study) if "misread" in p.message]
+    assert told == [
+        "channel position is misread at 2 samples, off by up to 3.98e+03 mrad, first at 0.5 s: the "
+        "diagnosis leaves such samples out where the model does not jump, too"
+    ]
+    clean = replace(run, measured=np.where(position == -3.14159, 0.0, position)[:, None] * 0.0)
+    quiet = replace(study, runs=(clean,))
+    assert not [p for p in check_study(quiet) if "misread" in p.message]

@@ -198,3 +198,48 @@ def test_a_converted_csv_has_every_digit_and_empty_gaps(tmp_path):
     read = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(read["force"], wanted)
     assert ",\n" in (tmp_path / "log.csv").read_text()
+
+
+def test_json_logs_of_records_with_facts_beside_them(tmp_path):
+    log = {
+        "mass": 0.5,
+        "motor": "sts3215",
+        "position": 7.0,  # the records say it themselves
+        "entries": [
+            {"timestamp": float(t), "position": 2.0 * t, "enabled": bool(t < 0.5)} for t in TIME
+        ],
+    }
+    (tmp_path / "run.json").write_text(json.dumps(log))
+    back = read_columns(tmp_path / "run.json")
+    np.testing.assert_array_equal(back["position"], 2.0 * TIME)
+    np.testing.assert_array_equal(back["enabled"], TIME < 0.5)
+    np.testing.assert_array_equal(back["mass"], np.full(11, 0.5))
+    assert set(back["motor"]) == {"sts3215"}
+    deep = {"robot": "a", "episode": {"kp": 8, "steps": log["entries"]}, "others": [{"x": 1}]}
+    (tmp_path / "deep.json").write_text(json.dumps(deep))
+    assert parts_of(tmp_path / "deep.json") == ["episode.steps", "others"]
+    facts = read_columns(tmp_path / "deep.json#episode.steps")
+    assert set(facts["robot"]) == {"a"}
+    assert set(facts["kp"]) == {8}
+    (tmp_path / "log.jsonl").write_text("".join(json.dumps(e) + "\n" for e in log["entries"]))
+    np.testing.assert_array_equal(read_columns(tmp_path / "log.jsonl")["timestamp"], TIME)
+
+
+def test_a_folder_of_json_logs_gives_a_first_study(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    time_s = 0.01 * np.arange(200)
+    for k, mass in enumerate((0.5, 1.0, 1.5)):
+        goal = np.sin((3.0 + k) * time_s)
+        position = np.roll(goal, 3) / mass + 1e-3 * rng.normal(size=200)
+        entries = [
+            {"timestamp": t, "goal_position": g, "position": q}
+            for t, g, q in zip(time_s.tolist(), goal.tolist(), position.tolist(), strict=True)
+        ]
+        log = {"mass": mass, "trajectory": "sine", "entries": entries}
+        (tmp_path / f"log_{k}.json").write_text(json.dumps(log))
+    (tmp_path / "info.json").write_text('{"robot": "arm"}')  # no records: no table
+    assert main(["diagnose", "init", str(tmp_path)]) == 0
+    study = load_study(tmp_path / "study.yaml")
+    assert [c.name for c in study.channels] == ["position"]
+    assert {"goal_position"} == set(study.runs[0].command)
+    assert [run.setup["mass"] for run in study.runs] == [0.5, 1.0, 1.5]

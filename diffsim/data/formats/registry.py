@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.files import replacing
-from diffsim.data.formats import hdf5, logs, mat, parquet
+from diffsim.data.formats import hdf5, json_records, logs, mat, parquet
 from diffsim.data.formats.columns import Columns
 
 Parts = Callable[[Path], list[str]]
@@ -23,6 +23,8 @@ _READERS: dict[str, tuple[Parts, Read]] = {
     ".h5": (hdf5.parts, hdf5.read),
     ".hdf5": (hdf5.parts, hdf5.read),
     ".mat": (mat.parts, mat.read),
+    ".json": (json_records.parts, json_records.read),
+    ".jsonl": (json_records.parts, json_records.read),
     ".ulg": (logs.ulog_parts, logs.read_ulog),
     ".mcap": (logs.mcap_parts, logs.read_mcap),
     ".bag": (logs.rosbag_parts, logs.read_rosbag),
