@@ -1,0 +1,137 @@
+"""Servos on a pendulum: a twin in the files' form with hidden causes, and the recorded ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from benchmarks.servo_bench import constant_error, is_read
+from diffsim.data.study_check import check_study
+from diffsim.data.study_file import load_study
+from diffsim.identify import fit
+from diffsim.systems import published
+from diffsim.systems.registry import setup_of
+from tests.measured import data_folder
+
+FOLDER = Path(published.__file__).parent
+RUNS = "run,motor,mass_kg,arm_m,arm_mass_kg,kp,trajectory"
+TRUTH = {"supply": 12.0, "kt": 2.2, "resistance": 4.2, "armature": 0.02, "coulomb": 0.12}
+DELAY, FASTEST, LOAD_FRICTION = 0.02, 5.0, 0.15  # s, rad/s, share: hidden
+TIME = 0.01 * np.arange(250)
+STEP = 5e-4  # s, of the twin's own integration
+
+
+def goals(kind):
+    if kind == "brutal":
+        return np.where((TIME > 0.5) & (TIME < 2.0), 1.571, 0.0)
+    return np.sin(2.0 * TIME + 0.9 * TIME**2)
+
+
+def swing(goal, mass, arm, kp):
+    """Angles of a servo by semi-implicit Euler, friction with a clamp that sticks exactly."""
+    arm_mass, angle, speed, profile, out = 0.036, 0.0, 0.0, 0.0, []
+    rotor = TRUTH["armature"] + mass * arm**2 + arm_mass * arm**2 / 3.0
+    weight = 9.81 * arm * (mass + arm_mass / 2.0)
+    stall = TRUTH["supply"] * TRUTH["kt"] / TRUTH["resistance"]
+    for k in range(round(TIME[-1] / STEP) + 1):
+        time_s = k * STEP
+        if k % round(0.01 / STEP) == 0:
+            out.append(angle)
+        target = goal[max(int((time_s - DELAY + 1e-9) / 0.01), 0)] if time_s >= DELAY else goal[0]
+        profile += np.clip(target - profile, -FASTEST * STEP, FASTEST * STEP)
+        duty = np.clip(0.165 * kp * (profile - angle), -1.0, 1.0)
+        motor = stall * duty - TRUTH["kt"] ** 2 / TRUTH["resistance"] * speed
+        load = -weight * np.sin(angle)
+        friction = TRUTH["coulomb"] + LOAD_FRICTION * (abs(motor) + abs(load))
+        free = speed + STEP * (motor + load) / rotor
+        speed = np.sign(free) * max(abs(free) - STEP * friction / rotor, 0.0)
+        angle += STEP * speed
+    return np.array(out)
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory):
+    """A folder as make_csv.py writes it: two hidden causes in the goal, one in the gear."""
+    folder = tmp_path_factory.mktemp("servo")
+    rng, rows = np.random.default_rng(0), [RUNS]
+    for mass, arm, kp, kind in (
+        (0.535, 0.1, 4, "brutal"),
+        (0.535, 0.1, 4, "sin_time_square"),
+        (1.1682, 0.1, 16, "brutal"),
+        (1.1682, 0.1, 16, "sin_time_square"),
+    ):
+        name = f"sts3215_m{mass}_l{arm}_kp{kp}_{kind}"
+        rows.append(f"{name},sts3215,{mass},{arm},0.036,{kp},{kind}")
+        goal = goals(kind)
+        position = swing(goal, mass, arm, kp) + 1e-3 * rng.normal(size=len(TIME))
+        if kind == "brutal":
+            position[40] = -3.14159  # misread
+        table = np.stack(
+            [TIME, goal, position, rng.integers(30, 40, len(TIME)), np.ones_like(TIME)], 1
+        )
+        header = "time_s,goal_rad,position_rad,temperature_C,torque_enabled"
+        np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=header, comments="")
+    (folder / "runs.csv").write_text("\n".join(rows) + "\n")
+    stated = yaml.safe_load((FOLDER / "servo_sts3215.yaml").read_text())
+    stated |= {"data": ".", "runs": [{**stated["runs"][0], "where": {"motor": "sts3215"}}]}
+    del stated["runs"][0]["use"]
+    (folder / "study.yaml").write_text(yaml.safe_dump(stated))
+    return folder
+
+
+def test_hidden_causes_of_a_twin_are_fitted_from_its_files(twin):
+    study = load_study(twin / "study.yaml")
+    told = [p for p in check_study(study) if "misread" in p.message]
+    assert [p.where.split("_")[-1] for p in told] == ["brutal", "brutal"]
+    made = setup_of(study)
+    names = ("delay_of_goal", "rate_limit_of_goal", "load_friction")
+    chosen = [e for e in made.effects if e.name in names]
+    runs = [
+        replace(run, measured=np.where(is_read(run.measured[:, 0])[:, None], run.measured, np.nan))
+        for run in study.fit_runs
+    ]
+    plain = fit(made.model, runs, study.channels, effects=[], max_evaluations=10)
+    found = fit(made.model, runs, study.channels, effects=chosen, max_evaluations=25)
+    assert found.chi2 < 0.1 * plain.chi2
+    assert found.values["delay_of_goal"] == pytest.approx(DELAY, abs=0.004)
+    assert 1.0 / found.values["rate_limit_of_goal"] == pytest.approx(FASTEST, rel=0.05)
+    with torch.no_grad():
+        for run in runs:
+            left = run.measured - found.problem.predict(run, torch.from_numpy(found.x)).numpy()
+            assert np.nanmean(np.abs(left)) < 5e-3
+
+
+def test_misread_samples_are_left_out_by_the_readme_s_rule():
+    position = np.array([0.0, 0.1, -3.14159, 0.3, 0.4, 0.9, 0.5])
+    assert is_read(position).tolist() == [True, True, False, True, True, False, True]
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize(
+    ("name", "uses"),
+    [
+        ("servo_sts3215", (13, 17, 16)),
+        ("servo_sts3250", (20, 8, 12)),
+        ("servo_go1", (5, 3, 2)),
+    ],
+)
+def test_the_recorded_runs_are_found_and_dealt_by_the_stated_rule(name, uses):
+    folder = data_folder("servo_bench")
+    if not (folder / "runs.csv").exists():
+        pytest.skip(f"{folder} has no runs.csv yet; make_csv.py there makes it from two clones")
+    study = load_study(FOLDER / f"{name}.yaml")
+    assert tuple(len(study.runs_for(use)) for use in ("fit", "select", "test")) == uses
+    assert not [p for p in check_study(study) if p.severity == "error"]
+    if "sts" in name:
+        places = {0.535: 0, 0.74117693: 1, 1.1682: 2}, {0.1: 0, 0.15: 2}, {4: 0, 8: 1, 16: 2, 24: 3}
+        for run in study.runs:
+            facts = run.setup["mass_kg"], run.setup["arm_m"], run.setup["kp"]
+            at = sum(of[fact] for of, fact in zip(places, facts, strict=True)) % 4
+            assert run.use == ("fit", "select", "fit", "test")[at]
+    skill = 1e3 * np.mean([constant_error(run) for run in study.runs])
+    assert skill > 150.0  # mrad: what no model at all leaves
