@@ -123,7 +123,8 @@ class PortLaws:
         for name, words in (*of_kind.items(), *inputs.items()):
             yield from self._list_of(name, "u", (words,), is_turn=name in of_kind)
         for name in of_kind:
-            if name.isidentifier() and name not in RESERVED:
+            # a system may add channels of its own, which formulas do not know
+            if name in self.ports.channels and name.isidentifier() and name not in RESERVED:
                 others = tuple(w for n, w in of_kind.items() if n != name)
                 if others:
                     yield Variable(name, name, self._units.get(name, "-"), at=others)
