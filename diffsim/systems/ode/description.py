@@ -93,11 +93,6 @@ class OdeDescription(FormulaKeys):
         None, description="Time in which slow shares of inputs and forces come; none: fitted"
     )
     clocks: dict[str, Time] = Field({}, description=CLOCKS)
-    find_laws: bool = Field(
-        True,
-        description="Whether laws that nobody listed are looked for; dear where definitions are "
-        "counted in hundreds",
-    )
 
     _write_out = model_validator(mode="before")(write_out)
     _read_state_names = field_validator("states", "rates", mode="before")(read_names_as_text)
@@ -177,7 +172,7 @@ class OdeDescription(FormulaKeys):
             effects,
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
-            laws=OdeLaws(read, library, study, model, self.setup) if self.find_laws else None,
+            laws=OdeLaws(read, library, study, model, self.setup),
         )
 
 
