@@ -159,9 +159,10 @@ class Ode:
     def _require_finite(self, times: Tensor, readings: Tensor, states: Tensor) -> None:
         if torch.compiler.is_compiling():
             return  # without values
-        seen = values_of(torch.cat([states.detach(), readings.detach()], -1))
-        if all_finite(seen):
+        parts = [values_of(part.detach()) for part in (states, readings)]
+        if all(all_finite(part) for part in parts):
             return
+        seen = torch.cat(parts, -1)
         lost = ~seen.reshape(-1, *states.shape[-2:-1], seen.shape[-1]).isfinite()
         item, sample, quantity = (int(i) for i in lost.nonzero()[0])
         name = [*self.rates, *self.readings][quantity]

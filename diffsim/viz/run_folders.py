@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,17 +79,13 @@ def _run_folder(root: Path, folder: Path) -> RunFolder | None:
 def _diagnosis(files: dict[str, Path]) -> tuple[str, str]:
     report = _json(files.get("report.json"))
     said = str(report.get("headline") or report.get("verdict") or "")
-    if later := _judgment(files)[0]:  # into the folder of the answer
+    if later := _headline(files, "judge.json")[0]:  # into the folder of the answer
         said = f"{said} Judged: {later}"
     return said, "finished" if "inputs.json" in files and report else "going on, or interrupted"
 
 
-def _judgment(files: dict[str, Path]) -> tuple[str, str]:
-    return str(_json(files.get("judge.json")).get("headline") or ""), "finished"
-
-
-def _faults(files: dict[str, Path]) -> tuple[str, str]:
-    return str(_json(files.get("faults.json")).get("headline") or ""), "finished"
+def _headline(files: dict[str, Path], name: str) -> tuple[str, str]:
+    return str(_json(files.get(name)).get("headline") or ""), "finished"
 
 
 def _training(files: dict[str, Path]) -> tuple[str, str]:
@@ -133,8 +130,8 @@ _KINDS = {
 }
 _TOLD: dict[str, Callable[[dict[str, Path]], tuple[str, str]]] = {
     "diagnosis": _diagnosis,
-    "judgment": _judgment,
-    "faults": _faults,
+    "judgment": partial(_headline, name="judge.json"),
+    "faults": partial(_headline, name="faults.json"),
     "training": _training,
     "device": _device,
     "flight": _flight,
