@@ -76,6 +76,8 @@ def command(args: argparse.Namespace) -> None:
         if simulator.log.samples:
             _report(simulator, pacer)
             _save(simulator, flown, args.payload, args.out)
+    if simulator.log.outcome == "interrupted" and args.input is None:
+        raise KeyboardInterrupt  # a pilot's Escape ends a flight; Ctrl-C breaks a mission off
 
 
 def _load_design_or_vehicle(name: str) -> Design | FlyingVehicle:

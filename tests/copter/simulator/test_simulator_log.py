@@ -9,6 +9,7 @@ import yaml
 from diffsim import cli
 from diffsim.copter import load_design
 from diffsim.copter.simulator import FlightLog, FlightSimulator, Pacer, load_mission
+from diffsim.core.interrupts import EXIT_INTERRUPTED
 from diffsim.data import load_csv
 
 SECONDS = 1.5
@@ -119,6 +120,21 @@ def test_command_flies_and_saves(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "outcome                    done" in shown and "flight.csv" in shown
     assert len(load_csv(out / "flight.csv", markers=["body"]).time_s) == 51
+
+
+def test_ctrl_c_in_flight_saves_it_and_says_that_it_was_broken_off(tmp_path, capsys, monkeypatch):
+    def step_until_ctrl_c(self, setpoint, *, lag=0.0, _step=FlightSimulator.step):
+        if self.time > 0.305:
+            raise KeyboardInterrupt
+        return _step(self, setpoint, lag=lag)
+
+    monkeypatch.setattr(FlightSimulator, "step", step_until_ctrl_c)
+    out = tmp_path / "fly"
+    assert cli.main(["fly", "quadcopter", "--out", str(out)]) == EXIT_INTERRUPTED
+    said = capsys.readouterr()
+    assert "interrupted; finished work is kept" in said.err
+    assert "outcome                    interrupted" in said.out
+    assert len(load_csv(out / "flight.csv", markers=["body"]).time_s) == 31
 
 
 @pytest.mark.parametrize(
