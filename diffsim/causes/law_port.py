@@ -68,7 +68,6 @@ class PortLaws:
         model: Plain model.
         make: Function (study) -> setup, of a study whose frame holds laws.
         whole: Study as it was recorded.
-        is_frugal: Whether its simulations are dear.
     """
 
     offered: Callable[[], Ports | None]
@@ -76,7 +75,6 @@ class PortLaws:
     model: SimModel
     make: Callable[[Study], DiagnosisSetup]
     whole: Study
-    is_frugal: bool = True
 
     def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> PortLaws:
         """The same for a study of more runs, whose setup another function makes."""

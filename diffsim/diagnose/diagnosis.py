@@ -174,13 +174,10 @@ class _LawBudget:
 
 
 def _budget_of_laws(answer: _Answer, begun: int, port: LawPort | None) -> _LawBudget:
-    """That of the search; where simulations are dear what is left of it, or a share of what the
-    first answer has cost."""
+    """What is left of that of the search, or a share of what the first answer has cost."""
     if answer.found is None or port is None:
         return _LawBudget(0.0, True)
     spent, given = answer.search.steps - begun, answer.search.settings.refit_steps
-    if not port.is_frugal:
-        return _LawBudget(given, False)
     return _LawBudget(max(given - spent, LAW_SHARE * spent), spent > ROOM_SHARE * given)
 
 
@@ -199,13 +196,20 @@ def _with_laws(
         effects = tuple(e for e in effects if e.name in kept)
         asked = asked.within(budget.steps)
     again = _answer(asked, setup.model, effects, setup.unknowns)
-    if again.frozen.verdict in NAMES:
-        return again if names & set(again.frozen.best_names) else answer
-    held = {effect.name for effect in again.frozen.best.problem.effects}
-    before, now = answer.frozen.gain, again.frozen.gain
-    is_better = now is not None and (before is None or now.low > before.value)
-    is_open = answer.frozen.verdict == again.frozen.verdict == "unknown"
-    return again if is_open and names & held and is_better else answer
+    frozen = again.frozen
+    named = frozen.best_names if frozen.verdict in NAMES else ()
+    held = named or [effect.name for effect in frozen.best.problem.effects]
+    return again if names & set(held) and _may_take_over(frozen, answer.frozen) else answer
+
+
+def _may_take_over(again: Report, before: Report) -> bool:
+    """Whether an answer with a law may stand for one without: where both name what acts, or neither
+    does, it gains more on unseen runs for sure."""
+    if (again.verdict in NAMES) != (before.verdict in NAMES):
+        return again.verdict in NAMES
+    if again.gain is None:
+        return before.gain is None and again.verdict in NAMES
+    return before.gain is None or again.gain.low > before.gain.value
 
 
 def _names_near_best(answer: _Answer) -> set[str]:

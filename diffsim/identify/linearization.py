@@ -82,7 +82,7 @@ def linearization_at(
     left, slopes = _raw(problem).linearize_scaled(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
     if not np.isfinite(slopes).all():
-        bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]
+        bad = [problem.names[idx[k]] for k in np.flatnonzero(~np.isfinite(slopes).all(0))]
         raise PredictionError(
             f"the prediction is not finite a small step along {', '.join(bad)}; narrow their "
             "bounds, priors or typical sizes, or mend the scene"
@@ -139,10 +139,6 @@ def whitened(problem: Problem, rows: Array) -> Array:
     edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
     parts = np.split(rows, edges)
     return np.concatenate([problem.whiten(r, p) for r, p in zip(problem.runs, parts, strict=True)])
-
-
-def _is_finite(column: Array) -> bool:
-    return bool(np.isfinite(column).all())
 
 
 def _raw(problem: Problem) -> Problem:

@@ -77,11 +77,6 @@ class Parameter:
         return (value - self.value) / self.sd
 
 
-def _has_lower_bound(p: Parameter) -> bool:
-    """Whether a parameter has a lower bound; of a logarithm zero is none."""
-    return math.isfinite(p.lower) and not (p.log and p.lower <= 0.0)
-
-
 class BaseValues:
     """Values of many base parameters at once: those without a logarithm in a few vector operations.
 
@@ -105,8 +100,10 @@ class BaseValues:
         rows = [(p.value, p.sd, p.lower, p.upper) for p in base if not p.log]
         table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
         self._value, self._sd, self._lower, self._upper = table.unbind(-1)
+        # of a logarithm zero is no bound
+        has_low = [math.isfinite(p.lower) and not (p.log and p.lower <= 0.0) for p in base]
         self.low = np.array(
-            [p.coordinate_of(p.lower) if _has_lower_bound(p) else -np.inf for p in base]
+            [p.coordinate_of(p.lower) if h else -np.inf for p, h in zip(base, has_low, strict=True)]
         )
         self.high = np.array(
             [p.coordinate_of(p.upper) if math.isfinite(p.upper) else np.inf for p in base]

@@ -48,11 +48,6 @@ class LawPort(Protocol):
     """What a system offers to laws that nobody listed."""
 
     @property
-    def is_frugal(self) -> bool:
-        """Whether its simulations are dear, so that a budget is to be kept."""
-        ...
-
-    @property
     def entries(self) -> Sequence[Entry]:
         """Places where a term may be added."""
         ...

@@ -113,7 +113,8 @@ class UnknownForce(Unknown):
         """Per standardized component of the effect; simulated for one run of each command, as
         repeats differ by their nuisances only."""
         first: dict[object, Run] = {}
-        twins = [first.setdefault(_sampling(run), run) for run in problem.runs]
+        # repeats that are sampled alike
+        twins = [first.setdefault((r.group, r.time_s.tobytes()), r) for r in problem.runs]
         effect = self.effect if has_tangents(problem.model) else self._secant
         wide = replace(problem, runs=tuple(first.values()), effects=(*problem.effects, effect))
         own = wide.columns_of(effect)
@@ -224,11 +225,6 @@ def by_group(problem: Problem, slopes: Array) -> Array:
         spread[:, at : at + m] = own
         parts.append(spread)
     return np.concatenate(parts)
-
-
-def _sampling(run: Run) -> object:
-    """Equal for repeats that are sampled alike."""
-    return run.group, run.time_s.tobytes()
 
 
 def drifts(channels: Sequence[str]) -> list[Unknown]:

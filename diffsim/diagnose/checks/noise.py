@@ -191,7 +191,8 @@ def fit_ar(series: Sequence[Array], max_order: int = MAX_ORDER) -> Array:
 
 def fit_color(series: Sequence[Array], sd: float) -> Array:
     """Autoregressive coefficients of noise whose sd is stated; none where it is white, or where
-    what is left is more than that noise: then something acts, and the color is not the sensor's.
+    what is left is more or less than that noise: its color is not the sensor's then, but that of
+    what acts, or of what nobody stated.
 
     Both by the Bayesian information criterion: the coefficients against white noise of the same
     sd, and an sd of its own against the stated one.
@@ -210,9 +211,9 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     log_det = float(sum(np.log(w.diagonal()).sum() for w in blocks))
     gained = 0.5 * (sum(float(x @ x) for x in parts) - chi2) + log_det
     price = 0.5 * float(np.log(num_samples))
-    ratio = max(chi2 / num_samples, 1.0)
-    louder = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
-    return a if gained > len(a) * price and louder <= price else none
+    ratio = chi2 / num_samples
+    of_own_size = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
+    return a if gained > len(a) * price and of_own_size <= price else none
 
 
 def without_spikes(run: Run, left: Array) -> tuple[Run, int]:

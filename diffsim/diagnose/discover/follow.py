@@ -36,6 +36,103 @@ SETTLED = 0.01  # of the misfit, that a last step takes away
 
 
 @dataclass(frozen=True, eq=False)
+class ReachInRun:
+    """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``.
+
+    Attributes:
+        basis: Orthonormal columns that span it, (num_valid, k): few knots move many readings.
+        mixed: Their coordinates of what is spread, (k, m).
+        spread: From samples to knots, or to the readings that an entry changes at once, (m,
+            num_samples).
+    """
+
+    basis: Array | sparse.csr_array
+    mixed: Array | sparse.csr_array
+    spread: sparse.csr_array
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What terms at an entry do to the whitened record; nothing is simulated.
+
+    Attributes:
+        runs: By run.
+    """
+
+    runs: tuple[ReachInRun, ...]
+
+    def columns(self, terms: Sequence[Array]) -> Array:
+        """Whitened response, (num_valid, num_terms).
+
+        Args:
+            terms: Terms at the samples of each run, (num_samples, num_terms).
+        """
+        each = zip(self.runs, terms, strict=True)
+        return np.concatenate([run.basis @ (run.mixed @ (run.spread @ t)) for run, t in each])
+
+    def coordinates(self, terms: Sequence[Array]) -> Array:
+        """The same by coordinates of the bases, (num_coordinates, num_terms)."""
+        each = zip(self.runs, terms, strict=True)
+        return np.concatenate([run.mixed @ (run.spread @ t) for run, t in each])
+
+    def seen(self, rows: Array) -> Array:
+        """Coordinates of what the bases see of whitened rows, (num_coordinates, ...)."""
+        parts = np.split(rows, np.cumsum([run.basis.shape[0] for run in self.runs])[:-1])
+        each = zip(self.runs, parts, strict=True)
+        return np.concatenate([run.basis.T @ part for run, part in each])
+
+
+def _reach_of(
+    problem: Problem, gains: Gains, responses: Array, to_knots: sparse.csr_array
+) -> ReachInRun:
+    """What terms at an entry do in a run.
+
+    Args:
+        problem: Of that run, with the course that drives it.
+        gains: What a unit at the entry does there.
+        responses: Whitened response to each knot of each course, (num_valid, num_courses * K).
+        to_knots: What makes of values at samples a course, (K, num_samples).
+    """
+    num_samples, num_channels = gains.readings.shape
+    rows = np.arange(num_samples * num_channels)
+    at_once = sparse.csr_array(
+        (gains.readings.ravel(), (rows, rows // num_channels)), shape=(len(rows), num_samples)
+    )
+    at_once.eliminate_zeros()
+    read = sparse.csr_array(problem.whitener.matrix(problem.runs[0]) @ at_once)
+    driven = [k for k, rate in enumerate(gains.rates.T) if rate.any()]
+    num_knots = to_knots.shape[0]
+    led = [np.arange(k * num_knots, (k + 1) * num_knots) for k in driven]
+    knots = [to_knots @ sparse.diags_array(gains.rates[:, k]) for k in driven]
+    if not driven:
+        return _read_at_once(read)
+    spread = sparse.csr_array(sparse.vstack(knots))
+    course = responses[:, np.concatenate(led)]
+    if not read.nnz:
+        basis, mixed = np.linalg.qr(course)
+        return ReachInRun(basis, mixed, spread)
+    # both at once: the readings themselves are the coordinates
+    every = sparse.eye_array(read.shape[0], format="csr")
+    both = sparse.csr_array(sparse.vstack([spread, read]))
+    return ReachInRun(every, sparse.csr_array(sparse.hstack([course, every])), both)
+
+
+def _read_at_once(read: sparse.csr_array) -> ReachInRun:
+    """What terms do that only readings feel, (num_valid, num_samples)."""
+    gram = sparse.coo_array(read.T @ read)
+    if (gram.row == gram.col).all():  # noise is white: samples do not mix
+        size = np.sqrt(gram.diagonal())
+        felt = np.flatnonzero(size)
+        scale = sparse.diags_array(size[felt], format="csr")
+        basis = sparse.csr_array(read[:, felt] @ sparse.diags_array(1.0 / size[felt]))
+        return ReachInRun(basis, scale, sparse.eye_array(len(size), format="csr")[felt])
+    moved = np.flatnonzero(np.diff(read.indptr))
+    count, shape = len(moved), (read.shape[0], len(moved))
+    basis = sparse.csr_array((np.ones(count), (moved, np.arange(count))), shape=shape)
+    return ReachInRun(basis, sparse.eye_array(count, format="csr"), read[moved])
+
+
+@dataclass(frozen=True, eq=False)
 class FollowedRecord:
     """Simulations that lie on the recordings, and what the model without a course misses there.
 
@@ -65,37 +162,15 @@ class FollowedRecord:
         """Whether anything can lead the simulations along the recordings."""
         return any(response.shape[1] for response in self.responses)
 
-    def columns_of(self, gains: Sequence[Gains], terms: Sequence[Array]) -> Array:
-        """Whitened response to terms of a law, (num_valid, num_terms); nothing is simulated.
-
-        Args:
-            gains: What a unit at the law's entry does in each run.
-            terms: Terms at the samples of each run, (num_samples, num_terms).
-        """
-        parts = []
-        for k, (gain, values) in enumerate(zip(gains, terms, strict=True)):
-            problem, responses = self.problems[k], self.responses[k]
-            run = problem.runs[0]
-            num_courses = len(_courses_of(problem))
-            read = gain.readings[:, :, None] * values[:, None, :]
-            own = problem.whiten(run, read.reshape(-1, values.shape[1]))
-            if num_courses:
-                each = np.split(responses, num_courses, axis=1)
-                for course, rate in zip(each, gain.rates.T, strict=True):
-                    if rate.any():
-                        own = own + course @ (self.to_knots[k] @ (rate[:, None] * values))
-            parts.append(own)
-        return np.concatenate(parts)
-
-    def gains(self, port: LawPort, entry: Entry) -> list[Gains] | None:
-        """What a unit at an entry does in each run; None where terms must be simulated."""
+    def reach(self, port: LawPort, entry: Entry) -> Reach | None:
+        """What terms at an entry do; None where they must be simulated."""
         out = []
-        for problem, x in zip(self.problems, self.points, strict=True):
+        for k, (problem, x) in enumerate(zip(self.problems, self.points, strict=True)):
             found = port.gains(problem, x, entry)
             if found is None:
                 return None
-            out.append(found)
-        return out
+            out.append(_reach_of(problem, found, self.responses[k], self.to_knots[k]))
+        return Reach(tuple(out))
 
     def simulated(self, effect: Effect) -> Array:
         """Whitened response to the components of an effect, (num_valid, num_components) [per
@@ -116,18 +191,17 @@ class FollowedRecord:
         return out
 
 
-def _knots(run: Run, count: int) -> Array:
-    """Times of the knots of a run's course since its start [s]."""
-    return np.linspace(0.0, float(run.time_s[-1] - run.time_s[0]), count)
-
-
-def _to_knots(knots: Array, run: Run) -> sparse.csr_array:
+def _to_knots(problem: Problem) -> sparse.csr_array:
     """Matrix that makes of values at samples a course of the same impulse, (K, num_samples).
 
     Each sample's impulse goes to the knots beside it: of what changes faster than the knots, its
     mean is left, as of what it drives.
     """
+    courses, (run,) = _courses_of(problem), problem.runs
+    if not courses:
+        return sparse.csr_array((0, len(run.time_s)))
     seconds = run.time_s - run.time_s[0]
+    knots = np.linspace(0.0, float(seconds[-1]), len(courses[0].components))
     right = np.clip(np.searchsorted(knots, seconds), 1, len(knots) - 1)
     share = np.clip((seconds - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
     lasts = np.gradient(seconds)
@@ -168,17 +242,10 @@ def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecor
         tuple(points),
         np.concatenate(missing),
         tuple(responses),
-        tuple(_to_knots_of(problem) for problem in problems),
+        tuple(_to_knots(problem) for problem in problems),
         np.concatenate(slopes),
         chi2,
     )
-
-
-def _to_knots_of(problem: Problem) -> sparse.csr_array:
-    courses, (run,) = _courses_of(problem), problem.runs
-    if not courses:
-        return sparse.csr_array((0, len(run.time_s)))
-    return _to_knots(_knots(run, len(courses[0].components)), run)
 
 
 def _courses_of(problem: Problem) -> list[Effect]:

@@ -10,25 +10,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.discover.follow import FollowedRecord
+from diffsim.diagnose.discover.follow import FollowedRecord, Reach
 from diffsim.diagnose.discover.forms import ToldLaw
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
-from diffsim.identify.law import VALUE, Entry, Gains, Variable
+from diffsim.identify.law import VALUE, Entry, Variable
 from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
 NUM_BUMPS = 11  # over the range of a variable, half overlapping
 FEWEST_PERIODS = 2.0  # over the range: fewer are no repetition, bumps follow them
 MOST_NUMBERS = 4000  # wave numbers that are tried
-MOST_WORK = 2.5e9  # wave numbers by knots and samples, for a variable at an entry: a second or two
+MOST_WORK = 1e9  # wave numbers by samples, over all variables at all entries: some twenty seconds
 SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a period
 CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
@@ -125,10 +126,6 @@ def trend(low: float, high: float) -> Basis:
     return Basis((z, f"{z}**2"), reach=(low, high))
 
 
-def _wave(k: float) -> Basis:
-    return Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k)
-
-
 @dataclass(frozen=True, eq=False)
 class Screen:
     """Laws without a form that were weighed beside one model.
@@ -138,7 +135,7 @@ class Screen:
         weigher: Evidence beside the model, and beside laws that stand already.
         found: The laws, the best first.
         courses: Each variable along the recordings, by its words and numbers.
-        gains: What a unit at each entry does in each run; None where terms are simulated.
+        reaches: What terms at each entry do; None where they are simulated.
         simulated: Whitened response to bumps over a variable at such an entry, (num_valid, k).
     """
 
@@ -146,7 +143,7 @@ class Screen:
     weigher: Weigher
     found: tuple[Candidate, ...]
     courses: Mapping[int, Sequence[Array]]
-    gains: Mapping[Entry, Sequence[Gains] | None]
+    reaches: Mapping[Entry, Reach | None]
     simulated: Mapping[tuple[Entry, int], Array]
 
     def values(self, candidate: Candidate) -> Sequence[Array]:
@@ -155,9 +152,9 @@ class Screen:
 
     def columns_of(self, candidate: Candidate, terms: Callable[[Array], Array]) -> Array:
         """Whitened response to terms of a law's variable at its entry, (num_valid, num_terms)."""
-        gains = self.gains[candidate.entry]
-        if gains is not None:
-            return self.followed.columns_of(gains, [terms(u) for u in self.values(candidate)])
+        reach = self.reaches[candidate.entry]
+        if reach is not None:
+            return reach.columns([terms(u) for u in self.values(candidate)])
         return self.simulated[candidate.entry, id(candidate.variable)] @ _made_of_bumps(
             candidate.basis.reach, terms
         )
@@ -217,14 +214,15 @@ def screen_laws(
     variables = port.variables()
     along = followed.courses(port, variables)
     courses = {id(v): [course[:, i] for course in along] for i, v in enumerate(variables)}
-    gains: dict[Entry, Sequence[Gains] | None] = {}
+    most_work = MOST_WORK / max(len(entries) * sum(v.is_turn for v in variables), 1)
+    reaches: dict[Entry, Reach | None] = {}
     dear: list[tuple[Variable, _AtEntry]] = []
     for k, entry in enumerate(entries):
         progress("laws", k / len(entries), f"laws at {entry.words}")
-        gains[entry] = followed.gains(port, entry)
-        at = _AtEntry(followed, weigher, port, entry, gains[entry])
+        reaches[entry] = followed.reach(port, entry)
+        at = _AtEntry(followed, weigher, port, entry, reaches[entry], most_work)
         for variable in (v for v in variables if v.may_be_at(entry)):
-            if at.gains is None:
+            if at.reach is None:
                 dear.append((variable, at))
             else:
                 out += at.weigh(variable, courses[id(variable)])
@@ -243,7 +241,7 @@ def screen_laws(
             simulated[at.entry, id(variable)] = block
             out += at.weigh_simulated(variable, reach, block)
     found = tuple(sorted(out, key=lambda c: c.rank))
-    return Screen(followed, weigher, found, courses, gains, simulated)
+    return Screen(followed, weigher, found, courses, reaches, simulated)
 
 
 def _weigh(weigher: Weigher, of: AskedLaw, basis: Basis, columns: Array) -> Candidate:
@@ -264,29 +262,33 @@ def _together(made: Sequence[Candidate]) -> Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _AtEntry:
-    """Laws at one entry."""
+    """Laws at one entry.
+
+    Attributes:
+        most_work: Wave numbers by samples, for each variable.
+    """
 
     followed: FollowedRecord
     weigher: Weigher
     port: LawPort
     entry: Entry
-    gains: Sequence[Gains] | None
+    reach: Reach | None
+    most_work: float
 
     def weigh(self, variable: Variable, u: Sequence[Array]) -> Iterator[Candidate]:
         """Laws of one variable with bumps, and with the waves that repeat best."""
         found = _range_of(np.concatenate(u))
         if found is None:
             return
+        reach = self.reach
+        assert reach is not None
         laws = [bumps(*found)]
         if variable.is_turn and self.entry.kind != "input":
-            laws += [_wave(k) for k in self._repeating(u)]
-        gains = self.gains
-        assert gains is not None
+            waves = self._repeating(reach, u)
+            laws += [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in waves]
         for law in laws:
             yield from self._weigh(
-                variable,
-                law,
-                lambda basis: self.followed.columns_of(gains, [basis.values(v) for v in u]),
+                variable, law, lambda basis: reach.columns([basis.values(v) for v in u])
             )
 
     def simulate(self, variable: Variable, reach: tuple[float, float]) -> Array | None:
@@ -321,7 +323,7 @@ class _AtEntry:
         if made:
             yield _together(made)
 
-    def _repeating(self, u: Sequence[Array]) -> list[float]:
+    def _repeating(self, entry: Reach, u: Sequence[Array]) -> list[float]:
         """Wave numbers with which a law of a variable would repeat, the best ones."""
         every = np.concatenate(u)
         reach = float(every.max() - every.min())
@@ -331,26 +333,34 @@ class _AtEntry:
             return []
         # a quarter of a period more over the range tells two numbers apart
         spacing = 0.5 * np.pi / reach
-        work = sum(r.size for r in self.followed.responses) + len(every)
-        highest = min(np.pi / fastest, spacing * min(MOST_NUMBERS, MOST_WORK / work))
+        most = min(MOST_NUMBERS, self.most_work / len(every))
+        highest = min(np.pi / fastest, spacing * most)
         numbers = np.arange(2.0 * np.pi * FEWEST_PERIODS / reach, highest, spacing)
         if len(numbers) < 3:
             return []
+        seen = self.weigher.seen_by(entry)
+        parts = np.array_split(numbers, len(numbers) // CHUNK + 1)
         scores = np.concatenate(
-            [self._scores(u, part) for part in np.array_split(numbers, len(numbers) // CHUNK + 1)]
+            [seen.scores(entry.coordinates(_waves(u, k, spacing))) for k in parts]
         )
         inner = (scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])
         tops = np.flatnonzero(np.concatenate([[True], inner, [True]]))
         return [float(numbers[i]) for i in tops[np.argsort(-scores[tops])][:PEAKS]]
 
-    def _scores(self, u: Sequence[Array], numbers: Array) -> Array:
-        """Misfit that each wave would take away at once."""
-        terms = []
-        for v in u:
-            phase = np.outer(v, numbers)
-            terms.append(np.concatenate([np.sin(phase), np.cos(phase)], 1))
-        assert self.gains is not None
-        return self.weigher.scores(self.followed.columns_of(self.gains, terms))
+
+def _waves(u: Sequence[Array], numbers: Array, spacing: float) -> list[Array]:
+    """Sines of evenly spaced wave numbers, then their cosines, (num_samples, 2 m) for each run."""
+    # a product of two exponentials for each, of a coarse and of a fine step
+    side = int(np.ceil(np.sqrt(len(numbers))))
+    coarse, fine = numbers[0] + spacing * side * np.arange(side), spacing * np.arange(side)
+    out = []
+    for v in u:
+        made = (
+            np.exp(1j * np.outer(v, coarse))[:, :, None] * np.exp(1j * np.outer(v, fine))[:, None]
+        )
+        waves = made.reshape(len(v), -1)[:, : len(numbers)]
+        out.append(np.concatenate([waves.imag, waves.real], 1))
+    return out
 
 
 def _range_of(u: Array) -> tuple[float, float] | None:
@@ -430,23 +440,12 @@ class Weigher:
         factor = linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True)
         return Weigher(self.missing, j, factor, self.folds)
 
-    def scores(self, columns: Array) -> Array:
-        """Misfit that pairs of columns take away, those of a half with those of the other.
-
-        Args:
-            columns: Slopes, (N, 2 m).
-
-        Returns:
-            (m,).
-        """
+    def seen_by(self, entry: Reach) -> SeenThere:
+        """What matters of it to terms at an entry."""
         j = self.jacobian
-        left = columns - j @ linalg.cho_solve(self.factor, j.T @ columns)
-        right = left.T @ self.missing
-        (a, b), (c, d) = (np.split(part, 2, axis=1) for part in (columns, left))
-        p, q = np.split(right, 2)
-        aa, bb, ab = (np.sum(x * y, 0) for x, y in ((a, c), (b, d), (a, d)))
-        det = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb + 1e-300)
-        return np.asarray((bb * p**2 - 2.0 * ab * p * q + aa * q**2) / det)
+        root = linalg.solve_triangular(self.factor[0], entry.seen(j).T, lower=True)
+        known = linalg.solve_triangular(self.factor[0], j.T @ self.missing, lower=True)
+        return SeenThere(root, entry.seen(self.missing) - root.T @ known)
 
     def left_out(self, columns: Array) -> tuple[float, float]:
         """Nats that a law gains on parts of the record it was not fitted to; the share of their
@@ -457,29 +456,82 @@ class Weigher:
         Args:
             columns: Slopes by factors that are N(0, 1), (N, k).
         """
-        n, k = self.jacobian.shape[1], columns.shape[1]
-        grams = [self._gram_of(self.folds == i, columns) for i in np.unique(self.folds)]
-        total = np.sum(grams, 0)
-        before = after = 0.0
-        for gram in grams:
-            before += _misfit(gram, total - gram, np.arange(n))
-            after += _misfit(gram, total - gram, np.arange(n + k))
+        parts, before = self._parts
+        after = _misfit([part.gram(columns[part.rows]) for part in parts], self.jacobian.shape[1])
         # where the stated noise is too large, what it takes away is all that was missing
         missing = max(before - len(self.missing), before - after, 1.0)
         return 0.5 * (before - after), (before - after) / missing
 
-    def _gram_of(self, rows: NDArray[np.bool_], columns: Array) -> Array:
-        """Gram matrix of [J, H, missing] in some rows, their own parameters fitted."""
-        j = self.jacobian
-        inside = np.column_stack([j[rows], columns[rows], self.missing[rows]])
-        gram = inside.T @ inside
-        is_own = ~(j[~rows] != 0.0).any(0) & (j[rows] != 0.0).any(0)
-        own = np.flatnonzero(is_own)
+    @cached_property
+    def _parts(self) -> tuple[tuple[_Part, ...], float]:
+        """The parts of the record, and their misfit without a law."""
+        j, parts = self.jacobian, []
+        for i in np.unique(self.folds):
+            rows = self.folds == i
+            own = np.flatnonzero(~(j[~rows] != 0.0).any(0) & (j[rows] != 0.0).any(0))
+            known = np.column_stack([j[rows], self.missing[rows]])
+            parts.append(_Part(rows, known, known.T @ known, own))
+        grams = [part.gram(np.zeros((len(part.known), 0))) for part in parts]
+        return tuple(parts), _misfit(grams, j.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A part of the record that is left out.
+
+    Attributes:
+        rows: Where it stands.
+        known: [J, missing] there.
+        inner: Gram matrix of these.
+        own: Parameters that only this part tells.
+    """
+
+    rows: NDArray[np.bool_]
+    known: Array
+    inner: Array
+    own: NDArray[np.int64]
+
+    def gram(self, columns: Array) -> Array:
+        """Gram matrix of [J, missing, H], the part's own parameters fitted."""
+        mixed = self.known.T @ columns
+        gram = np.block([[self.inner, mixed], [mixed.T, columns.T @ columns]])
+        own = self.own
         if len(own):
             inner = gram[np.ix_(own, own)] + np.eye(len(own))
             gram = gram - gram[:, own] @ linalg.solve(inner, gram[own], assume_a="pos")
             gram[own] = gram[:, own] = 0.0  # they are fitted: nobody fits them again
         return np.asarray(gram)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenThere:
+    """What terms at one entry can take away, whatever the model's numbers are.
+
+    Attributes:
+        root: Takes out what those numbers would follow, (n, num_coordinates).
+        missing: What is missing there, without that, (num_coordinates,).
+    """
+
+    root: Array
+    missing: Array
+
+    def scores(self, terms: Array) -> Array:
+        """Misfit that pairs of terms take away, those of a half with those of the other.
+
+        Args:
+            terms: Coordinates, (num_coordinates, 2 m).
+
+        Returns:
+            (m,).
+        """
+        (a, b), (c, d) = (np.split(part, 2, axis=1) for part in (terms, self.root @ terms))
+        p, q = np.split(terms.T @ self.missing, 2)
+        aa, bb, ab = (
+            np.einsum("ij,ij->j", x, y) - np.einsum("ij,ij->j", v, w)
+            for x, y, v, w in ((a, a, c, c), (b, b, d, d), (a, b, c, d))
+        )
+        det = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb + 1e-300)
+        return np.asarray((bb * p**2 - 2.0 * ab * p * q + aa * q**2) / det)
 
 
 def _folds(problem: Problem) -> Array:
@@ -491,8 +543,20 @@ def _folds(problem: Problem) -> Array:
     return np.concatenate(parts)
 
 
-def _misfit(gram: Array, rest: Array, idx: NDArray[np.int64]) -> float:
-    """Misfit of a part with what the rest tells of coordinates."""
-    inner = rest[np.ix_(idx, idx)] + np.eye(len(idx))
-    d = linalg.solve(inner, rest[idx, -1], assume_a="pos")
-    return float(gram[-1, -1] - 2.0 * d @ gram[idx, -1] + d @ gram[np.ix_(idx, idx)] @ d)
+def _misfit(grams: Sequence[Array], at: int) -> float:
+    """Misfit of all parts, each with what the rest tells of coordinates.
+
+    Args:
+        grams: Gram matrix of coordinates and of what is missing, by part.
+        at: Place of what is missing.
+    """
+    total = np.sum(grams, 0)
+    idx = np.delete(np.arange(len(total)), at)
+    square = np.ix_(idx, idx)
+    misfit = 0.0
+    for gram in grams:
+        rest = total - gram
+        inner = rest[square] + np.eye(len(idx))
+        d = linalg.solve(inner, rest[idx, at], assume_a="pos")
+        misfit += float(gram[at, at] - 2.0 * d @ gram[idx, at] + d @ gram[square] @ d)
+    return misfit

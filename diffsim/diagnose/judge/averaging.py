@@ -183,7 +183,8 @@ class ModelAverage:
         """
         effect, fit = self.search.wide.effects[i], self._find_set(h).fit
         own = (self.search.wide if fit is None else fit.problem).columns_of(effect)
-        mean, sd = (values[own] for values in self._posterior(h))
+        known = self._posteriors(h, lambda: self._computed_posterior(h))
+        mean, sd = (values[own] for values in known)
         if names is None:
             return mean, sd
         if h.unknown is None:
@@ -191,11 +192,8 @@ class ModelAverage:
         # the unknown cause takes up what makes fits differ: the spread is a floor, no factor
         return mean, np.maximum(sd, [self.spread.get(n, 0.0) for n in names])
 
-    def _posterior(self, h: Hypothesis) -> tuple[Array, Array]:
-        """Mean and sd of all scaled coordinates of a set's problem."""
-        return self._posteriors(h, lambda: self._computed_posterior(h))
-
     def _computed_posterior(self, h: Hypothesis) -> tuple[Array, Array]:
+        """Mean and sd of all scaled coordinates of a set's problem."""
         posterior = self._find_set(h)
         fit = posterior.fit
         if fit is None:

@@ -163,7 +163,8 @@ def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
         verb: Before "missing"; empty: as sure and as many as they are.
     """
     sheet = [row for row in named if row.origin == DATA_SHEET]
-    effects = _by_share([row for row in named if row.origin == EFFECT])
+    effects = [row for row in named if row.origin == EFFECT]
+    effects.sort(key=lambda row: -(row.removes or 0.0))
     certain = [row for row in effects if row.status == CERTAIN]
     larger = _larger(certain, effects)
     effects = certain or effects
@@ -178,11 +179,6 @@ def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
     if sheet:
         out = [*(f"{said}, {sheet[0].words} is off its data sheet" for said in out), *out]
     return out
-
-
-def _by_share(rows: Sequence[CauseRow]) -> list[CauseRow]:
-    """Causes by what they remove, the largest share first."""
-    return sorted(rows, key=lambda row: -(row.removes or 0.0))
 
 
 def _larger(certain: Sequence[CauseRow], effects: Sequence[CauseRow]) -> list[CauseRow]:

@@ -148,7 +148,10 @@ def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
     for fit in rivals:
         residual, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
         linear.append(
-            (residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True))
+            (
+                residual,
+                jacobian @ linalg.cholesky(0.5 * (fit.covariance + fit.covariance.T), lower=True),
+            )
         )
     distances = []
     for a in range(len(linear)):
@@ -159,7 +162,3 @@ def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
             seen = blur.T @ apart
             distances.append(float(apart @ apart - seen @ np.linalg.solve(inner, seen)))
     return min(distances)
-
-
-def _symmetric(matrix: Array) -> Array:
-    return 0.5 * (matrix + matrix.T)

@@ -46,11 +46,6 @@ def is_prior_too_dear(simulations: Simulations, settings: SearchSettings) -> boo
     return simulations.at_prior is None and wide.cost() * len(wide.names) > left
 
 
-def _scan_budget(simulations: Simulations, settings: SearchSettings) -> float:
-    """Weighted steps for the scans at the prior."""
-    return FROM_PRIOR * (settings.scan_steps - simulations.scan_steps)
-
-
 def center_at_prior(
     simulations: Simulations, settings: SearchSettings, num_families: int
 ) -> tuple[Center | None, Simulations]:
@@ -65,7 +60,7 @@ def center_at_prior(
         The center, None where it cannot be simulated, and the simulations with the work it took.
     """
     wide = simulations.wide
-    budget = _scan_budget(simulations, settings)
+    budget = FROM_PRIOR * (settings.scan_steps - simulations.scan_steps)
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
     # kept apart: scans are known by the set that they start from, here as at the plain model's fit
     apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")

@@ -74,14 +74,11 @@ def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[M
         if effects[i].locate is not None and effects[i].family not in placed:
             yield frozenset({i})
     for i in outside:
-        if effects[i].locate is None and _is_scanned(effects[i]):
+        effect = effects[i]
+        is_rough = not effect.smooth and not isinstance(effect, NumericalEffect)
+        if effect.locate is None and (effect.scanned or is_rough):
             yield frozenset({i})
     yield from masking_pairs(effects, members, room)
-
-
-def _is_scanned(effect: Effect) -> bool:
-    is_numerical = isinstance(effect, NumericalEffect)
-    return effect.scanned or (not effect.smooth and not is_numerical)
 
 
 def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:
@@ -236,11 +233,8 @@ def _stand_ins(runs: Sequence[Run]) -> list[int]:
 
 def _mask(a: Effect, b: Effect) -> bool:
     """Whether one names the other, or what its name begins with before the place it acts at."""
-
-    def names(one: Effect, other: Effect) -> bool:
-        return any(other.name == m or other.name.startswith(f"{m}_") for m in one.masks)
-
-    return names(a, b) or names(b, a)
+    named = [(b.name, m) for m in a.masks] + [(a.name, m) for m in b.masks]
+    return any(name == m or name.startswith(f"{m}_") for name, m in named)
 
 
 def _combine_tries(effects: Sequence[Effect]) -> Array:

@@ -67,7 +67,6 @@ class OdeLaws:
         model: Plain model.
         make: Function (study) -> setup, of a study whose frame holds laws.
         whole: Study with runs to test by; None: ``study`` has all.
-        is_frugal: Whether its simulations are dear.
     """
 
     system: FormulaSystem
@@ -76,7 +75,6 @@ class OdeLaws:
     model: SimModel
     make: Callable[[Study], DiagnosisSetup]
     whole: Study | None = None
-    is_frugal: bool = False
 
     def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> OdeLaws:
         """The same for a study of more runs, whose setup another function makes."""

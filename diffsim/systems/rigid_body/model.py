@@ -150,6 +150,9 @@ class TossScene(InstrumentedScene):
         return out if wide or self.instruments.num_points else out[0]
 
 
+TOSS, SAMPLE = 2000.0, 16.0  # weighted steps of a toss and of its samples, starts fitted anew
+
+
 class TossModel(SimModel):
     """A tossed body; start states profiled at ``at``.
 
@@ -177,6 +180,7 @@ class TossModel(SimModel):
             return TossScene(run, thrown.parameters.in_run(values, run), table)
 
         super().__init__(build, base, "tossed body", batched=True)
+        self.run_cost, self.step_cost = TOSS, SAMPLE
 
     def predict_many(self, run, q, sizes=None, numerics=None):  # type: ignore[no-untyped-def]
         """Predictions at many points; without parameters one serves for all."""

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Run
@@ -25,8 +26,6 @@ def make_run(measured, name="r", group="g"):
 
 def covariance(a, n, sd):
     """From the impulse response of x_t = a1 x_{t-1} + ... + e_t, normalized to sd."""
-    from scipy.signal import lfilter
-
     response = lfilter([1.0], [1.0, *-a], np.eye(1, 2000)[0])
     rho = np.array([response[: 2000 - k] @ response[k:] for k in range(n)])
     idx = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
@@ -146,6 +145,15 @@ def test_the_color_of_noise_is_told_between_gaps():
     series[0][[2, 37]] = np.nan  # two samples stand alone at both ends
     assert len(fit_color(series, 1.0)) == 1
     assert len(fit_ar([*series, np.array([0.3, 0.1])])) == 1
+
+
+def test_a_stated_sd_that_is_far_too_large_has_no_color():
+    """What is left is a simulation that is wrong, in white noise of a tenth of that sd."""
+    rng, time = np.random.default_rng(5), 0.02 * np.arange(150)
+    series = [0.2 * np.sin(2.0 * time + k) + 0.1 * rng.normal(size=len(time)) for k in range(4)]
+    assert len(fit_color(series, 1.0)) == 0
+    colored = [lfilter([0.8], [1.0, -0.6], rng.normal(size=len(time))) for _ in range(4)]
+    assert len(fit_color(colored, 1.0)) == 1
 
 
 def test_readings_in_steps_have_the_noise_of_rounding():

@@ -70,7 +70,7 @@ def test_columns_are_what_the_simulator_does(fitted, followed, entry, step):
         np.stack([np.sin(2.0 * a[:, 0] + 0.4), a[:, 0] ** 2 / 20.0], 1)
         for a in followed.courses(port, [variable])
     ]
-    found = followed.columns_of(followed.gains(port, entry), terms)
+    found = followed.reach(port, entry).columns(terms)
     effect = port.terms(entry, variable, TERMS, "law", 1.0)
     for k in range(len(TERMS)):
         rows = []
@@ -110,7 +110,7 @@ def test_nothing_is_led_where_nothing_can_push():
     np.testing.assert_allclose(seen.chi2, fit.chi2, rtol=1e-9)
     entry = next(e for e in setup.laws.entries if e.kind == "number")
     u = seen.courses(setup.laws, [Variable("torque", "torque")])
-    found = seen.columns_of(seen.gains(setup.laws, entry), u)
+    found = seen.reach(setup.laws, entry).columns(u)
     # angle = k torque (1 + size torque)
     k = fit.values["k"]
     expected = np.concatenate([k * v**2 / NOISE for v in u])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import linalg, special, stats
+from scipy import linalg, sparse, special, stats
 
+from diffsim.diagnose.discover.follow import Reach, ReachInRun
 from diffsim.diagnose.discover.screen import NUM_BUMPS, Candidate, Weigher, bumps, trend
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.identify.law import Entry, Variable
@@ -128,8 +129,16 @@ def test_a_waves_score_is_what_refits_take_away(problem):
     """Of a sine and a cosine, the model's numbers fitted anew beside their prior."""
     missing, slopes, _, folds = problem
     rng = np.random.default_rng(2)
-    pairs = rng.normal(size=(COUNT, 6))
-    found = weigher(missing, slopes, folds).scores(pairs)
+    # a run's terms at twenty samples drive five knots, those of the other are read at once
+    course, spread = rng.normal(size=(COUNT // 2, 5)), rng.normal(size=(5, 20))
+    knots, at_once = sparse.csr_array(spread), sparse.csr_array(rng.normal(size=(COUNT // 2, 20)))
+    here = sparse.eye_array(COUNT // 2, format="csr")
+    entry = Reach((ReachInRun(*np.linalg.qr(course), knots), ReachInRun(here, here, at_once)))
+    terms = [rng.normal(size=(20, 6)) for _ in range(2)]
+    pairs = np.concatenate([course @ spread @ terms[0], at_once @ terms[1]])
+    np.testing.assert_allclose(entry.columns(terms), pairs, rtol=1e-9, atol=1e-9)
+    seen = weigher(missing, slopes, folds).seen_by(entry)
+    found = seen.scores(entry.coordinates(terms))
     metric = np.linalg.inv(np.eye(COUNT) + slopes @ slopes.T)
     for k in range(3):
         pair = pairs[:, [k, k + 3]]

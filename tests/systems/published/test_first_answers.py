@@ -1,0 +1,30 @@
+"""First answers of published sets by the command alone, laws that nobody listed among the causes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from diffsim.cli import main
+from tests.measured import data_folder
+
+pytestmark = [pytest.mark.reference, pytest.mark.story]
+
+# what a first answer must name
+NAMED = {
+    "cube_toss": {"length_scale", "center_offset"},
+    "pneumatic_arm_p25": {"ballooning", "slow_share"},
+}
+
+
+@pytest.mark.cpu(60)  # whole diagnoses: 19 and 36 s
+@pytest.mark.parametrize("name", sorted(NAMED))
+def test_a_first_answer_names_the_main_causes_within_its_budget(name, tmp_path):
+    data_folder(name.removesuffix("_p25"))
+    assert main(["diagnose", "explain", name, "--budget", "quick", "--out", str(tmp_path)]) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["verdict"] == "named"
+    assert set(report["named"]) >= NAMED[name]
+    given = report["settings"]["search"]["refit_steps"]
+    assert report["settings"]["work"]["steps"] < 2.0 * given
