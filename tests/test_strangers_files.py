@@ -1,16 +1,24 @@
 """Files of strangers cannot read or write outside of their folder, nor show what is there."""
 
+import pickle
 from pathlib import Path
 
 import pytest
+import torch
 
+from diffsim.cli import main
 from diffsim.copter.design.design_file import load_design
+from diffsim.copter.exchange.mjcf_text import whole_mjcf
+from diffsim.copter.exchange.vehicle_file import load_vehicle
+from diffsim.core.errors import MeshError
 from diffsim.core.inside import inside, require_file_name
 from diffsim.data import load_study
 from diffsim.data.table import open_table
 from diffsim.identify.model_file import read_extended
+from diffsim.learn.run import CHECKPOINT, read_checkpoint, read_rows
+from diffsim.mesh import load
 
-SECRET = "time_s,secret\n0,hunter2\n1,hunter2\n"
+SECRET = "time_s,secret,word\n0,1,hunter2\n1,2,hunter2\n"
 STUDY = """
 name: {name}
 system: rigid_body
@@ -72,6 +80,25 @@ def test_files_in_the_folder_are_read(folder):
     (folder / "study.yaml").write_text(STUDY.format(name="cart", file="own.csv"))
     assert load_study(folder).runs[0].measured.shape == (2, 1)
     assert inside(folder, "sub/new.csv", "file") == folder / "sub" / "new.csv"
+
+
+def test_links_of_the_user_may_lead_where_he_says(folder, monkeypatch, capsys):
+    """A log of 10 GB is not copied; which links are his own, no file can say."""
+    monkeypatch.setenv("DIFFSIM_LINKS", "")
+    (folder / "study.yaml").write_text(STUDY.format(name="cart", file="link.csv"))
+    (folder / "elsewhere").mkdir()
+    for allowed in (None, folder / "elsewhere"):
+        given = [] if allowed is None else ["--links", str(allowed)]
+        assert main(["diagnose", "check", str(folder), *given]) == 2
+        assert f"if the link is yours: --links {folder.parent}" in capsys.readouterr().err
+    assert main(["diagnose", "check", str(folder), "--links", str(folder / "none")]) == 2
+    assert "--links must be an existing folder" in capsys.readouterr().err
+    main(["diagnose", "check", str(folder), "--links", str(folder.parent)])
+    assert "is a link that leaves" not in capsys.readouterr().err
+    assert load_study(folder).runs[0].measured.shape == (2, 1)
+    for stated in ("../secret.csv", str(folder.parent / "secret.csv")):  # of the file, no link
+        with pytest.raises(ValueError, match="folder"):
+            inside(folder, stated, "file")
 
 
 def test_files_that_the_caller_names_may_lie_anywhere(folder):
@@ -137,3 +164,101 @@ def test_saved_models_hold_numbers(tmp_path, good, bad, message):
     path.write_text(MODEL.replace(good, bad))
     with pytest.raises(ValueError, match=r"extended_model.yaml: " + message):
         read_extended(path)
+
+
+VEHICLE = """
+body: FLU
+body_file: {file!r}
+rotors: [{{at: [0, 0, 0], spin: cw}}]
+rotor: {{radius: 0.1, max_thrust: 5, torque_ratio: 0.01}}
+"""
+XML = """
+<mujoco><compiler meshdir="."/><asset><mesh name="hull" file="{mesh}"/></asset><worldbody>
+<body name="x"><freejoint/><geom type="mesh" mesh="hull" mass="1"/>
+<include file="{include}"/></body></worldbody></mujoco>
+"""
+INNER = "<mujocoinclude><hunter2 name='hunter2'/></mujocoinclude>"
+
+
+@pytest.mark.parametrize("way", [0, 1, 3, 4, 8, 9])
+def test_bodies_of_vehicles_stay_in_their_folder(folder, way):
+    path = folder / "vehicle.yaml"
+    path.write_text(VEHICLE.format(file=outside(folder)[way]))
+    with pytest.raises(ValueError, match=r"vehicle.yaml: body_file must .*folder") as refused:
+        load_vehicle(path)
+    assert "hunter2" not in str(refused.value)
+
+
+@pytest.mark.parametrize("what", ["include", "mesh"])
+@pytest.mark.parametrize("way", [0, 1, 3, 4, 8, 9])
+def test_files_of_an_mjcf_stay_in_its_folder(folder, way, what):
+    (folder.parent / "secret.csv").write_text(INNER)
+    (folder / "own.xml").write_text("<mujocoinclude/>")
+    (folder / "own.stl").write_bytes(bytes(84))
+    named = {"include": "own.xml", "mesh": "own.stl"} | {what: outside(folder)[way]}
+    (folder / "x.xml").write_text(XML.format(**named))
+    with pytest.raises(ValueError, match=rf"file of <{what}> must .*folder") as refused:
+        whole_mjcf(folder / "x.xml")
+    assert "hunter2" not in str(refused.value)
+
+
+def test_further_files_of_an_mjcf_are_not_read(folder):
+    text = XML.format(mesh="own.stl", include="own.xml")
+    (folder / "own.xml").write_text("<mujocoinclude><plugin file='own.csv'/></mujocoinclude>")
+    (folder / "own.stl").write_bytes(bytes(84))
+    (folder / "x.xml").write_text(text)
+    with pytest.raises(ValueError, match="<plugin> reads another file"):
+        whole_mjcf(folder / "x.xml")
+    (folder / "own.xml").write_text("<mujocoinclude><include file='own.xml'/></mujocoinclude>")
+    with pytest.raises(ValueError, match="more than 50 files include each other"):
+        whole_mjcf(folder / "x.xml")
+
+
+@pytest.mark.parametrize("line", ["*INCLUDE, INPUT={}", " * include,input = {}"])
+def test_includes_of_abaqus_are_not_followed(folder, line):
+    path = folder / "body.inp"
+    path.write_text(f"*NODE\n1, 0, 0, 0\n{line.format(folder.parent / 'secret.csv')}\n")
+    with pytest.raises(MeshError, match=r"body.inp includes another file") as refused:
+        load(path)
+    assert "hunter2" not in str(refused.value)
+
+
+class Payload:
+    """Runs code when it is loaded."""
+
+    def __reduce__(self):
+        return print, ("hunter2",)
+
+
+def test_checkpoints_with_objects_are_refused_in_a_sentence(folder, capsys):
+    for content in ({"setup": Payload()}, {"setup": "x"}, [1]):
+        torch.save(content, folder / CHECKPOINT)
+        with pytest.raises(ValueError, match=r"checkpoint.pt: (cannot be read|no checkpoint of)"):
+            read_checkpoint(folder)
+    (folder / CHECKPOINT).write_bytes(b"garbage")
+    with pytest.raises(ValueError, match=r"checkpoint.pt: cannot be read as a checkpoint"):
+        read_checkpoint(folder)
+    assert "hunter2" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "content", [b"garbage" * 50, b"PK\x03\x04" + bytes(99), b"", pickle.dumps(Payload())]
+)
+def test_controllers_that_are_none_are_refused_in_a_sentence(folder, capsys, content):
+    (folder / "mine.npz").write_bytes(content)
+    assert main(["play", "--file", str(folder / "mine.npz"), "--out", str(folder)]) == 2
+    said = capsys.readouterr()
+    assert "mine.npz: no controller that diffsim wrote" in said.err
+    assert "hunter2" not in said.out
+
+
+@pytest.mark.parametrize(
+    "cut", ['{"rewa', "[" * 100_000, "[1]", '{"reward": 1}', "\ud800".encode("utf-8", "replace")]
+)
+def test_ratings_that_were_cut_name_their_row(folder, cut):
+    rows = b'{"reward": null, "finished": false}\n' + (
+        cut if isinstance(cut, bytes) else cut.encode()
+    )
+    (folder / "results.jsonl").write_bytes(rows)
+    with pytest.raises(ValueError, match=r"results.jsonl, row 2: no rating of a training"):
+        read_rows(folder)

@@ -14,6 +14,7 @@ from diffsim.core.files import write_text_atomic
 
 if TYPE_CHECKING:
     from diffsim.data.formats import Columns
+    from diffsim.data.table import Table
 
 HELP = "show what a recorded file holds, or write a table of it in another format"
 
@@ -23,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source",
         metavar="FILE[#PART]",
-        help="Parquet, HDF5, MAT, PX4 ULog (.ulg), MCAP, rosbag (.bag, .db3) or CSV",
+        help="Parquet, HDF5, MAT, NPZ, XLSX, PX4 ULog (.ulg), MCAP, rosbag (.bag, .db3) or CSV",
     )
     parser.add_argument(
         "out",
@@ -49,21 +50,26 @@ def command(args: argparse.Namespace) -> None:
     if args.out is None:
         for name in [part] if part or not is_container(file) else parts_of(file):
             source = Path(f"{file}#{name}" if name else file)
-            _show(source, Table(source, "table").columns())
+            _show(source, Table(source, "table"))
         return
-    columns = Table(Path(args.source), "table").columns()
+    table = Table(Path(args.source), "table")
+    columns = table.columns()
     if args.out.suffix.lower() == ".csv":
         out = write_text_atomic(args.out, _as_csv(columns))
     else:
         out = write_columns(args.out, columns)
-    print(f"wrote {out}: {len(next(iter(columns.values())))} rows, {len(columns)} columns")
+    print(f"wrote {out}: {len(table)} rows, {len(columns)} columns")
+    for sentence in table.left_out:
+        print(f"not in it: {sentence}")
     if new := renamed(args.out, columns):
         print("renamed: " + ", ".join(f"{old} to {name}" for old, name in new.items()))
 
 
-def _show(source: Path, columns: Columns) -> None:
-    print(f"{source}: {len(next(iter(columns.values())))} rows")
-    for name, values in columns.items():
+def _show(source: Path, table: Table) -> None:
+    print(f"{source}: {len(table)} rows")
+    for sentence in table.left_out:
+        print(f"  not in it: {sentence}")
+    for name, values in table.columns().items():
         if values.dtype.kind in "US":
             print(f"  {name}: text, such as {values[0]!r}")
         else:

@@ -25,6 +25,7 @@ def command(args: argparse.Namespace) -> None:
     """
     from diffsim.copter.vehicle.fit_rotor import fit_rotor, write_rotor
     from diffsim.copter.vehicle.rotor_table import read_rotor_bench
+    from diffsim.core.files import replacing
     from diffsim.core.optional import ask_for
     from diffsim.core.paths import data_folder
 
@@ -46,8 +47,8 @@ def command(args: argparse.Namespace) -> None:
         if args.figures:
             from diffsim.viz.rotors import rotor_fit  # matplotlib is optional
 
-            args.figures.mkdir(parents=True, exist_ok=True)
-            rotor_fit(fit).savefig(args.figures / f"{table.name}.png", dpi=110)
+            with replacing(args.figures / f"{table.name}.png", ".png") as drawn:
+                rotor_fit(fit).savefig(drawn, dpi=110)
 
 
 def main(argv: Sequence[str] | None = None) -> None:

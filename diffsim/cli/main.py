@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from diffsim.cli import (
     convert,
@@ -23,6 +24,7 @@ from diffsim.cli import (
     track,
 )
 from diffsim.core.errors import DiffsimError, Mistakes
+from diffsim.core.inside import allow_links
 from diffsim.core.interrupts import EXIT_INTERRUPTED, ending_at_once, terminate_as_interrupt
 from diffsim.core.version import __version__
 
@@ -56,6 +58,14 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"diffsim {__version__}")
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    common.add_argument(
+        "--links",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="links of yours beside a study may lead into FOLDER (repeat for several)",
+    )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, module in COMMANDS.items():
         if name in WITH_STEPS:
@@ -86,6 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(given[:cut])
     args.options = given[cut + 1 :]
     try:
+        allow_links(args.links)
         status = args.run(args) or 0
         sys.stdout.flush()
         return status

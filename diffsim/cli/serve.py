@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -77,5 +79,6 @@ def _viewer(host: str) -> Iterator[str | None]:
     try:
         yield f"http://{host}:{port}"
     finally:
-        process.terminate()
+        # Python's process only starts the viewer's: both are of this group
+        os.killpg(process.pid, signal.SIGTERM)
         process.wait(timeout=10)

@@ -24,19 +24,37 @@ def replacing(path: str | Path, suffix: str = ".tmp") -> Iterator[Path]:
 
     Yields:
         The temporary file, empty; it is removed if the block raises.
+
+    Raises:
+        OSError: the disk is full, or another reason; it names ``path``.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=suffix)
+    with _name_in_errors(path):
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=suffix)
     os.close(handle)
     temporary = Path(name)
     try:
-        yield temporary
-        os.chmod(temporary, 0o644)  # mkstemp makes files that only their owner can read
-        os.replace(temporary, path)
+        with _name_in_errors(path, temporary):
+            yield temporary
+            os.chmod(temporary, 0o644)  # mkstemp makes files that only their owner can read
+            os.replace(temporary, path)
     except BaseException:  # KeyboardInterrupt too: leave no half-written file behind
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def _name_in_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """Errors of the system say which file they are about: that of a full disk names none."""
+    try:
+        yield
+    except OSError as error:
+        if temporary is not None and error.filename not in (None, str(temporary)):
+            raise  # about another file, such as one that is read
+        if error.errno is None:  # of a library
+            raise OSError(f"cannot write {path}: {error}") from error
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def write_bytes_atomic(path: str | Path, content: bytes) -> Path:
@@ -46,6 +64,22 @@ def write_bytes_atomic(path: str | Path, content: bytes) -> Path:
         file.flush()
         os.fsync(file.fileno())
     return Path(path)
+
+
+def append_atomic(path: str | Path, content: bytes) -> None:
+    """Write at the end of a file and flush it to disk; if that fails, the file is as it was."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _name_in_errors(path), path.open("ab", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        left = memoryview(content)
+        try:
+            while left:  # a disk that gets full takes a part, without an error
+                left = left[file.write(left) :]
+            os.fsync(file.fileno())
+        except OSError:
+            file.truncate(size)
+            raise
 
 
 def write_text_atomic(path: str | Path, text: str) -> Path:

@@ -17,7 +17,7 @@ import numpy as np
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.clock_guess import TIME
-from diffsim.data.formats import SUFFIXES, parts_of
+from diffsim.data.formats import SUFFIXES, lerobot, parts_of
 from diffsim.data.log_columns import BESIDE, COMMAND, DRIVES, log_column
 from diffsim.data.paired_files import clocks_of, joined, joined_layout, paired, share_columns
 from diffsim.data.runs_guess import say
@@ -59,7 +59,7 @@ class FoundTable:
     @property
     def name(self) -> str:
         """What its run may be called: the file, or the folder that is the bag."""
-        stem = self.path.stem if self.path.parent == self.folder else self.path.parent.name
+        stem = self.path.parent.name if (self.path.parent / BAG).is_file() else self.path.stem
         several = self.num_parts > 1 and not self.is_topic
         return f"{stem}_{self.part.replace('/', '_')}" if several else stem
 
@@ -147,10 +147,13 @@ def recordings_in(
     taken = {f.path for kind in (kinds if times else [best]) for f in kind}
     others = dict.fromkeys(f.path.name for f in found if f.path not in taken)
     say(said, "files with other columns, not used", list(others))
+    beside = [f for f in found if f.path in taken and f not in best and not f.is_topic]
+    say(said, "tables with other columns, not used", [f.reference for f in beside], OTHERS)
     if times:
         return *_of_kinds(kinds, times, said), times
     further = _choose_further(found, best, parts, said)
     runs = [_recording(one, further, found) for one in best]
+    said += dict.fromkeys(sentence for run in runs for sentence in run.table.left_out)
     layout = best[0].layout
     if best[0].is_topic:
         layout = _of_topics(runs[0].table, (best[0].part, *further), best[0], found, said)
@@ -223,6 +226,7 @@ def _find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
     failed: list[str] = []
     bags = (p for p in folder.iterdir() if (p / BAG).is_file())  # of ROS 2: a folder each
     files = [*folder.iterdir(), *(file for bag in bags for file in bag.iterdir())]
+    files += lerobot.tables_of(folder)
     for path in sorted(p for p in files if p.suffix.lower() in SUFFIXES and p.is_file()):
         try:
             parts = parts_of(path)
@@ -285,7 +289,7 @@ def _join_tables(main: Table, others: Sequence[Table]) -> Table:
         for name in other.header:
             if name not in columns and other.is_number[name]:
                 columns[name] = np.interp(clock, at, other.numbers(name), np.nan, np.nan)
-    return Table.of_columns(main.path, columns)
+    return Table.of_columns(main.path, columns, main.left_out)
 
 
 def _strip_unit(name: str) -> str:

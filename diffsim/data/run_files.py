@@ -124,6 +124,8 @@ class RunReader:
             self.tables[path] = Table(
                 path, "run", header_line=form.header_line, first_line=form.first_line
             )
+            further = (s for s in self.tables[path].left_out if s not in self.left_out)
+            self.left_out += further
         return self.tables[path]
 
     def _pieces(self, case: RunFiles) -> Iterator[Piece]:

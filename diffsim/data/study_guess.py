@@ -33,14 +33,14 @@ from diffsim.data.table_guess import Column, TableLayout
 Array = NDArray[np.float64]
 _COMMAND = re.compile(
     r"(^|_)(cmd|command|commanded|set|setpoint|goal|desired|des|ref|reference|target|input|pwm|duty|"
-    r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction|soll|"
+    r"throttle|esc|signal|demand|actions?|control|controller|drive|pump|valve|contraction|soll|"
     r"sollwert|consigne|voltage)(_|\d|$)"
     r"|^u\d*$|^(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
     re.I,
 )
 #: Sensors by their names, and motion by names that mean it with a unit of motion.
 _SENSOR = re.compile(
-    r"(^|_)(gyro|acc|accel|accelerometer|imu|mocap|vicon|optitrack|encoder|odom|gps|baro|"
+    r"(^|_)(obs|observations?|gyro|acc|accel|accelerometer|imu|mocap|vicon|optitrack|encoder|odom|gps|baro|"
     r"measured|meas|ist|istwert|bat|battery|emf|temp|temperature)(_|\d|$)",
     re.I,
 )

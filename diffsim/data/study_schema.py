@@ -308,9 +308,10 @@ class RunEntry(RunKeys):
     )
     file: Texts = Field(
         (),
-        description="CSV file, or one of another format (Parquet, HDF5, MAT, ULog, MCAP, rosbag), "
-        "`FILE#PART` where it holds several tables. `*` or {level} in it: each file that fits is a "
-        "run. A list: further files are read at the clock of the first. Default: the name with "
+        description="CSV file, or one of another format (Parquet, HDF5, MAT, NPZ, XLSX, ULog, "
+        "MCAP, rosbag), `FILE#PART` where it holds several tables. `*` or {level} in it: each file "
+        "that fits is a run. A list: further files are read at the clock of the first. Default: "
+        "the name with "
         ".csv",
     )
     table: str | None = Field(

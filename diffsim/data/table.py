@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.data.formats import Columns, is_container, read_columns
+from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -204,6 +204,7 @@ class Table:
         header: Names of the columns.
         lines: Line of each row in the file.
         used: Columns that were asked for.
+        left_out: What the file holds, or lost, and the table does not have, a sentence each.
     """
 
     def __init__(
@@ -214,6 +215,7 @@ class Table:
         self.used: set[str] = set()
         self._cells: list[list[str]] = []
         self._arrays: Columns = read_columns(path) if is_container(path) else {}
+        self.left_out = left_out_of(path) if self._arrays else []
         if self._arrays:
             self.header = list(self._arrays)
             self.lines = list(range(1, 1 + len(self._arrays[self.header[0]])))
@@ -227,10 +229,11 @@ class Table:
         self._cells = [row for _, row in numbered]
 
     @classmethod
-    def of_columns(cls, path: Path, columns: Columns) -> Table:
+    def of_columns(cls, path: Path, columns: Columns, left_out: Sequence[str] = ()) -> Table:
         """A table of columns that were read already, (num_rows,) each."""
         made = cls.__new__(cls)
         made.path, made.used, made.header = path, set(), list(columns)
+        made.left_out = list(left_out)
         made._numbers, made._cells, made._arrays = {}, [], columns
         made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
         return made

@@ -1,19 +1,25 @@
 """Folders of runs: what each is, how far it is, which pages, pictures and recordings it has.
 
 Files are recognized by the names that the commands give them; nothing is computed or changed.
+Runs go on, and may be anybody's: what vanishes meanwhile is left out, what cannot be read is
+said, and what lies elsewhere is not looked at.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+import os
+import stat
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 PAGES, PICTURES, RECORDINGS = (".html",), (".png", ".svg", ".gif"), (".rrd",)
-_MOST_BYTES = 50_000_000  # of a table of progress that is read
+_MOST_BYTES = 100_000_000  # of a file that is read
+_TAIL = 200_000  # bytes of a table of progress in which its last row is
+_MOST_LETTERS = 2_000  # of a sentence
 
 
 @dataclass(frozen=True)
@@ -47,11 +53,12 @@ def run_folders(root: Path) -> list[RunFolder]:
     Args:
         root: Folder of all runs.
     """
-    folders = [root, *sorted(p for p in root.rglob("*") if p.is_dir() and not p.is_symlink())]
-    hidden = [f for f in folders if any(part[:1] == "." for part in f.relative_to(root).parts)]
-    sites = {f for f in folders if _is_site(f)}
-    hidden += [f for f in folders if sites.intersection(f.parents)]
-    made = (_run_folder(root, folder) for folder in folders if folder not in hidden)
+    root = root.resolve()
+    made: list[RunFolder | None] = []
+    for name, inner, _ in os.walk(root):  # follows no links, and what vanishes meanwhile is none
+        folder = Path(name)
+        inner[:] = [] if _is_site(folder) else sorted(n for n in inner if n[:1] != ".")
+        made.append(_run_folder(root, folder))
     return sorted((m for m in made if m is not None), key=lambda run: -run.changed)
 
 
@@ -61,19 +68,45 @@ def _is_site(folder: Path) -> bool:
 
 
 def _run_folder(root: Path, folder: Path) -> RunFolder | None:
-    files = {p.name: p for p in sorted(folder.iterdir()) if p.is_file() and p.name[:1] != "."}
-    shown = tuple(n for n in files if n.lower().endswith((*PAGES, *PICTURES, *RECORDINGS)))
-    kind = next((kind for marker, kind in _KINDS.items() if marker in files), None)
+    stamps = dict(sorted(_stamps(root, folder)))
+    shown = tuple(n for n in stamps if n.lower().endswith((*PAGES, *PICTURES, *RECORDINGS)))
+    kind = next((kind for marker, kind in _KINDS.items() if marker in stamps), None)
     if kind is None and _is_site(folder):
         shown, kind = ("index.html",), "site"
     if kind is None and not shown:
         return None
     said, progress = "", "finished"
     if kind is not None:
-        said, progress = _TOLD[kind](files)
-    changed = max(p.stat().st_mtime for p in files.values())
+        try:
+            said, progress = _tell(folder, kind, tuple(stamps.items()))
+        except Exception as error:  # one file of anybody's must not hide all other runs
+            said, progress = f"cannot be read: {type(error).__name__}", "unknown"
+    changed = max(changed_ns for _, changed_ns in stamps.values()) / 1e9
     relative = folder.relative_to(root).as_posix()
-    return RunFolder(relative, kind or "files", said, progress, changed, shown)
+    return RunFolder(relative, kind or "files", said[:_MOST_LETTERS], progress, changed, shown)
+
+
+def _stamps(root: Path, folder: Path) -> Iterator[tuple[str, tuple[int, int]]]:
+    """Files of a folder that lie below the root, with size [bytes] and time of change [ns]."""
+    try:
+        entries = list(os.scandir(folder))
+    except OSError:  # vanished, or not ours to read
+        return
+    for entry in entries:
+        try:
+            found = entry.stat()
+            inside = not entry.is_symlink() or Path(entry.path).resolve().is_relative_to(root)
+        except (OSError, RuntimeError):  # vanished, or links in a circle
+            continue
+        if entry.name[:1] != "." and stat.S_ISREG(found.st_mode) and inside:
+            yield entry.name, (found.st_size, found.st_mtime_ns)
+
+
+@lru_cache(maxsize=4096)  # runs that have ended are read once, not on every visit of the page
+def _tell(
+    folder: Path, kind: str, stamps: tuple[tuple[str, tuple[int, int]], ...]
+) -> tuple[str, str]:
+    return _TOLD[kind]({name: folder / name for name, _ in stamps})
 
 
 def _diagnosis(files: dict[str, Path]) -> tuple[str, str]:
@@ -89,23 +122,25 @@ def _headline(files: dict[str, Path], name: str) -> tuple[str, str]:
 
 
 def _training(files: dict[str, Path]) -> tuple[str, str]:
-    rows = [row for row in _rows(files["results.jsonl"]) if isinstance(row, dict)]
-    if not rows:
+    last = _last_row(files["results.jsonl"])
+    if not last:
         return "", "started"
-    last = rows[-1]
     reward = next((last[k] for k in ("reward", "return", "mean_return") if k in last), None)
-    said = f"reward {reward:.4g}" if isinstance(reward, (int, float)) else ""
-    steps = last.get("steps", len(rows))
-    return said, "finished" if last.get("finished") else f"{steps} steps so far"
+    said = f"reward {reward:.4g}" if isinstance(reward, float) else ""
+    if last.get("finished"):
+        return said, "finished"
+    steps = last.get("steps")
+    done = f"{steps:.10g}" if isinstance(steps, float) else _count_rows(files["results.jsonl"])
+    return said, f"{done} steps so far"
 
 
 def _device(files: dict[str, Path]) -> tuple[str, str]:
     result = _json(files.get("result.json"))
-    count = sum(1 for _ in _rows(files["progress.jsonl"])) if "progress.jsonl" in files else 0
     if not result:
-        return "", f"{count} evaluations so far"
+        table = files.get("progress.jsonl")
+        return "", f"{_count_rows(table) if table else 0} evaluations so far"
     loss = result.get("loss")
-    return (f"loss {loss:.4g}" if isinstance(loss, (int, float)) else ""), "finished"
+    return (f"loss {loss:.4g}" if isinstance(loss, float) else ""), "finished"
 
 
 def _flight(files: dict[str, Path]) -> tuple[str, str]:
@@ -141,20 +176,33 @@ _TOLD: dict[str, Callable[[dict[str, Path]], tuple[str, str]]] = {
 }
 
 
-def _json(path: Path | None) -> dict[str, Any]:
+def _json(path: Path | None) -> Mapping[str, Any]:
     """Content of a file; nothing where it is missing or being written."""
+    if path is None or path.stat().st_size > _MOST_BYTES:
+        return {}
+    return _mapping(path.read_bytes())
+
+
+def _mapping(text: bytes) -> Mapping[str, Any]:
+    """A JSON object, its numbers as floats; nothing where it is none."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path else {}
-    except (OSError, ValueError):
+        # an integer of 400 digits is none that can be shown
+        content = json.loads(text.decode("utf-8", "replace"), parse_int=float)
+    except (ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 
 
-def _rows(path: Path) -> Iterator[Any]:
-    if path.stat().st_size > _MOST_BYTES:
-        return
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        try:
-            yield json.loads(line)
-        except ValueError:  # the last line of a run that goes on
-            continue
+def _last_row(path: Path) -> Mapping[str, Any]:
+    """The last whole row of a table of progress, found from its end."""
+    with path.open("rb") as file:
+        file.seek(-min(_TAIL, file.seek(0, os.SEEK_END)), os.SEEK_END)
+        lines = file.read().splitlines()
+    return next((row for line in reversed(lines) if (row := _mapping(line))), {})
+
+
+def _count_rows(path: Path) -> str:
+    """How many rows a table of progress has, as far as it is read."""
+    with path.open("rb") as file:
+        count = file.read(_MOST_BYTES).count(b"\n")
+        return f"more than {count}" if file.read(1) else str(count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from datetime import datetime
 from functools import partial
@@ -59,12 +60,12 @@ def make_server(root: Path, port: int, viewer: str | None = None) -> ThreadingHT
 
 
 def _describe_run(run: RunFolder, viewer: str | None, base: str) -> dict[str, Any]:
-    folder = "" if run.path == "." else f"{quote(run.path)}/"
+    folder = "" if run.path == "." else f"{_quote_name(run.path)}/"
 
     def links(endings: tuple[str, ...], through: str | None = None) -> list[dict[str, str]]:
         out = []
         for name in run.of_kind(endings):
-            href = f"/{folder}{quote(name)}"
+            href = f"/{folder}{_quote_name(name)}"
             if through is not None:
                 href = f"{through}/?url={quote(base + href, safe='')}"
             out.append({"name": name, "href": href})
@@ -80,6 +81,11 @@ def _describe_run(run: RunFolder, viewer: str | None, base: str) -> dict[str, An
         "pictures": links(PICTURES),
         "recordings": links(RECORDINGS, viewer),
     }
+
+
+def _quote_name(name: str) -> str:
+    """A name in an address; Linux has names that are no UTF-8."""
+    return quote(os.fsencode(name))
 
 
 class _Handler(SimpleHTTPRequestHandler):
@@ -122,15 +128,19 @@ class _Handler(SimpleHTTPRequestHandler):
         return (self.headers.get("Host") or "").partition(":")[0] in (LOCAL, "localhost")
 
     def _is_inside(self) -> bool:
-        path = Path(self.translate_path(self.path)).resolve()
+        try:
+            path = Path(self.translate_path(self.path)).resolve()
+        except (OSError, ValueError, RuntimeError):  # a zero byte, links in a circle
+            return False
         hidden = any(p[:1] == "." for p in path.parts[len(self._root.parts) :])
         return path.is_file() and path.is_relative_to(self._root) and not hidden
 
     def _send_index(self) -> None:
         base = f"http://{self.headers.get('Host')}"  # checked: this machine's own
-        page = render_index(self._root, run_folders(self._root), self._viewer, base).encode()
+        page = render_index(self._root, run_folders(self._root), self._viewer, base)
+        content = page.encode("utf-8", "replace")
         self.send_response(200)
         self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.send_header("Content-Length", str(len(page)))
+        self.send_header("Content-Length", str(len(content)))
         self.end_headers()
-        self.wfile.write(page)
+        self.wfile.write(content)

@@ -71,18 +71,28 @@ def written_in(text: str, model: str) -> str:
     return head + model + rest[: rest.index("# `check` repeats these")]
 
 
-def test_a_px4_log_is_initialized_checked_and_explained(tmp_path, capsys):
-    for kind, flight in flights():
-        write_ulog(tmp_path / f"{kind}.ulg", flight)
-    assert diffsim("init", tmp_path, "--system", "multicopter") == 0
+def study_of_px4_logs(folder: Path, capsys, seconds: float) -> Path:
+    """The study that `init` makes of three logs, ready for a diagnosis."""
+    for kind, flight in flights(seconds):
+        write_ulog(folder / f"{kind}.ulg", flight)
+    assert diffsim("init", folder, "--system", "multicopter") == 0
     said = capsys.readouterr().out
     assert "vehicle_local_position and vehicle_attitude and vehicle_angular_velocity" in said
     assert "control_3, by its topic" in said
-    file = tmp_path / "study.yaml"
+    file = folder / "study.yaml"
     file.write_text(written_in(file.read_text(), MODEL))
     assert diffsim("check", file) == 0, capsys.readouterr().out
     assert "ready for a diagnosis" in capsys.readouterr().out
-    out = tmp_path / "answer"
+    return file
+
+
+def test_a_px4_log_is_initialized_and_checked(tmp_path, capsys):
+    study_of_px4_logs(tmp_path, capsys, seconds=0.5)
+
+
+@pytest.mark.slow
+def test_a_px4_log_is_explained(tmp_path, capsys):
+    file, out = study_of_px4_logs(tmp_path, capsys, seconds=2.0), tmp_path / "answer"
     assert diffsim("explain", file, "--quick", "--out", out) == 0
     report = json.loads((out / "report.json").read_text())
     assert (report["verdict"], report["named"]) == ("named", ["lag"]), report["sentences"]

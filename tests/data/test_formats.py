@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from diffsim.cli import main
-from diffsim.data.formats import parts_of, read_columns, write_columns
+from diffsim.data.formats import left_out_of, parts_of, read_columns, write_columns
 from diffsim.data.study_file import load_study
+from diffsim.data.table_guess import column_of
 
 TIME = np.linspace(0.0, 1.0, 11)
 DECIMALS = np.arange(11) / 10  # what whole ticks of a log's clock stand for, to the last bit
@@ -59,23 +60,197 @@ def test_hdf5_groups_and_wide_arrays(tmp_path):
     assert set(back) == {"time_s", "gyro[0]", "gyro[1]", "gyro[2]"}
 
 
-def test_json_messages_of_an_mcap(tmp_path):
+def test_hdf5_says_units_and_what_it_leaves_out(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["t"], file["angle"], file["gain"] = TIME, TIME, 3.0
+        file["angle"].attrs["units"] = "deg"
+        file["imu/gyro"] = np.zeros((11, 2))
+        file["imu/gyro"].attrs["unit"] = b"rad/s"
+        file["camera"] = np.zeros((11, 8, 9), dtype=np.uint8)
+        file["other"] = np.zeros(5)
+        file["slow/time"], file["slow/volts"] = TIME, TIME  # a clock of its own
+    path = tmp_path / "log.h5"
+    assert parts_of(path) == ["", "slow"]
+    assert set(read_columns(f"{path}#")) == {
+        "t", "angle [deg]", "imu.gyro[0] [rad/s]", "imu.gyro[1] [rad/s]"
+    }  # fmt: skip
+    units = {n: column_of(n).unit for n in read_columns(f"{path}#")}
+    assert units == {"t": None, "angle [deg]": "deg",
+                     "imu.gyro[0] [rad/s]": "rad/s", "imu.gyro[1] [rad/s]": "rad/s"}  # fmt: skip
+    said = "\n".join(left_out_of(f"{path}#"))
+    assert "array camera: 8 x 9 numbers a row" in said and "array gain: a single value" in said
+    assert "array other: another number of rows" in said
+    with h5py.File(path, "r+") as file:
+        file["slow/again"] = file["slow"]
+    with pytest.raises(ValueError, match=r"log\.h5: .*group 'slow/again' holds itself, or stands"):
+        parts_of(path)
+
+
+def test_matlab_7_3_has_columns_that_lie(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.mat", "w") as file:
+        file["t"], file["q"] = TIME[None], np.stack([TIME, -TIME])
+        file["run2/t"], file["run2/q"] = TIME[None, :9], TIME[:9, None]
+        file["#refs#/a"] = TIME
+    assert parts_of(tmp_path / "log.mat") == ["", "run2"]
+    back = read_columns(f"{tmp_path}/log.mat#")
+    assert set(back) == {"t", "q[0]", "q[1]"}
+    np.testing.assert_array_equal(back["q[1]"], -TIME)
+    np.testing.assert_array_equal(read_columns(f"{tmp_path}/log.mat#run2")["q"], TIME[:9])
+
+
+def swing(k, rows=60):
+    """A servo that lags behind its goal."""
+    goal = np.sin((3.0 + k) * np.arange(rows) / 30.0)
+    return goal, np.roll(goal, 3) + 1e-3 * np.random.default_rng(k).normal(size=rows)
+
+
+def test_demonstrations_of_robomimic(tmp_path, capsys):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "demo.hdf5", "w") as file:
+        for k in range(3):
+            goal, position = swing(k)
+            demo = file.create_group(f"data/demo_{k}")
+            demo["actions"], demo["dones"] = goal[:, None] * [1, 2], np.zeros(60, np.int64)
+            demo["obs/joint_pos"] = position[:, None]
+            demo["obs/agentview_image"] = np.zeros((60, 8, 9, 3), dtype=np.uint8)
+            demo["next_obs/joint_pos"] = np.roll(position, -1)[:, None]
+        file["data"].attrs["env_args"] = json.dumps({"env_kwargs": {"control_freq": 20}})
+        file["mask/train"] = np.array([b"demo_0", b"demo_1"])
+    assert main(["diagnose", "init", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["actions_0", "actions_1"]
+    assert [c.name for c in study.channels] == ["obs_joint_pos"]
+    assert [run.name for run in study.runs] == [f"demo_data_demo_{k}" for k in range(3)]
+    np.testing.assert_allclose(study.runs[1].time_s, np.arange(60) / 20.0)
+    np.testing.assert_array_equal(study.runs[2].command["actions_1"], 2.0 * swing(2)[0])
+    np.testing.assert_array_equal(study.runs[2].measured[:, 0], swing(2)[1])
+    assert "demo.hdf5#mask" in said and "group next_obs: obs of the next row" in said
+    assert "array obs.agentview_image: 8 x 9 x 3 numbers a row" in said
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_datasets_of_lerobot(tmp_path, capsys, version):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    names = ["shoulder.pos", "gripper.pos"]
+    listed = {"motors": names} if version == 2 else names
+    features = {
+        "observation.state": {"dtype": "float32", "shape": [2], "names": listed},
+        "action": {"dtype": "float32", "shape": [2], "names": listed},
+    }
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"fps": 30, "features": features}))
+    (tmp_path / "meta" / "tasks.jsonl").write_text('{"task_index": 0, "task": "swing"}\n')
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    tables = []
+    for k in range(3):
+        goal, position = swing(k)
+        tables.append(
+            pyarrow.table({
+                "observation.state": [[p, g] for p, g in zip(position, goal, strict=True)],
+                "action": [[g, 0.5 * g] for g in goal],
+                "timestamp": np.arange(60) / 30.0,
+                "frame_index": np.arange(60),
+                "episode_index": np.full(60, k),
+                "index": np.arange(60) + 60 * k,
+                "task_index": np.zeros(60, np.int64),
+                "image": [{"bytes": b"x", "path": ""}] * 60,
+            })
+        )  # fmt: skip
+    folder = tmp_path / "data" / "chunk-000"
+    if version == 2:
+        for k, table in enumerate(tables):
+            parquet.write_table(table, folder / f"episode_{k:06d}.parquet")
+    else:
+        parquet.write_table(pyarrow.concat_tables(tables), folder / "file-000.parquet")
+    assert main(["diagnose", "init", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["action_shoulder_pos", "action_gripper_pos"]
+    names = ["observation_state_shoulder_pos", "observation_state_gripper_pos"]
+    assert [c.name for c in study.channels] == names
+    assert len(study.runs) == 3
+    assert study.runs[1].name == ("episode_000001" if version == 2 else "file-000_1")
+    np.testing.assert_allclose(study.runs[1].time_s, np.arange(60) / 30.0)
+    np.testing.assert_array_equal(study.runs[1].command["action_gripper_pos"], 0.5 * swing(1)[0])
+    np.testing.assert_array_equal(study.runs[1].measured[:, 0], swing(1)[1])
+    assert "column image: struct<bytes: binary, path: string> is no number" in said
+
+
+def test_rows_that_pandas_numbers_are_dropped(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    days = np.datetime64("1970-01-02") + np.arange(11) * np.timedelta64(100, "ms")
+    for index, kept in ((np.arange(11), False), (days, True)):
+        table = pyarrow.table({"q": TIME, "__index_level_0__": index})
+        parquet.write_table(table, tmp_path / "log.parquet")
+        back = read_columns(tmp_path / "log.parquet")
+        assert set(back) == {"q", *(["__index_level_0__"] if kept else [])}
+        assert len(left_out_of(tmp_path / "log.parquet")) == (not kept)
+    np.testing.assert_allclose(back["__index_level_0__"], 86400.0 + DECIMALS)
+
+
+def test_archives_of_numpy(tmp_path):
+    objects = np.array([{"a": 1}] * 11, dtype=object)
+    np.savez(tmp_path / "log.npz", t=TIME, q=np.stack([TIME, -TIME], 1), gain=3.0, o=objects,
+             label=np.array(["a"] * 11), picture=np.zeros((11, 9, 9)))  # fmt: skip
+    back = read_columns(tmp_path / "log.npz")
+    assert set(back) == {"t", "q[0]", "q[1]", "label"}
+    np.testing.assert_array_equal(back["q[1]"], -TIME)
+    said = "\n".join(left_out_of(tmp_path / "log.npz"))
+    assert "array o: objects" in said and "array gain" in said and "array picture" in said
+
+
+def test_sheets_of_excel(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.title = "run 1"
+    sheet.append(["Bench of May"])
+    sheet.append([])
+    sheet.append(["time_s", "Force [N]", "label", None])
+    for k, t in enumerate(DECIMALS.tolist()):  # sheets have 16 digits
+        sheet.append([t, None if k == 3 else 2.0 * t, "a"])
+    book.create_sheet("notes").append(["nothing", "here"])
+    book.save(tmp_path / "log.xlsx")
+    assert parts_of(tmp_path / "log.xlsx") == ["run 1"]
+    back = read_columns(tmp_path / "log.xlsx")
+    np.testing.assert_array_equal(back["time_s"], DECIMALS)
+    expected = 2.0 * DECIMALS
+    expected[3] = np.nan
+    np.testing.assert_array_equal(back["Force [N]"], expected)
+    assert back["label"].tolist() == ["a"] * 11
+
+
+def write_mcap(path, **options):
+    """Poses as JSON, one every 0.1 s, beginning at 5 s."""
     writer_of = pytest.importorskip("mcap.writer")
-    path = tmp_path / "log.mcap"
     with path.open("wb") as file:
-        writer = writer_of.Writer(file)
+        plain = writer_of.CompressionType.NONE
+        writer = writer_of.Writer(file, enable_data_crcs=True, compression=plain, **options)
         writer.start()
         schema = writer.register_schema("pose", "jsonschema", b"{}")
         channel = writer.register_channel("/pose", "json", schema)
         for k, t in enumerate(TIME):
             stamp = 5_000_000_000 + round(1e9 * t)
-            data = json.dumps({"position": {"x": float(t)}, "q": [1, 0, 0, k]}).encode()
+            pose = {"position": {"x": float(t)}, "q": [1, 0, 0, k], "scan": {"ranges": [0] * 70}}
+            data = json.dumps(pose).encode()
             writer.add_message(channel, stamp, data, stamp)
         writer.finish()
+    return path
+
+
+def test_json_messages_of_an_mcap(tmp_path):
+    path = write_mcap(tmp_path / "log.mcap")
     back = read_columns(f"{path}#/pose")
     np.testing.assert_array_equal(back["time_s"], DECIMALS)
     np.testing.assert_array_equal(back["position.x"], TIME)
     np.testing.assert_array_equal(back["q[3]"], np.arange(11))
+    said = ["log.mcap: field scan.ranges: 70 entries, at most 64 are columns"]
+    assert left_out_of(path) == said
 
 
 def ulog(start_us):
@@ -100,6 +275,53 @@ def test_px4_logs(tmp_path):
     np.testing.assert_array_equal(back["time_s"], DECIMALS)
     np.testing.assert_array_equal(back["control[0]"], 0.5 * np.arange(11))
     assert back["timestamp"][0] == 123_000_000
+
+
+@pytest.mark.parametrize("lacking", [1, 5, 18, 20])
+def test_a_log_that_was_cut_says_so(tmp_path, capsys, lacking):
+    """The battery was pulled: pyulog reads a shorter flight and says nothing."""
+    pytest.importorskip("pyulog")
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog(123_000_000)[:-lacking])
+    (said,) = left_out_of(f"{path}#motors")
+    assert "ends inside of a record" in said and "the last sample is of 0.900 s" in said
+    assert main(["convert", str(path), str(tmp_path / "flight.csv")]) == 0
+    assert f"not in it: {said}" in capsys.readouterr().out
+    study = STUDY.replace("log.SUFFIX#PART", "flight.ulg#motors")
+    study = study.replace("unit: rad,", "unit: rad, column: 'control[0]',")
+    (tmp_path / "study.yaml").write_text(study)
+    assert said in load_study(tmp_path / "study.yaml").left_out
+
+
+def test_damaged_rows_of_a_log_do_not_vanish_in_silence(tmp_path, capsys):
+    pytest.importorskip("pyulog")
+    whole, path = ulog(123_000_000), tmp_path / "flight.ulg"
+    path.write_bytes(whole)
+    assert left_out_of(path) == []
+    for last_record in (bytes([0]), bytes([97])):  # a kind that is none
+        path.write_bytes(whole[:-19] + last_record + whole[-18:])
+        assert len(read_columns(path)["time_s"]) == 10
+        assert any("damaged" in said for said in left_out_of(path))
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_checksums_of_an_mcap_are_held(tmp_path, chunked):
+    path = write_mcap(tmp_path / "log.mcap", use_chunking=chunked)
+    whole = path.read_bytes()
+    assert len(read_columns(path)["time_s"]) == 11
+    at = whole.index(b'"x": 0.5')
+    for place in (at + 5, len(whole) - 60):  # a message's number; the summary
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(
+            ValueError, match=r"log\.mcap: cannot be read as \.mcap: .*(crc|checksum)"
+        ):
+            read_columns(path)
+    path.write_bytes(whole[:-100])
+    with pytest.raises(ValueError, match=r"log\.mcap: cannot be read"):
+        read_columns(path)
 
 
 def test_ros_2_bags(tmp_path):

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from diffsim.copter.exchange.vehicle_mjcf import body_of, vehicle_of_mjcf
+from diffsim.copter.exchange.vehicle_mjcf import body_of, vehicle_of_mjcf, vehicle_of_urdf
 from diffsim.copter.exchange.vehicle_sdf import sdf_body, vehicle_of_sdf
 from diffsim.copter.vehicle.battery import LIPO_NOMINAL, Battery
 from diffsim.copter.vehicle.rotor import RotorModel, rotor_model
@@ -27,6 +27,7 @@ from diffsim.copter.vehicle.vehicle_record import (
     assembled,
     own_rotor,
 )
+from diffsim.core.inside import inside
 from diffsim.core.yaml_text import load_yaml, read_text, read_yaml_file
 
 if TYPE_CHECKING:
@@ -35,7 +36,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _TO_FRD = {"FRD": np.eye(3), "FLU": FRD}
-_WHOLE = {".xml": vehicle_of_mjcf, ".sdf": vehicle_of_sdf}  # they say where rotors are
+_WHOLE = {  # MJCF and SDF say where rotors are, URDF is refused with the way
+    ".xml": vehicle_of_mjcf,
+    ".sdf": vehicle_of_sdf,
+    ".urdf": vehicle_of_urdf,
+    ".xacro": vehicle_of_urdf,
+}
 
 
 def load_vehicle(path: str | Path) -> FlyingVehicle:
@@ -92,7 +98,7 @@ def vehicle_from_text(
     from diffsim.core.schema import read_part
 
     said = read_part(VehicleFile, load_yaml(text, source), f"{source}: ")
-    body = _body(said, folder or Path())
+    body = _body(said, folder or Path(), source)
     turn = _TO_FRD[said.body]
     facts = [r.rotor or said.rotor for r in said.rotors]
     cells = DEFAULT_CELLS if said.battery is None else said.battery.cells
@@ -155,9 +161,9 @@ def _battery(facts: BatteryFacts) -> Battery:
     return replace(pack, resistance=torch.tensor(facts.resistance, dtype=torch.float64))
 
 
-def _body(said: VehicleFile, folder: Path) -> Body:
+def _body(said: VehicleFile, folder: Path, source: str) -> Body:
     if said.body_file is not None:
-        path = folder / said.body_file
+        path = inside(folder, said.body_file, f"{source}: body_file")
         return sdf_body(path) if path.suffix == ".sdf" else body_of(path)
     assert said.mass is not None and said.inertia is not None
     xx, yy, zz, xy, xz, yz = (*said.inertia, 0.0, 0.0, 0.0)[:6]

@@ -1,12 +1,15 @@
 """Mass properties and rotors of MJCF and URDF files, compiled by MuJoCo.
 
 MuJoCo is an optional package: ``pip install mujoco``. In MJCF a rotor is a motor at a site whose
-gear is (0, 0, force, 0, 0, torque), as in the vehicles of MuJoCo Menagerie.
+gear is (0, 0, force, 0, 0, torque), as in most vehicles of MuJoCo Menagerie. What says no rotors is
+refused with the vehicle file that does, as far as it is known.
 """
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.copter.exchange.xml_nodes import read_nodes
+from diffsim.copter.exchange.mjcf_text import whole_mjcf
+from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.copter.vehicle.battery import LIPO_NOMINAL
+from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.copter.vehicle.vehicle_record import (
     DEFAULT_CELLS,
@@ -29,6 +34,8 @@ from diffsim.copter.vehicle.vehicle_record import (
 from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
+_ROTOR = re.compile(r"prop|rotor|motor", re.I)
+_PROPERTIES = ("kf", "km", "thrust2weight", "prop_radius")  # of gym-pybullet-drones
 
 
 def body_of(path: Path) -> Body:
@@ -60,6 +67,7 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
     """
     mujoco, model, data = _compile_model(path)
     body = _body(mujoco, model, data, path)
+    _refuse_wrench(path, model)
     places, axes, spins, motors = [], [], [], []
     for k in range(model.nu):
         gear = model.actuator_gear[k]
@@ -83,9 +91,8 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
         motors.append((abs(push) * limit, abs(float(gear[5] / gear[2]))))
     if not motors:
         raise ValueError(
-            f"{path}: no rotor found: none of its {model.nu} actuators is a motor at a site with "
-            "gear (0, 0, force, 0, 0, torque); write a vehicle file with body_file: "
-            f"{path.name} and rotors with body: NAME, spin"
+            f"{path}: no rotor found: none of its {model.nu} actuators at sites is a motor with "
+            f"gear (0, 0, force, 0, 0, torque); {_way(path, [])}"
         )
     if len(motors) == 1:
         raise ValueError(f"{path}: one rotor only; its radius is not known from distances")
@@ -103,6 +110,74 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
     return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
 
 
+def vehicle_of_urdf(path: Path) -> FlyingVehicle:
+    """No multicopter: a URDF does not say what its rotors do.
+
+    Raises:
+        ValueError: always, with the vehicle file to write, whose places are those of links that
+            are called propeller, rotor or motor, and whose numbers those that PyBullet's drones
+            state in ``<properties>``.
+    """
+    mujoco, model, data = _compile_model(path)
+    body = _body(mujoco, model, data, path)
+    root = int(np.flatnonzero(model.body_parentid[1:] == 0)[0]) + 1
+    names = [model.body(b).name for b in range(1, model.nbody)]
+    # a link may lie in its rotor, or keep the base's frame and state where its mass would be
+    places = [
+        (data.xipos[model.body(n).id] - data.xpos[root]) @ data.xmat[root].reshape(3, 3)
+        for n in names
+        if _ROTOR.search(n)
+    ]
+    known: dict[str, float] = {}
+    for stated in read_nodes(path).all("properties"):
+        known |= {k: stated.numbers(k, 1)[0] for k in _PROPERTIES if k in stated.attributes}
+    if len(places) > 1 and "thrust2weight" in known:
+        weight = body.mass * GRAVITY
+        known["max_thrust"] = float(f"{known['thrust2weight'] * weight / len(places):.6g}")
+    if known.get("kf"):
+        known["torque_ratio"] = float(f"{known.get('km', 0.0) / known['kf']:.6g}")
+    raise ValueError(f"{path}: a URDF does not say what its rotors do; {_way(path, places, known)}")
+
+
+def _way(path: Path, places: list[Array], known: Mapping[str, float] | None = None) -> str:
+    """The vehicle file to write: what is not known stands in capitals."""
+    spins = ("ccw", "cw")
+    at = [f"[{', '.join(f'{x:.4g}' for x in place + 0.0)}]" for place in places]
+    rotors = [f"{{at: {p}, spin: {spins[k % 2]}}}" for k, p in enumerate(at or ["[X, Y, Z]"] * 4)]
+    known = dict(known or {})
+    if "prop_radius" in known:
+        known["radius"] = known["prop_radius"]
+    elif len(places) > 1:
+        known["radius"] = float(f"{usual_radius(np.array(places)):.3g}")
+    facts = ("radius", "max_thrust", "torque_ratio")
+    rotor = ", ".join(f"{fact}: {known.get(fact, fact.upper())}" for fact in facts)
+    return (
+        "write a vehicle file (YAML) beside it, check the spins and what stands in capitals: "
+        f"{{body: FLU, body_file: {path.name}, rotors: [{', '.join(rotors)}], rotor: {{{rotor}}}}}"
+    )
+
+
+def _refuse_wrench(path: Path, model: Any) -> None:
+    """A thrust and moments at the body, as a controller asks for them, are no rotors."""
+    gears = model.actuator_gear
+    pushes = (gears[:, 2] != 0.0) & ~gears[:, 3:].any(axis=1)
+    turns = gears[:, 3:].any(axis=1) & ~gears[:, :3].any(axis=1)
+    if pushes.any() and turns.any():
+        limits = np.abs(model.actuator_ctrlrange * model.actuator_gainprm[:, :1]).max(axis=1)
+        thrust = (limits * np.abs(gears[:, 2]))[pushes].sum()
+        raise ValueError(
+            f"{path}: no rotor found: its actuators are a thrust, up to {thrust:g} N, and moments, "
+            f"which stand for rotors; {_way(path, [])}"
+        )
+
+
+def _refuse_xacro(node: Node) -> None:
+    if node.tag.startswith("xacro:") or any("${" in v for v in node.attributes.values()):
+        raise node.error("macros of xacro, which ROS expands: xacro FILE > robot.urdf")
+    for child in node.children:
+        _refuse_xacro(child)
+
+
 def _rotor(radius: float, max_thrust: float, torque_ratio: float) -> RotorModel:
     rotor = own_rotor(
         f"{1e3 * radius:.0f} mm, {max_thrust:g} N, {torque_ratio:g} m",
@@ -118,13 +193,11 @@ def _compile_model(path: Path) -> tuple[Any, Any, Any]:
     """The module, the compiled model, and its state at rest."""
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}")
-    read_nodes(path)  # refuses what is over the bounds of files of strangers
+    _refuse_xacro(read_nodes(path))  # refuses what is over the bounds of files of strangers, too
     mujoco: Any = optional("mujoco", purpose=f"reading {path.name}")
     try:
-        if path.suffix == ".urdf":
-            model = mujoco.MjModel.from_xml_string(_urdf(path))
-        else:
-            model = mujoco.MjModel.from_xml_path(str(path))
+        text, meshes = (_urdf(path), {}) if path.suffix == ".urdf" else whole_mjcf(path)
+        model = mujoco.MjModel.from_xml_string(text, meshes)
     except (ValueError, ElementTree.ParseError) as error:
         raise ValueError(f"{path}: {error}") from error
     data = mujoco.MjData(model)

@@ -1,7 +1,7 @@
 """Recordings in the formats that labs have, as columns by name; each by the format's own library.
 
 ``FILE#PART`` names a table of a file that holds several: a topic of a PX4 ULog, a rosbag or an
-MCAP, a group of an HDF5 file, a struct of a MAT file.
+MCAP, a group of an HDF5 file, a struct of a MAT file, a sheet of Excel's.
 """
 
 from diffsim.data.formats.columns import Columns, flat
@@ -9,6 +9,7 @@ from diffsim.data.formats.registry import (
     SUFFIXES,
     WRITTEN,
     is_container,
+    left_out_of,
     parts_of,
     read_columns,
     renamed,
@@ -22,6 +23,7 @@ __all__ = [
     "Columns",
     "flat",
     "is_container",
+    "left_out_of",
     "parts_of",
     "read_columns",
     "renamed",

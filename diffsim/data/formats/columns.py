@@ -33,6 +33,38 @@ def flat(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
             yield from flat(f"{name}[{k}]", values[:, k])
 
 
+def arrays_of_a_table(
+    shapes: Mapping[str, tuple[int, ...]], what: str = "array"
+) -> tuple[list[str], list[str]]:
+    """Which arrays are one table: those of the length that most have.
+
+    Single numbers beside the samples are settings, and pictures are no columns.
+
+    Args:
+        shapes: Shape of each array by name; the first axis is that of the samples.
+        what: What the format calls an array.
+
+    Returns:
+        Names of the arrays that are used, and a sentence for each of the others.
+    """
+    out = []
+    narrow = {}
+    for name, shape in shapes.items():
+        if not shape:
+            out.append(f"{what} {name}: a single value")
+        elif int(np.prod(shape[1:])) > MOST_ENTRIES:
+            row = " x ".join(map(str, shape[1:]))
+            out.append(f"{what} {name}: {row} numbers a row, at most {MOST_ENTRIES} are columns")
+        else:
+            narrow[name] = shape
+    lengths = [shape[0] for shape in narrow.values()]
+    most = max(lengths, key=lambda n: (lengths.count(n) if n > 1 else 0, n), default=0)
+    for name, shape in narrow.items():
+        if shape[0] != most:
+            out.append(f"{what} {name}: another number of rows than most have")
+    return [name for name, shape in narrow.items() if shape[0] == most], out
+
+
 def of_messages(messages: Sequence[Mapping[str, Any]]) -> Columns:
     """Columns of messages with the same fields; what only some have is empty in the others.
 
@@ -42,6 +74,21 @@ def of_messages(messages: Sequence[Mapping[str, Any]]) -> Columns:
     rows = [dict(_leaves("", message)) for message in messages]
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: _column([row.get(name) for row in rows]) for name in names}
+
+
+def fields_left_out(message: Mapping[str, Any], name: str = "") -> Iterator[str]:
+    """Fields of a message that are no columns, a sentence each.
+
+    Args:
+        message: As ``of_messages`` has them.
+        name: Where it stands in another one.
+    """
+    for key, value in message.items():
+        field = f"{name}.{key}" if name else str(key)
+        if isinstance(value, Mapping):
+            yield from fields_left_out(value, field)
+        elif isinstance(value, (list, tuple, np.ndarray, bytes)) and len(value) > MOST_ENTRIES:
+            yield f"field {field}: {len(value)} entries, at most {MOST_ENTRIES} are columns"
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:

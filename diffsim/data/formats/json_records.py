@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data.formats.columns import Columns, of_messages
+from diffsim.data.formats.columns import Columns, fields_left_out, of_messages
 
 
 def parts(path: Path) -> list[str]:
@@ -33,6 +33,12 @@ def read(path: Path, part: str) -> Columns:
     for name, value in facts.items():
         columns.setdefault(name, np.full(len(records), value))
     return {name: v.astype(np.int64) if v.dtype == bool else v for name, v in columns.items()}
+
+
+def left_out(path: Path, part: str) -> list[str]:
+    """Fields of the first record that are no columns."""
+    records = dict(_tables(_content(path), "")).get(part, [])
+    return list(fields_left_out(records[0])) if records else []
 
 
 def _content(path: Path) -> Any:

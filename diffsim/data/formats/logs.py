@@ -1,21 +1,29 @@
 """Logs of vehicles and robots: PX4 ULog, rosbags (ROS 1 and 2), MCAP; a topic is a table.
 
-Every table has ``time_s``, seconds since the log began, so that topics share a clock.
+Every table has ``time_s``, seconds since the log began, so that topics share a clock. What a log
+lost, as when its battery was pulled, is said; what its own checksums refute is refused.
 """
 
 from __future__ import annotations
 
+import io
 import json
+import zlib
+from contextlib import redirect_stdout
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import Columns, of_messages
+from diffsim.data.formats.columns import Columns, fields_left_out, of_messages
 
 TIME = "time_s"
+_ULOG_HEADER = 16  # bytes before the first record
+_ULOG_KINDS = b"BFIMPQARDLCSO"  # the format's letters of records
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+_MCAP_FOOTER = 8 + 8 + 4 + 8  # bytes at the end: two offsets, a checksum, the magic
 
 
 def ulog_parts(path: Path) -> list[str]:
@@ -31,12 +39,43 @@ def read_ulog(path: Path, part: str) -> Columns:
     return {TIME: seconds, **topic.data}
 
 
+def ulog_lost(path: Path, part: str) -> list[str]:
+    """What a ULog lacks, whatever the topic: records that are damaged, cut off or dropped."""
+    log, lost = _ulog(path), []
+    unknown, lacking = _walk_records(path)
+    if log.file_corruption or unknown:
+        lost.append("damaged: records that cannot be read are left out")
+    if lacking and not log.has_data_appended:
+        last = (log.last_timestamp - log.start_timestamp) / 1e6
+        lost.append(
+            f"ends inside of a record, {lacking} bytes before its end; the last sample is of "
+            f"{last:.3f} s, what came after is lost (was the battery pulled?)"
+        )
+    if log.dropouts:
+        total = sum(dropout.duration for dropout in log.dropouts) / 1e3
+        lost.append(f"the logger dropped {total:.3f} s of samples, {len(log.dropouts)} times")
+    return lost
+
+
+def _walk_records(path: Path) -> tuple[int, int]:
+    """Records of no known kind, and how many bytes the last one lacks.
+
+    A record states its size in two bytes and its kind in one; pyulog skips others in silence.
+    """
+    size, at, unknown = path.stat().st_size, _ULOG_HEADER, 0
+    with path.open("rb") as file:
+        while at < size:
+            file.seek(at)
+            head = file.read(3)
+            unknown += head[2:] not in _ULOG_KINDS
+            at += 3 + int.from_bytes(head[:2], "little")
+    return unknown, max(at - size, 0)
+
+
 def mcap_parts(path: Path) -> list[str]:
     """Topics of an MCAP file that hold messages."""
     with path.open("rb") as file:
-        summary = _mcap().make_reader(file).get_summary()
-        if summary is None or summary.statistics is None:
-            raise ValueError("no summary section; `mcap recover` writes one")
+        summary = _summary(file)
         counts = summary.statistics.channel_message_counts
         return sorted({c.topic for c in summary.channels.values() if counts.get(c.id)})
 
@@ -45,12 +84,49 @@ def read_mcap(path: Path, part: str) -> Columns:
     """Columns of a topic: JSON messages, and ROS 2 ones where ``mcap-ros2-support`` is there."""
     times, messages = [], []
     with path.open("rb") as file:
-        reader = _mcap().make_reader(file)
-        start = reader.get_summary().statistics.message_start_time
-        for schema, channel, message in reader.iter_messages(topics=[part]):
+        summary = _summary(file)
+        start = summary.statistics.message_start_time
+        counts: dict[int, int] = {}
+        # without chunks the reader that seeks would check nothing
+        kind = _mcap().SeekingReader if summary.chunk_indexes else _mcap().NonSeekingReader
+        file.seek(0)
+        for schema, channel, message in kind(file, validate_crcs=True).iter_messages(topics=[part]):
             times.append((message.log_time - start) / 1e9)
             messages.append(_decode_message(schema, channel, message))
+            counts[channel.id] = counts.get(channel.id, 0) + 1
+    stated = summary.statistics.channel_message_counts
+    if any(stated.get(channel, 0) != count for channel, count in counts.items()):
+        raise ValueError(
+            f"{part} has {sum(counts.values())} messages, its summary says another number; "
+            "`mcap recover` writes what can be read"
+        )
     return {TIME: np.array(times), **of_messages(messages)}
+
+
+def _summary(file: BinaryIO) -> Any:
+    """The summary of an MCAP file, held against its checksum: clocks begin by what it says."""
+    file.seek(-min(_MCAP_FOOTER, file.seek(0, io.SEEK_END)), io.SEEK_END)
+    footer = file.read()
+    if not footer.endswith(_MCAP_MAGIC):
+        raise ValueError("it is cut off; `mcap recover` writes what can be read")
+    file.seek(int.from_bytes(footer[:8], "little"))
+    content = file.read()[: -(_MCAP_FOOTER - 16)]  # up to the checksum
+    stated = int.from_bytes(footer[16:20], "little")
+    if stated and zlib.crc32(content) != stated:
+        raise ValueError("its summary is damaged (checksum); `mcap recover` writes another")
+    file.seek(0)
+    summary = _mcap().make_reader(file).get_summary()
+    if summary is None or summary.statistics is None:
+        raise ValueError("no summary section; `mcap recover` writes one")
+    return summary
+
+
+def mcap_left_out(path: Path, part: str) -> list[str]:
+    """Fields of a topic's first message that are no columns, such as a picture."""
+    with path.open("rb") as file:
+        for message in _mcap().make_reader(file).iter_messages(topics=[part]):
+            return list(fields_left_out(_decode_message(*message)))
+    return []
 
 
 def rosbag_parts(path: Path) -> list[str]:
@@ -70,13 +146,26 @@ def read_rosbag(path: Path, part: str) -> Columns:
     return {TIME: np.array(times), **of_messages(messages)}
 
 
+def rosbag_left_out(path: Path, part: str) -> list[str]:
+    """Fields of a topic's first message that are no columns, such as a picture."""
+    with _rosbag(path) as bag:
+        for connection, _, raw in bag.messages(
+            connections=[c for c in bag.connections if c.topic == part]
+        ):
+            message = _flatten_message(bag.deserialize(raw, connection.msgtype))
+            return list(fields_left_out(message))
+    return []
+
+
 def _ulog(path: Path) -> Any:
     return _read_once(path, path.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=1)  # a log is read whole, and has a hundred topics
 def _read_once(path: Path, changed_ns: int) -> Any:
-    return optional("pyulog", purpose="a PX4 log").ULog(str(path))
+    pyulog = optional("pyulog", purpose="a PX4 log")
+    with redirect_stdout(io.StringIO()):  # what it prints of damage, ``ulog_lost`` says
+        return pyulog.ULog(str(path))
 
 
 def _topics(path: Path) -> dict[str, Any]:

@@ -11,8 +11,8 @@ import scipy.io
 from numpy.typing import NDArray
 
 from diffsim.data.formats import hdf5
-from diffsim.data.formats.columns import Columns, flat
-from diffsim.data.formats.hdf5 import with_equal_lengths
+from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat
+from diffsim.data.formats.mat_elements import check_elements
 
 _HDF5 = b"\x89HDF"
 
@@ -20,7 +20,7 @@ _HDF5 = b"\x89HDF"
 def parts(path: Path) -> list[str]:
     """Structs that hold arrays; variables of the file itself are ""."""
     if _is_hdf5(path):
-        return [name for name in hdf5.parts(path) if not name.startswith("#")]
+        return hdf5.parts(path, upright=True)
     return [name for name, members in _tables(path).items() if _columns(members)]
 
 
@@ -28,8 +28,14 @@ def read(path: Path, part: str) -> Columns:
     """Columns of the variables, or of a struct's fields; vectors in rows or columns alike."""
     if not _is_hdf5(path):
         return _columns(_tables(path)[part])
-    columns = hdf5.read(path, part)  # MATLAB's (1, n) and (n, 1) come as (n, 1) and (1, n)
-    return {name.removesuffix("[0]"): values for name, values in columns.items()}
+    return hdf5.read(path, part, upright=True)  # MATLAB's (n, 1) comes as (1, n)
+
+
+def left_out(path: Path, part: str) -> list[str]:
+    """Arrays that are none of the table."""
+    if _is_hdf5(path):
+        return hdf5.left_out(path, part, upright=True)
+    return _sorted_out(_tables(path)[part])[1]
 
 
 def write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -49,6 +55,7 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def _tables(path: Path) -> dict[str, dict[str, Any]]:
+    check_elements(path)
     content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
     variables = {k: v for k, v in content.items() if not k.startswith("__")}
     structs = {
@@ -60,14 +67,23 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _columns(members: Mapping[str, Any]) -> Columns:
-    arrays = {
-        name: values
-        for name, values in members.items()
-        if isinstance(values, np.ndarray) and values.ndim in (1, 2) and values.dtype.kind in "biufU"
-    }
-    upright = {n: v.T if v.ndim == 2 and v.shape[0] < v.shape[1] else v for n, v in arrays.items()}
-    columns = dict(pair for name, values in upright.items() for pair in flat(name, values))
-    return with_equal_lengths(columns)
+    upright, _ = _sorted_out(members)
+    return dict(pair for name, values in upright.items() for pair in flat(name, values))
+
+
+def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], list[str]]:
+    """Arrays with a row per sample, and what is left out."""
+    arrays, others = {}, []
+    for name, values in members.items():
+        is_array = isinstance(values, np.ndarray) and values.dtype.kind in "biufU"
+        if is_array and values.ndim in (1, 2):
+            wide = values.ndim == 2 and values.shape[0] < values.shape[1]
+            arrays[name] = values.T if wide else values
+        elif not hasattr(values, "_fieldnames"):
+            what = "a single value" if np.ndim(values) == 0 else "no table"
+            others.append(f"variable {name}: {what}")
+    used, left = arrays_of_a_table({n: v.shape for n, v in arrays.items()}, "variable")
+    return {name: arrays[name] for name in used}, [*left, *others]
 
 
 def word(name: str) -> str:

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.files import replacing
-from diffsim.data.formats import hdf5, json_records, logs, mat, parquet
+from diffsim.data.formats import arrays, hdf5, json_records, logs, mat, parquet
 from diffsim.data.formats.columns import Columns
 
 Parts = Callable[[Path], list[str]]
 Read = Callable[[Path, str], Columns]
+LeftOut = Callable[[Path, str], list[str]]
 Write = Callable[[Path, Mapping[str, NDArray[Any]]], None]
 
 _READERS: dict[str, tuple[Parts, Read]] = {
@@ -23,12 +24,27 @@ _READERS: dict[str, tuple[Parts, Read]] = {
     ".h5": (hdf5.parts, hdf5.read),
     ".hdf5": (hdf5.parts, hdf5.read),
     ".mat": (mat.parts, mat.read),
+    ".npz": (arrays.npz_parts, arrays.read_npz),
+    ".xlsx": (arrays.xlsx_parts, arrays.read_xlsx),
     ".json": (json_records.parts, json_records.read),
     ".jsonl": (json_records.parts, json_records.read),
     ".ulg": (logs.ulog_parts, logs.read_ulog),
     ".mcap": (logs.mcap_parts, logs.read_mcap),
     ".bag": (logs.rosbag_parts, logs.read_rosbag),
     ".db3": (logs.rosbag_parts, logs.read_rosbag),
+}
+_LEFT_OUT: dict[str, LeftOut] = {
+    ".parquet": parquet.left_out,
+    ".h5": hdf5.left_out,
+    ".hdf5": hdf5.left_out,
+    ".mat": mat.left_out,
+    ".npz": arrays.npz_left_out,
+    ".json": json_records.left_out,
+    ".jsonl": json_records.left_out,
+    ".ulg": logs.ulog_lost,
+    ".mcap": logs.mcap_left_out,
+    ".bag": logs.rosbag_left_out,
+    ".db3": logs.rosbag_left_out,
 }
 _WRITERS: dict[str, Write] = {
     ".parquet": parquet.write,
@@ -62,7 +78,7 @@ def is_container(path: str | Path) -> bool:
 
 
 def parts_of(path: Path) -> list[str]:
-    """Tables that a file holds, such as topics; [""] where it is one table.
+    """Tables that a file holds, such as topics, at least one; [""] where it is one table.
 
     Args:
         path: The file, without a part.
@@ -70,9 +86,13 @@ def parts_of(path: Path) -> list[str]:
     Raises:
         FileNotFoundError: no such file.
         ImportError: the format's library is not installed.
-        ValueError: the file cannot be read.
+        ValueError: the file cannot be read, or holds no table.
     """
-    return _read_guarded(path, lambda: _READERS[path.suffix.lower()][0](path))
+    parts = _read_guarded(path, lambda: _READERS[path.suffix.lower()][0](path))
+    if not parts:
+        why = "; ".join(_look_for_left_out(path, "")[:3])
+        raise ValueError(f"{path}: holds no table{f': {why}' if why else ''}")
+    return parts
 
 
 def read_columns(path: str | Path) -> Columns:
@@ -89,6 +109,33 @@ def read_columns(path: str | Path) -> Columns:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read, or holds several tables, or not this one.
     """
+    file, part = _part_of(path)
+    columns = _read_guarded(file, lambda: _READERS[file.suffix.lower()][1](file, part))
+    lengths = {len(values) for values in columns.values()}
+    if not columns or lengths == {0}:
+        raise ValueError(f"{path}: no rows")
+    if len(lengths) > 1:
+        raise ValueError(f"{path}: columns of different lengths {sorted(lengths)}; name a part")
+    return columns
+
+
+def left_out_of(path: str | Path) -> list[str]:
+    """What a file holds, or once held, and its table does not have, a sentence each.
+
+    Args:
+        path: As ``read_columns`` has it.
+    """
+    file, part = _part_of(path)
+    return [f"{file.name}: {sentence}" for sentence in _look_for_left_out(file, part)]
+
+
+def _look_for_left_out(file: Path, part: str) -> list[str]:
+    look = _LEFT_OUT.get(file.suffix.lower())
+    return [] if look is None else _read_guarded(file, lambda: look(file, part))
+
+
+def _part_of(path: str | Path) -> tuple[Path, str]:
+    """The file and the part that is meant, which is there."""
     file, part = split_part(path)
     parts = parts_of(file)
     if not part and len(parts) == 1:
@@ -97,13 +144,7 @@ def read_columns(path: str | Path) -> Columns:
         shown = ", ".join(f"{file.name}#{p}" for p in parts[:30])
         what = f"has no part {part!r}{did_you_mean(part, parts)}" if part else "holds several parts"
         raise ValueError(f"{file}: {what}; name one as FILE#PART: {shown}")
-    columns = _read_guarded(file, lambda: _READERS[file.suffix.lower()][1](file, part))
-    lengths = {len(values) for values in columns.values()}
-    if not columns or lengths == {0}:
-        raise ValueError(f"{path}: no rows")
-    if len(lengths) > 1:
-        raise ValueError(f"{path}: columns of different lengths {sorted(lengths)}; name a part")
-    return columns
+    return file, part
 
 
 def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> Path:
@@ -155,7 +196,10 @@ def _read_guarded(path: Path, read: Callable[[], Any]) -> Any:
         raise FileNotFoundError(f"{path}: no such file")
     try:
         return read()
-    except (ImportError, MemoryError):
+    except ImportError:
         raise
+    except MemoryError as error:  # what it claims to hold, or holds
+        raise ValueError(f"{path}: needs more memory than there is") from error
     except Exception as error:  # each library has its own
-        raise ValueError(f"{path}: cannot be read as {path.suffix}: {error}") from error
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{path}: cannot be read as {path.suffix}: {said}") from error

@@ -193,3 +193,99 @@ def test_the_command_flies_it_and_says_what_it_assumed(tmp_path, capsys):
     assert "assumed, as usual for its size: current_coefficient" in said
     assert "mine, 1.200 kg, controller lqr" in said
     assert (out / "flight.csv").is_file()
+
+
+PLACES = [(0.028, 0.028), (-0.028, 0.028), (-0.028, -0.028), (0.028, -0.028)]
+PYBULLET = """
+<robot name="cf2">
+  <properties arm="0.0397" kf="3.16e-10" km="7.94e-12" thrust2weight="2.25" prop_radius="2.3e-2"/>
+  <link name="base_link"><inertial><mass value="0.027"/>
+    <inertia ixx="1.4e-5" ixy="0" ixz="0" iyy="1.4e-5" iyz="0" izz="2.17e-5"/></inertial>
+    <visual><geometry><mesh filename="./cf2.dae"/></geometry></visual></link>
+  {links}
+</robot>
+"""
+LINK = """
+  <link name="prop{k}_link"><inertial><origin rpy="0 0 0" xyz="{x} {y} 0"/><mass value="0"/>
+    <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>
+  <joint name="prop{k}_joint" type="fixed"><parent link="base_link"/><child link="prop{k}_link"/>
+  </joint>
+"""
+
+
+def stated_way(message: str) -> str:
+    """The vehicle file that a refusal writes."""
+    return message[message.index("{body:") :]
+
+
+def test_a_urdf_with_propellers_shows_the_way(tmp_path):
+    """As gym-pybullet-drones' cf2x.urdf: every link in the base's frame, no mesh beside it."""
+    pytest.importorskip("mujoco", reason="pip install mujoco")
+    links = "".join(LINK.format(k=k, x=x, y=y) for k, (x, y) in enumerate(PLACES))
+    (tmp_path / "cf2x.urdf").write_text(PYBULLET.format(links=links))
+    with pytest.raises(ValueError, match="a URDF does not say what its rotors do") as refused:
+        load_vehicle(tmp_path / "cf2x.urdf")
+    (tmp_path / "cf2x.yaml").write_text(stated_way(str(refused.value)))
+    made = load_vehicle(tmp_path / "cf2x.yaml").vehicle
+    expected = [[x, -y, 0.0] for x, y in PLACES]
+    np.testing.assert_allclose(made.positions.numpy(), expected, atol=1e-12)
+    assert made.spins.tolist() == [-1.0, 1.0, -1.0, 1.0]
+    assert float(made.max_thrusts.sum()) == pytest.approx(2.25 * 0.027 * 9.81, rel=1e-3)
+    assert made.torque_ratios[0].item() == pytest.approx(7.94e-12 / 3.16e-10, rel=1e-5)
+    assert made.radii[0].item() == 0.023
+
+
+WRENCH = """
+<mujoco model="cf2">
+  <compiler inertiafromgeom="false" meshdir="cf2" autolimits="true"/>
+  <default><default class="visual"><geom type="mesh" material="black"/></default></default>
+  <asset><material name="black"/><mesh file="cf2_0.obj"/></asset>
+  <worldbody><body name="cf2" pos="0 0 0.1"><freejoint/>
+    <inertial pos="0 0 0" mass="0.027" diaginertia="2.4e-5 2.4e-5 3.2e-5"/>
+    <geom mesh="cf2_0" class="visual"/><site name="actuation"/><camera name="c"/></body></worldbody>
+  <actuator>
+    <motor ctrlrange="0 0.35" gear="0 0 1 0 0 0" site="actuation"/>
+    <motor ctrlrange="-1e-5 1e-5" gear="0 0 0 -1 0 0" site="actuation"/>
+    <motor ctrlrange="-1e-5 1e-5" gear="0 0 0 0 -1 0" site="actuation"/>
+    <motor ctrlrange="-1e-5 1e-5" gear="0 0 0 0 0 -1" site="actuation"/>
+  </actuator>
+  <keyframe><key name="hover" qpos="0 0 0.3 1 0 0 0" ctrl="0.26 0 0 0"/></keyframe>
+</mujoco>
+"""
+
+
+def test_a_thrust_and_moments_show_the_way(tmp_path):
+    """As MuJoCo Menagerie's cf2.xml; its meshes need not be here, for it states its inertia."""
+    pytest.importorskip("mujoco", reason="pip install mujoco")
+    (tmp_path / "cf2.xml").write_text(WRENCH)
+    with pytest.raises(ValueError, match=r"a thrust, up to 0\.35 N, and moments") as refused:
+        load_vehicle(tmp_path / "cf2.xml")
+    text = stated_way(str(refused.value))
+    with pytest.raises(ValueError, match=r"rotors\.0\.at|rotors\[0\]\.at"):
+        vehicle_from_text(text, folder=tmp_path)
+    for x, y in PLACES:
+        text = text.replace("[X, Y, Z]", f"[{x}, {y}, 0]", 1)
+    for word, number in (("RADIUS", "0.023"), ("MAX_THRUST", "0.15"), ("TORQUE_RATIO", "0.025")):
+        text = text.replace(word, number)
+    made = vehicle_from_text(text, folder=tmp_path).vehicle
+    assert float(made.mass) == 0.027 and made.inertia[2, 2].item() == pytest.approx(3.2e-5)
+
+
+@pytest.mark.parametrize("name", ["cf2.urdf", "cf2.urdf.xacro"])
+def test_macros_of_xacro_are_said(tmp_path, name):
+    text = '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a"/></robot>'
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=r"line 1: macros of xacro, .*xacro FILE > robot.urdf"):
+        load_vehicle(tmp_path / name)
+
+
+def test_a_body_without_its_mass_needs_its_mesh(tmp_path):
+    pytest.importorskip("mujoco", reason="pip install mujoco")
+    text = MJCF.replace("</worldbody>", "</worldbody><asset><mesh file='hull.stl'/></asset>")
+    text = text.replace('<body name="camera"', '<geom type="mesh" mesh="hull"/><body name="camera"')
+    (tmp_path / "x.xml").write_text(text)
+    load_vehicle(tmp_path / "x.xml")
+    inertial = text.index("<inertial")
+    (tmp_path / "x.xml").write_text(text[:inertial] + text[text.index("/>", inertial) + 2 :])
+    with pytest.raises(ValueError, match=r"mesh 'hull.stl' is not beside it, and a body takes"):
+        load_vehicle(tmp_path / "x.xml")

@@ -1,0 +1,118 @@
+"""NumPy's archives and Excel's sheets: arrays of one length are a table."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, time, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.optional import optional
+from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat
+
+_HEADER_ROWS = 60  # in which the names of a sheet's columns must be
+_EPOCH = datetime(1970, 1, 1)
+
+
+def npz_parts(path: Path) -> list[str]:
+    """One table."""
+    return [""] if _npz(path)[0] else []
+
+
+def read_npz(path: Path, part: str) -> Columns:
+    """Columns of the arrays that have a row per sample."""
+    arrays, _ = _npz(path)
+    return dict(pair for name, values in arrays.items() for pair in flat(name, values))
+
+
+def npz_left_out(path: Path, part: str) -> list[str]:
+    """Arrays that are none of the table."""
+    return _npz(path)[1]
+
+
+def _npz(path: Path) -> tuple[Columns, list[str]]:
+    """Numbers and text only: objects would run code."""
+    found: Columns = {}
+    others = []
+    with np.load(path, allow_pickle=False) as archive:
+        for name in archive.files:
+            try:
+                found[name] = archive[name]
+            except ValueError:
+                others.append(
+                    f"array {name}: objects, which are not read since they could run code"
+                )
+    readable = {name: v.shape for name, v in found.items() if v.dtype.kind in "biufU"}
+    others += [f"array {name}: neither numbers nor text" for name in found if name not in readable]
+    used, left = arrays_of_a_table(readable)
+    return {name: found[name] for name in used}, [*left, *others]
+
+
+def xlsx_parts(path: Path) -> list[str]:
+    """Sheets with a line of names above numbers."""
+    book = _open(path)
+    try:
+        return [sheet.title for sheet in book.worksheets if _header(sheet) is not None]
+    finally:
+        book.close()
+
+
+def read_xlsx(path: Path, part: str) -> Columns:
+    """Columns of a sheet; empty cells are NaN, dates are seconds since 1970."""
+    book = _open(path)
+    try:
+        sheet = book[part]
+        found = _header(sheet)
+        assert found is not None  # of xlsx_parts
+        line, names = found
+        rows = [row for row in sheet.iter_rows(min_row=line + 1, values_only=True) if any(
+            cell is not None for cell in row)]  # fmt: skip
+    finally:
+        book.close()
+    return {name: _column([row[k] if k < len(row) else None for row in rows])
+            for k, name in names.items()}  # fmt: skip
+
+
+def _header(sheet: Any) -> tuple[int, dict[int, str]] | None:
+    """Line of the names, from 1, and the names by place: texts right above the first numbers."""
+    names: dict[int, str] = {}
+    for line, row in enumerate(sheet.iter_rows(max_row=_HEADER_ROWS, values_only=True), start=1):
+        numbers = [k for k, cell in enumerate(row) if _is_number(cell)]
+        if len(numbers) >= 2 and set(numbers) <= set(names):
+            return line - 1, names
+        texts = {k: cell.strip() for k, cell in enumerate(row) if isinstance(cell, str)}
+        names = {k: text for k, text in texts.items() if text}
+        if len(set(names.values())) < len(names):
+            raise ValueError(f"sheet {sheet.title!r}, row {line}: two columns have the same name")
+    return None
+
+
+def _is_number(cell: Any) -> bool:
+    return isinstance(cell, (int, float, datetime, time, timedelta)) and not isinstance(cell, bool)
+
+
+def _column(cells: list[Any]) -> NDArray[Any]:
+    if any(isinstance(cell, str) and not _MISSING.fullmatch(cell) for cell in cells):
+        return np.array(["" if cell is None else str(cell) for cell in cells])
+    return np.array([_seconds_or_number(cell) for cell in cells], dtype=np.float64)
+
+
+_MISSING = re.compile(r"\s*(#N/A|NaN|n/?a|-*)\s*", re.I)
+
+
+def _seconds_or_number(cell: Any) -> float:
+    if isinstance(cell, datetime):
+        return (cell.replace(tzinfo=None) - _EPOCH).total_seconds()
+    if isinstance(cell, time):
+        return cell.hour * 3600.0 + cell.minute * 60.0 + cell.second + 1e-6 * cell.microsecond
+    if isinstance(cell, timedelta):
+        return cell.total_seconds()
+    return np.nan if cell is None or isinstance(cell, str) else float(cell)
+
+
+def _open(path: Path) -> Any:
+    openpyxl = optional("openpyxl", purpose="an Excel file")
+    return openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
