@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 from diffsim.control import MLPController
-from diffsim.learn.run import CHECKPOINT
+from diffsim.learn.run import read_checkpoint
 from diffsim.learn.setup import Setup, evaluate
 from diffsim.learn.trained import FOLDER, Trained, stored, write_trained
 
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> Path:
     parser.add_argument("--made-by", default=None, help="command of the training, for the record")
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
-    saved = torch.load(args.run / CHECKPOINT, weights_only=True)
+    saved = read_checkpoint(args.run)
     setup = Setup(**json.loads(saved["setup"]))
     task = setup.make_task()
     net = MLPController(task.num_observations, task.num_actions)

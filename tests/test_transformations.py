@@ -181,7 +181,30 @@ def test_jacobians_and_mapped_axes(made):
     torch.testing.assert_close(vmap(layer)(both), torch.stack([layer(b) for b in both]))
 
 
-@pytest.mark.parametrize("made", [f for f in LAYERS if f is not gain], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("made", LAYERS, ids=lambda f: f.__name__)
+def test_gradients_in_a_batch_are_those_of_each(made):
+    layer, x = made()
+    x = x.detach().requires_grad_()
+    out = layer(x)
+    cotangents = noise(3, *out.shape, seed=6)
+    (batched,) = torch.autograd.grad(out, x, cotangents, retain_graph=True, is_grads_batched=True)
+    each = [torch.autograd.grad(out, x, c, retain_graph=True)[0] for c in cotangents]
+    assert torch.equal(batched, torch.stack(each))
+    directions = noise(2, *x.shape, seed=5)
+
+    def moved(by: Tensor) -> Tensor:
+        return layer(x.detach() + (by[:, None] * directions.flatten(1)).sum(0).view_as(x))
+
+    whole = {"vectorize": True, "strategy": "forward-mode"}
+    forward = torch.autograd.functional.jacobian(moved, torch.zeros(2).double(), **whole)
+    expected = torch.stack([jvp(layer, (x.detach(),), (d,))[1] for d in directions], dim=-1)
+    torch.testing.assert_close(forward, expected)
+
+
+TWICE = (gain, ode)
+
+
+@pytest.mark.parametrize("made", [f for f in LAYERS if f not in TWICE], ids=lambda f: f.__name__)
 def test_second_derivatives_are_refused(made):
     layer, x = made()
     with pytest.raises(RuntimeError, match="second order"):
@@ -190,11 +213,13 @@ def test_second_derivatives_are_refused(made):
         jacrev(jacrev(lambda z: layer(z).square().sum()))(x)
 
 
-def test_second_derivatives_of_a_gain():
-    layer, x = gain()
+@pytest.mark.parametrize("made", TWICE, ids=lambda f: f.__name__)
+def test_second_derivatives(made):
+    layer, x = made()
     hessians = [d(jacrev(lambda z: layer(z).square().sum()))(x) for d in (jacfwd, jacrev)]
     torch.testing.assert_close(hessians[0], hessians[1])
     step = 1e-5 * noise(*x.shape)
     slope = jacrev(lambda z: layer(z).square().sum())
     change = (slope(x + step) - slope(x - step)) / 2.0
-    torch.testing.assert_close((hessians[0] * step).sum((-2, -1)), change, rtol=1e-6, atol=1e-13)
+    moved = (hessians[0] * step).sum(tuple(range(x.ndim, 2 * x.ndim)))
+    torch.testing.assert_close(moved, change, rtol=1e-6, atol=1e-13)

@@ -5,17 +5,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffsim.contact.triangles import feature_distance
 from diffsim.core.check import require
+from diffsim.core.module import Float64Module
 from diffsim.core.values import Number, dot, scalar
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, surface_triangles
 
 _Mesh = HexMesh | TetMesh
 
 
-class BodyContact(nn.Module):
+class BodyContact(Float64Module):
     """Contact forces between two bodies: surface nodes of each against the triangles of the other.
 
     A node at depth d below the other's deformed surface, n that surface's outward normal, v_n and

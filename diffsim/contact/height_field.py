@@ -7,7 +7,7 @@ from torch import Tensor
 
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
-from diffsim.core.check import require
+from diffsim.core.check import require, require_constant
 from diffsim.core.layer import custom_op
 from diffsim.core.values import Vector, dot, scalar, vector
 
@@ -55,6 +55,7 @@ class HeightField(Shape):
         both = spacing if isinstance(spacing, (tuple, list)) else (spacing, spacing)
         if len(both) != 2:
             raise ValueError(f"spacing must be one or two numbers, got {spacing}")
+        require_constant("spacing", list(both), "heights carry a gradient")
         self.spacing = torch.stack([scalar("spacing", s, above=0.0) for s in both]).detach()
         self.origin = vector("origin", origin)
 
@@ -65,7 +66,7 @@ class HeightField(Shape):
             if torch.compiler.is_compiling():
                 xy = closest_in_graph(padded.detach(), p.detach(), handle=self.handle)
             else:
-                xy = self.closest(padded.detach(), p.detach())
+                xy = self._closest(padded.detach(), p.detach())
             _, grad, hess = self._surface(padded.detach(), xy, p.detach())
             inverse = _safe_inverse(grad, hess)
         # implicit function theorem: one Newton step with the Jacobian held has the exact gradient
@@ -77,7 +78,7 @@ class HeightField(Shape):
         phi = dot(p - torch.cat([xy, h[:, None]], dim=1), normal)
         return phi.reshape(x.shape[:-1]), normal.reshape(x.shape)
 
-    def closest(self, padded: Tensor, p: Tensor) -> Tensor:
+    def _closest(self, padded: Tensor, p: Tensor) -> Tensor:
         """Minimize |p - (xy, h(xy))|^2 from the best of a few samples around the foot, (N, 2)."""
         drop = (p[:, 2] - self._value(padded, p[:, :2])).abs()
         line = torch.linspace(-1.0, 1.0, _SAMPLES, dtype=torch.float64)
@@ -157,8 +158,8 @@ class HeightField(Shape):
 
 @custom_op("diffsim::contact_closest_on_terrain")
 def closest_in_graph(padded: Tensor, p: Tensor, *, handle: int) -> Tensor:
-    """:meth:`HeightField.closest` of the shape with a handle, for graphs."""
-    return shape_of(handle, HeightField).closest(padded, p)
+    """:meth:`HeightField._closest` of the shape with a handle, for graphs."""
+    return shape_of(handle, HeightField)._closest(padded, p)
 
 
 @closest_in_graph.register_fake

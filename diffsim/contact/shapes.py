@@ -13,7 +13,7 @@ from torch import Tensor
 
 from diffsim.contact.handles import new_handle
 from diffsim.core.check import require
-from diffsim.core.layer import outside_of_graphs
+from diffsim.core.layer import may_be_differentiated, outside_of_graphs
 from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
 from diffsim.mesh import primitive
 from diffsim.mesh.sdf import Sdf
@@ -245,7 +245,7 @@ class Custom(Shape):
 
     def _by_gradient(self, x: Tensor) -> Pair:
         flat = x.reshape(-1, 3)
-        keep = torch.is_grad_enabled()
+        keep = may_be_differentiated()
         with torch.enable_grad():
             # evaluated twice: a kink that spoils the normal's gradient must not spoil that of phi
             phi = self._distance(_stop_infinite_gradients(flat))
@@ -266,7 +266,9 @@ class Custom(Shape):
 
 def _stop_infinite_gradients(x: Tensor) -> Tensor:
     """A copy of x, part of its graph, to which gradients that are not finite flow back as zero."""
-    copy = x.clone() if x.requires_grad else x.detach().requires_grad_()
+    copy = x.clone()  # a tangent of forward mode stays; detach() would drop it
+    if not copy.requires_grad:
+        copy.requires_grad_()
     copy.register_hook(_zero_infinite)
     return copy
 

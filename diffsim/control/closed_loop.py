@@ -117,6 +117,12 @@ class MLPController(nn.Module):
 
     def forward(self, observation: Tensor, step: int | Tensor = 0) -> Tensor:
         """Commands (..., num_commands)."""
+        of_weights = next(self.layers.parameters()).dtype
+        if observation.dtype != of_weights:
+            raise TypeError(
+                f"observation is {observation.dtype}, the controller's weights are {of_weights}; "
+                f"convert one of them, such as by controller.to({observation.dtype})"
+            )
         x = observation if self.normalizer is None else self.normalizer(observation)
         out: Tensor = self.layers(x)
         return out

@@ -6,11 +6,14 @@ import difflib
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import is_dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
+
+from diffsim.core.layer import may_be_differentiated
 
 
 def values_of(value: Tensor) -> Tensor:
@@ -81,6 +84,8 @@ def require_tensor(name: str, value: Tensor, dtype: torch.dtype = torch.float64)
     Raises:
         TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
     """
+    if not torch.compiler.is_compiling() and torch._C._len_torch_function_stack():
+        _refuse_default_device()
     if not isinstance(value, Tensor):
         raise TypeError(
             f"{name} must be a torch.Tensor, got {type(value).__name__}; "
@@ -98,6 +103,16 @@ def require_tensor(name: str, value: Tensor, dtype: torch.dtype = torch.float64)
         if value.is_meta:
             raise TypeError(f"{name} must be on the CPU, got device meta: a shape without values")
         raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
+
+
+def _refuse_default_device() -> None:
+    """Refuse a default device other than the CPU, on which tensors would be made here and there."""
+    default = torch.get_default_device()
+    if default.type != "cpu":
+        raise TypeError(
+            f"diffsim computes on the CPU, but torch.set_default_device({str(default)!r}) is in "
+            "effect; build and call its objects under `with torch.device('cpu'):`"
+        )
 
 
 def require_constant(name: str, value: Any, hint: str = "") -> None:
@@ -119,8 +134,24 @@ def require_constant(name: str, value: Any, hint: str = "") -> None:
         )
 
 
+def require_constants(hint: str, **given: Any) -> None:
+    """``require_constant`` of arguments and of what records hold, where gradients are recorded.
+
+    For results that are computed past PyTorch on purpose; under ``torch.no_grad()`` nobody can take
+    them for followed.
+    """
+    if not may_be_differentiated():
+        return
+    for name, value in given.items():
+        require_constant(name, value, hint)
+        parts = vars(value) if is_dataclass(value) else getattr(value, "_asdict", dict)()
+        require_constants(hint, **{f"{name}.{field}": part for field, part in parts.items()})
+
+
 def _is_followed(value: Tensor) -> bool:
-    return value.requires_grad or forward_ad.unpack_dual(value).tangent is not None
+    if value.requires_grad or value.layout is not torch.strided:  # forward mode has no sparse ones
+        return value.requires_grad
+    return forward_ad.unpack_dual(value).tangent is not None
 
 
 def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:
@@ -158,7 +189,8 @@ def require_number(
 
     A number of NumPy, or a () tensor without gradient, is taken as Python's.
     """
-    if getattr(value, "ndim", None) == 0 and not getattr(value, "requires_grad", False):
+    if getattr(value, "ndim", None) == 0:
+        require_constant(name, value, hint)
         value = _item(name, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TypeError(f"{name} must be a number, got {type(value).__name__}{_hint(hint)}")

@@ -1,10 +1,17 @@
-"""Paths and names that files state: they stay in their folder, whoever wrote the file."""
+"""Paths and names that files state: they stay in their folder, whoever wrote the file.
+
+A link in that folder may have come with the file. It may lead elsewhere only where the user says
+so, by ``--links FOLDER`` or the variable ``DIFFSIM_LINKS``, which no file can set.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+LINKS = "DIFFSIM_LINKS"  # folders that links may lead into, divided as PATH is
 MAX_NAME = 120  # characters: file systems end at 255 bytes, and suffixes are added
 _NOT_IN_NAMES = re.compile(r"[\x00-\x1f\x7f/\\]")
 
@@ -21,7 +28,8 @@ def inside(folder: Path, stated: str, what: str) -> Path:
         ``folder / stated``; it need not exist.
 
     Raises:
-        ValueError: it is absolute, goes up by ``..``, or leads out of the folder by a link.
+        ValueError: it is absolute, goes up by ``..``, or leads by a link neither into the folder
+            nor into one that the user allows.
     """
     if not stated or "\x00" in stated:
         raise ValueError(f"{what} must name a file, got {stated!r}")
@@ -38,15 +46,30 @@ def inside(folder: Path, stated: str, what: str) -> Path:
             )
     path = folder / stated
     try:
-        stays = path.resolve().is_relative_to(folder.resolve())
+        end = path.resolve()
+        allowed = [Path(f).expanduser() for f in os.environ.get(LINKS, "").split(os.pathsep) if f]
+        stays = any(end.is_relative_to(f.resolve()) for f in (folder, *allowed))
     except (OSError, RuntimeError) as error:  # a circle of links
         raise ValueError(f"{what}: {_quote(stated)} cannot be followed: {error}") from None
     if not stays:
         raise ValueError(
             f"{what} must stay in its folder, but {_quote(stated)} is a link that leaves it; put "
-            "the file itself into the folder"
+            f"the file itself into the folder, or, if the link is yours: --links {end.parent}"
         )
     return path
+
+
+def allow_links(folders: Iterable[Path]) -> None:
+    """Let links lead into further folders, in this process and in those that it starts.
+
+    Raises:
+        ValueError: there is no such folder.
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise ValueError(f"--links must be an existing folder, got {folder}")
+        named = [os.environ.get(LINKS, ""), str(folder.resolve())]
+        os.environ[LINKS] = os.pathsep.join(filter(None, named))
 
 
 def require_file_name(what: str, name: str) -> str:

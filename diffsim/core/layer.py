@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 _PLAIN = (Tensor, torch.nn.Parameter)
+_stands_for_many = torch._C._functorch.is_legacy_batchedtensor
 
 
 def custom_op(name: str) -> Callable[[Callable[..., Any]], Any]:
@@ -71,10 +72,11 @@ class Call(NamedTuple):
         """The structure of a call."""
         return cls(tuple(len(a) if isinstance(a, list) else None for a in args), options)
 
-    def flat(self, args: Sequence[Any]) -> list[Any]:
-        """The arguments in a row; None for a list stands for as many None."""
+    def flat(self, args: Any) -> list[Any]:
+        """The arguments in a row, of a tuple or alone; None for a list stands for as many None."""
         row: list[Any] = []
-        for length, value in zip(self.lengths, args, strict=True):
+        each = args if isinstance(args, tuple) else (args,)
+        for length, value in zip(self.lengths, each, strict=True):
             if length is None:
                 row.append(value)
             else:
@@ -130,8 +132,9 @@ def make_layer(
         ctx.save_for_forward(*(ctx.to_save or ()))
 
     def flat_backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
-        given = backward(ctx, *grads)
-        return None, *ctx.call.flat(given if isinstance(given, tuple) else (given,))
+        if any(isinstance(g, Tensor) and _stands_for_many(g) for g in grads):
+            return None, *_item_by_item(lambda *g: ctx.call.flat(backward(ctx, *g)), grads)
+        return None, *ctx.call.flat(backward(ctx, *grads))
 
     def flat_tangent(ctx: Any, _call: None, *row: Any) -> Any:
         if tangent is None:
@@ -139,6 +142,8 @@ def make_layer(
                 f"{name} has no forward-mode derivative; use reverse mode (backward, "
                 "torch.func.grad, vjp, jacrev)"
             )
+        if any(isinstance(d, Tensor) and _stands_for_many(d) for d in row):
+            return _item_by_item(lambda *given: tangent(ctx, *ctx.call.nested(given)), row)
         return tangent(ctx, *ctx.call.nested(row))
 
     return _callable(op, set_context, flat_backward, flat_tangent)
@@ -306,8 +311,29 @@ def _one_by_one(
     if isinstance(items[0], Tensor):
         return torch.stack(items), 0
     kind = type(items[0])
-    stacked = [torch.stack(list(same)) for same in zip(*items, strict=True)]
+    stacked = [s[0] if s[0] is None else torch.stack(s) for s in zip(*items, strict=True)]
     return kind(stacked), kind([0] * len(stacked))
+
+
+def _item_by_item(one: Callable[..., Any], args: Sequence[Any]) -> Any:
+    """What a derivative gives of every item, where PyTorch batches without a transform.
+
+    ``is_grads_batched``, ``jacobian(vectorize=True)`` and gradcheck hand one tensor that stands for
+    many and has no memory of its own, past the rules of ``torch.func.vmap``.
+    """
+    level = torch._C._vmapmode_increment_nesting() - 1  # PyTorch has no other word for the level
+    torch._C._vmapmode_decrement_nesting()
+    many = [isinstance(value, Tensor) and _stands_for_many(value) for value in args]
+    dims = [0 if stands else None for stands in many]
+    opened = [
+        value if dim is None else torch._remove_batch_dim(value, level, 0, 0)
+        for value, dim in zip(args, dims, strict=True)
+    ]
+    count = next(len(value) for value, dim in zip(opened, dims, strict=True) if dim == 0)
+    stacked, _ = _one_by_one(one, count, dims, opened)
+    if isinstance(stacked, Tensor):
+        return torch._add_batch_dim(stacked, 0, level)
+    return tuple(s if s is None else torch._add_batch_dim(s, 0, level) for s in stacked)
 
 
 def _item(value: Any, dim: Any, k: int) -> Any:

@@ -144,15 +144,33 @@ def train(
 
 
 def read_rows(path: str | Path) -> list[Row]:
-    """Ratings of a run's folder, or of a file of them; an empty list where there are none."""
+    """Ratings of a run's folder, or of a file of them; an empty list where there are none.
+
+    Args:
+        path: The folder, or the file.
+
+    Raises:
+        ValueError: a line that is no rating, such as one that was cut.
+    """
     path = Path(path)
     path = path / RESULTS if path.suffix != ".jsonl" else path
     if not path.exists():
         return []
-    rows: list[Row] = [json.loads(line) for line in path.read_text().splitlines()]
-    for row in rows:
-        row["reward"] = math.nan if row["reward"] is None else row["reward"]
-    return rows
+    lines = path.read_bytes().splitlines()
+    return [_read_row(line, f"{path}, row {k}") for k, line in enumerate(lines, start=1)]
+
+
+def _read_row(line: bytes, where: str) -> Row:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        row = None
+    if not isinstance(row, dict) or "reward" not in row or "finished" not in row:
+        raise ValueError(
+            f"{where}: no rating of a training; was the file cut? --resume writes it again from "
+            f"{CHECKPOINT}"
+        )
+    return row | {"reward": math.nan if row["reward"] is None else row["reward"]}
 
 
 def is_finished(folder: str | Path) -> bool:
@@ -215,7 +233,7 @@ def _save(run: Run, setup: Setup, learner: Learner) -> None:
 
 
 def _load(run: Run, setup: Setup, learner: Learner) -> None:
-    state = torch.load(run.folder / CHECKPOINT, weights_only=True)
+    state = read_checkpoint(run.folder)
     saved, asked = json.loads(state["setup"]), to_plain(asdict(setup))
     for name in ("task", "task_options", "seed", "steps", "evaluate_every"):
         if saved[name] != asked[name]:
@@ -231,9 +249,28 @@ def _load(run: Run, setup: Setup, learner: Learner) -> None:
 
 def load_controller(folder: str | Path, controller: nn.Module) -> nn.Module:
     """The trained weights of a run, put into a controller of the same shape."""
-    state = torch.load(Path(folder) / CHECKPOINT, weights_only=True)
-    controller.load_state_dict(state["controller"])
+    controller.load_state_dict(read_checkpoint(folder)["controller"])
     return controller
+
+
+def read_checkpoint(folder: str | Path) -> dict[str, Any]:
+    """A checkpoint of ``_save``: tensors and plain values, no objects that would run code."""
+    path = Path(folder) / CHECKPOINT
+    try:
+        state = torch.load(path, weights_only=True)
+    except OSError:
+        raise
+    except Exception as error:  # torch's own, pickle's and zip's
+        raise ValueError(
+            f"{path}: cannot be read as a checkpoint ({type(error).__name__}): it is cut, or holds "
+            "objects, which are not loaded since they could run code"
+        ) from error
+    missing = {"setup", "rows", "counters", "learner", "controller"} - set(state)
+    if missing:
+        raise ValueError(
+            f"{path}: no checkpoint of a training, {', '.join(sorted(missing))} missing"
+        )
+    return state
 
 
 def rng_state(rng: Any) -> str:

@@ -120,11 +120,27 @@ def load_trained(name: str) -> Trained:
 
 
 def read_trained(path: str | Path) -> Trained:
-    """A controller from a file that ``write_trained`` wrote."""
-    with np.load(path, allow_pickle=False) as content:
-        about = json.loads(str(content[_ABOUT]))
-        state = {name: content[name] for name in content.files if name != _ABOUT}
-    return Trained(state=state, **about)
+    """A controller from a file that ``write_trained`` wrote.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: it is no such file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            about = json.loads(str(content[_ABOUT]))
+            state = {name: content[name] for name in content.files if name != _ABOUT}
+        return Trained(state=state, **about)
+    except OSError:
+        raise
+    except Exception as error:  # NumPy's, zip's and JSON's
+        raise ValueError(
+            f"{path}: no controller that diffsim wrote ({type(error).__name__}); "
+            "rl/keep_controller.py makes one of a training's checkpoint"
+        ) from error
 
 
 def write_trained(path: str | Path, trained: Trained) -> Path:

@@ -9,13 +9,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice, require_threads
+from diffsim.core.check import (
+    all_finite,
+    require,
+    require_choice,
+    require_constant,
+    require_threads,
+)
 from diffsim.core.errors import FactorizationError
 from diffsim.linalg._ops_cholesky import SparseFactor
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
+_NO_GRADIENT = "SparseCholesky has no gradient; build a layer on two solves"
 _SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry: assembly in two orders rounds apart
 
 
@@ -74,6 +81,7 @@ class SparseCholesky:
         self._pattern = _Pattern(csr, block)
         self._check_values(csr)
         if coords is not None:
+            require_constant("coords", coords, "they order unknowns")
             coords = torch.as_tensor(coords)
             coords = require("coords", coords, (self.shape[0] // block, 3), torch.float64)
         self._factor = SparseFactor(
@@ -137,10 +145,9 @@ class SparseCholesky:
         Raises:
             TypeError: ``b`` is not float64.
             ValueError: wrong shape, or not finite.
-            FactorizationError: the last ``refactor`` failed.
+            FactorizationError: the last ``refactor`` failed, or x has no room in float64.
         """
-        if isinstance(b, Tensor) and b.requires_grad:
-            raise ValueError("b must not require grad: SparseCholesky.solve has no gradient")
+        require_constant("b", b, _NO_GRADIENT)
         tensor = torch.as_tensor(b) if isinstance(b, np.ndarray) else b
         ndim = getattr(tensor, "ndim", 1)
         shape = (self.shape[0],) if ndim == 1 else (self.shape[0], "k")
@@ -149,6 +156,13 @@ class SparseCholesky:
             self._require_usable()
             columns = tensor if ndim == 2 else tensor.unsqueeze(1)
             x = self._factor.solve(columns, self.num_threads)
+        if not all_finite(x):
+            raise FactorizationError(
+                "the solution is beyond what float64 holds: entries of the matrix are too small "
+                "for these right-hand sides; choose units in which both are near one",
+                pivot=-1,
+                value=float("nan"),
+            )
         x = x if ndim == 2 else x.squeeze(1)
         return x.numpy() if isinstance(b, np.ndarray) else x
 
@@ -246,7 +260,7 @@ def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
             )
         if matrix.device.type != "cpu":
             raise TypeError(f"matrix must be on the CPU, got device {matrix.device}")
-        matrix = matrix.detach()
+        require_constant("matrix", matrix, _NO_GRADIENT)
         parts = (matrix.values(), matrix.col_indices(), matrix.crow_indices())
         matrix = sp.csr_matrix(tuple(p.numpy() for p in parts), shape=tuple(matrix.shape))
     if not sp.issparse(matrix):

@@ -9,8 +9,9 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_constant
 from diffsim.core.errors import MeshError
+from diffsim.core.module import loadable
 from diffsim.core.values import as_array
 from diffsim.mesh import validate
 from diffsim.mesh.reference import HEX_EDGES, TET_EDGES, IntArray
@@ -126,8 +127,7 @@ class Mesh:
     def _own(self, field: str) -> None:
         """Check the fields, then replace them by copies that nobody else can change."""
         for name, value in (("x_rest", self.x_rest), (field, getattr(self, field))):
-            if isinstance(value, Tensor) and value.requires_grad:
-                raise ValueError(f"{name} must not require grad; pass {name}.detach()")
+            require_constant(name, value, "parameters of a shape move its mesh")
         x = require("x_rest", as_array("x_rest", self.x_rest), ("num_nodes", 3), torch.float64)
         elements = require(
             field,
@@ -138,6 +138,7 @@ class Mesh:
         object.__setattr__(self, "x_rest", x.clone())
         object.__setattr__(self, field, elements.clone())
         validate.check_indices(self.elements.numpy(), self.num_nodes, field)
+        validate.check_size(self.x_rest.numpy())
         validate.check_nodes(self.x_rest.numpy(), self.elements.numpy(), field)
 
     def __repr__(self) -> str:
@@ -147,6 +148,7 @@ class Mesh:
         )
 
 
+@loadable
 @dataclass(frozen=True, eq=False, repr=False)
 class HexMesh(Mesh):
     """Trilinear hexahedra.
@@ -179,6 +181,7 @@ class HexMesh(Mesh):
         return self.hexes
 
 
+@loadable
 @dataclass(frozen=True, eq=False, repr=False)
 class TetMesh(Mesh):
     """Linear tetrahedra.

@@ -18,7 +18,7 @@ from diffsim.mesh.inside import grid_inside
 from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.repair import flip_inverted, remove_degenerate
 from diffsim.mesh.stuffing import fill
-from diffsim.mesh.voxels import grid, hex_from_mask
+from diffsim.mesh.voxels import ask_for_unit, grid, hex_from_mask
 
 FINEST = 1e-4  # spacing over the diagonal: some 1e12 elements, more than a memory holds
 
@@ -114,7 +114,7 @@ def _ftetwild(x: Array, faces: IntArray, spacing: float, tolerance: float | None
     if not FINEST * diagonal <= spacing <= diagonal:  # beyond these fTetWild does not end
         raise ValueError(
             f"spacing must be from {FINEST:g} to 1 times the diagonal of the surface's bounding "
-            f"box, {diagonal:.3g} m, got {spacing:g} m"
+            f"box, {diagonal:.3g} m, got {spacing:g} m{ask_for_unit(diagonal)}"
         )
     by_product = Path("__tracked_surface.stl")  # pytetwild 0.2.3 leaves it in the current folder
     existed = by_product.exists()

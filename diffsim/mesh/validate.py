@@ -23,6 +23,9 @@ DEGENERATE = 1e-10
 COINCIDENT = 1e-9
 """Nodes closer than this times the diagonal of the bounding box count as one place."""
 
+SIDES = (1e-88, 1e100)
+"""Longest sides of meshes [m] whose volumes, by both limits above, have room in float64."""
+
 _CHUNK = 1 << 16
 
 
@@ -46,6 +49,16 @@ def check_indices(elements: IntArray, num_nodes: int, plural: str) -> None:
             f"than once: {_first(repeated)}; drop them with diffsim.mesh.remove_degenerate(x_rest, "
             f"{plural})",
             _indices(repeated),
+        )
+
+
+def check_size(x: Array) -> None:
+    """Volumes that float64 can hold: smaller ones would be zero without a word."""
+    longest = float((x.max(axis=0) - x.min(axis=0)).max())
+    if 0.0 < longest < SIDES[0] or longest > SIDES[1]:
+        raise MeshError(
+            f"the mesh's longest side must lie between {SIDES[0]:g} and {SIDES[1]:g}, where "
+            f"float64 has room for volumes, got {longest:g}; choose another unit of length"
         )
 
 

@@ -6,6 +6,7 @@ checked here but that there is one kind of elements; ``diffsim.mesh.load`` makes
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,7 @@ Not .xdmf: meshio needs h5py for it, even to read XML."""
 
 USD_FORMATS = (".usd", ".usda", ".usdc")
 
+_INCLUDE = re.compile(rb"^\s*\*\s*INCLUDE", re.I | re.M)
 _BOUNDARY_CELLS = {"vertex", "line", "triangle", "quad"}
 
 
@@ -60,10 +62,13 @@ def read_meshio(path: Path, file_format: str) -> VolumeFile:
         file_format: meshio's name of its format.
 
     Raises:
-        MeshError: it cannot be read; no volume elements; several kinds, or such of higher order.
+        MeshError: it cannot be read, or includes another file; no volume elements; several kinds,
+            or such of higher order.
     """
     import meshio
 
+    if file_format == "abaqus" and _INCLUDE.search(path.read_bytes()):  # meshio reads any file
+        raise MeshError(f"{path} includes another file, which is not done here; write one file")
     try:
         content = meshio.read(path, file_format=file_format)
     except (Exception, SystemExit) as error:  # meshio ends the program on some bad files

@@ -17,6 +17,7 @@ from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.repair import remove_unreferenced_nodes
 
 _CHUNK = 1 << 20
+LONG = 10.0  # [m], of a body: longer ones are asked for their unit
 
 
 def hex_from_sdf(
@@ -80,9 +81,18 @@ def grid(bounds: Sequence[Sequence[float]], spacing: float) -> tuple[Array, IntA
     if counts.prod() > 2e8:
         raise ValueError(
             f"spacing {spacing:g} m makes {counts.prod():.3g} cells, at most 2e8 are handled; "
-            "increase spacing"
+            f"increase spacing{ask_for_unit(float(extent.max()))}"
         )
     return corners[0], counts.astype(np.int64)
+
+
+def ask_for_unit(length: float) -> str:
+    """What to say where a body is larger than robots are: most files of parts are in millimeters.
+
+    Args:
+        length: Longest side [m].
+    """
+    return f"; it is {length:.4g} m long: millimeters? scale=1e-3" if length > LONG else ""
 
 
 def evaluate(sdf: Callable[[Any], Any], points: Array) -> Array:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
+from diffsim.core.layer import custom_op, directions_of, make_layer
+from diffsim.ode.in_torch import pull, push, solve
 
 _PROBLEM = (
     *("rate_code", "reading_code", "rate_out", "reading_out", "constants"),
@@ -20,6 +23,8 @@ _BACKWARD = (
     *(*_PROBLEM, "num_steps", "num_threads", "inputs", "parameters", "states"),
     *("grad_readings", "grad_states"),
 )
+
+_ALONG = (*_FORWARD, "d_start", "d_inputs", "d_parameters")
 
 
 def _by_name(
@@ -204,8 +209,77 @@ def _tangent(ctx: Any, *moved: Any) -> tuple[Tensor, Tensor]:
     return ode_integrate_jvp_layer(**given, **directions_of(moving, moved[-3:]))
 
 
-ode_integrate_vjp_layer = make_first_order(ode_integrate_vjp)
-ode_integrate_jvp_layer = make_first_order(ode_integrate_jvp)
+def _setup_vjp(ctx: Any, args: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    _keep(ctx, _BACKWARD, args)
+
+
+def _setup_jvp(ctx: Any, args: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    _keep(ctx, _ALONG, args)
+
+
+def _keep(ctx: Any, names: tuple[str, ...], args: tuple[Any, ...]) -> None:
+    given = dict(zip(names, args, strict=True))
+    ctx.num_steps = given["num_steps"]
+    ctx.problem = {name: given[name] for name in _PROBLEM}
+    ctx.save_for_backward(*args[len(_PROBLEM) + 2 :])
+
+
+def _vjp_of(ctx: Any) -> Callable[..., tuple[Tensor, ...]]:
+    """The op of the adjoint as a function of what may be differentiated.
+
+    It reads the first state alone: the others follow from it.
+    """
+
+    def gradients(
+        inputs: Tensor, parameters: Tensor, states: Tensor, *cotangents: Tensor
+    ) -> tuple[Tensor, ...]:
+        at = (states[:, 0], inputs.expand(len(states), *inputs.shape[1:]), parameters)
+        return pull(partial(solve, ctx.problem, ctx.num_steps), at, cotangents)
+
+    return gradients
+
+
+def _jvp_of(ctx: Any) -> Callable[..., tuple[Tensor, ...]]:
+    """The op of the tangent as a function of what may be differentiated."""
+
+    def tangents(*given: Tensor) -> tuple[Tensor, ...]:
+        return push(partial(solve, ctx.problem, ctx.num_steps), given[:3], given[3:])
+
+    return tangents
+
+
+def _backward_by(function: Callable[..., Any]) -> Callable[..., tuple[Any, ...]]:
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Any, ...]:
+        found = pull(function(ctx), ctx.saved_tensors, cotangents)
+        return (*(None,) * (len(_PROBLEM) + 2), *found)
+
+    return backward
+
+
+def _tangent_by(function: Callable[..., Any]) -> Callable[..., tuple[Tensor, ...]]:
+    def tangent(ctx: Any, *moved: Any) -> tuple[Tensor, ...]:
+        at = ctx.saved_tensors
+        directions = [
+            torch.zeros_like(value) if direction is None else direction
+            for value, direction in zip(at, moved[-len(at) :], strict=True)
+        ]
+        return push(function(ctx), at, tuple(directions))
+
+    return tangent
+
+
+ode_integrate_vjp_layer = make_layer(
+    ode_integrate_vjp,
+    setup=_setup_vjp,
+    backward=_backward_by(_vjp_of),
+    tangent=_tangent_by(_vjp_of),
+)
+ode_integrate_jvp_layer = make_layer(
+    ode_integrate_jvp,
+    setup=_setup_jvp,
+    backward=_backward_by(_jvp_of),
+    tangent=_tangent_by(_jvp_of),
+)
 ode_integrate_layer = make_layer(ode_integrate, setup=_setup, backward=_backward, tangent=_tangent)
 
 

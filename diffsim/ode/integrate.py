@@ -59,6 +59,7 @@ class Ode:
             require_choice("held", name, self.inputs)
         for name, (low, high) in self.limits.items():
             require_choice("limits", name, self.rates)
+            require_constant(f"limits of {name}", (low, high))
             if not low < high:
                 raise ValueError(f"limits of {name} must be (low, high), got ({low:g}, {high:g})")
         _ = self.tapes  # formulas are read once, and mistakes in them show here
@@ -121,7 +122,7 @@ class Ode:
         Returns:
             Readings, (num_samples, num_channels), and states, (num_samples, num_states), both with
             a leading batch axis where an argument has one. Gradients: start, inputs, parameters;
-            first order, exact for the steps that were computed.
+            any order, exact for the steps that were computed.
 
         Raises:
             ValueError: shapes disagree, times do not increase or require a gradient.

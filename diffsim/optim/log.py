@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from diffsim.core.files import to_plain, write_bytes_atomic
+from diffsim.core.files import append_atomic, to_plain, write_bytes_atomic
 from diffsim.optim.evaluation import Array, Evaluation
 
 FORMAT = "diffsim.optim.log"
@@ -68,7 +67,7 @@ class Log:
         line = json.dumps(to_plain({"list": name, **entry}), ensure_ascii=False, allow_nan=False)
         if self.path is not None:
             header = "" if self._has_header else self._header()
-            _append(self.path, header + line + "\n")
+            append_atomic(self.path, f"{header}{line}\n".encode())
             self._has_header = True
         return self._keep(json.loads(line))
 
@@ -160,13 +159,6 @@ def evaluation_of(entry: Mapping[str, Any]) -> Evaluation:
 
 def _key(name: str, x: Array) -> tuple[str, bytes]:
     return name, np.asarray(x, dtype=np.float64).tobytes()
-
-
-def _append(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab", buffering=0) as file:
-        file.write(text.encode("utf-8"))
-        os.fsync(file.fileno())
 
 
 def _parse_line(text: bytes) -> dict[str, Any] | None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffsim.core.check import require, require_number, require_range
+from diffsim.core.module import Float64Module, loadable
 from diffsim.soft.parameters import Value, hold
 
 
+@loadable
 class ActuatorState(NamedTuple):
     """What actuators remember between steps.
 
@@ -23,7 +25,7 @@ class ActuatorState(NamedTuple):
     pending: Tensor
 
 
-class ActuatorDynamics(nn.Module):
+class ActuatorDynamics(Float64Module):
     """Actuation that follows its command late, sluggishly and no faster than it can.
 
     The command c, held over a step and delayed by ``delay_steps`` steps, drives the actuation a by

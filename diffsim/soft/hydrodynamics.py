@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
 from diffsim.soft.inputs import broadcast
@@ -31,7 +32,7 @@ class HydroForces(NamedTuple):
     limited: Tensor
 
 
-class Hydrodynamics(nn.Module):
+class Hydrodynamics(Float64Module):
     """Drag and thrust on the surface of a mesh (thesis eqs. 5.3, 5.4).
 
     Each boundary face (hexahedra: quad, tetrahedra: triangle) that the water meets carries

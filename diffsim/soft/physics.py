@@ -10,9 +10,11 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_range
+from diffsim.core.module import loadable
 from diffsim.soft.materials import Material, small_strain_moduli
 
 
+@loadable
 @dataclass(frozen=True, kw_only=True)
 class Physics:
     """Per-element and per-node parameters; every tensor may carry a gradient.

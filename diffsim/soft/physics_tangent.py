@@ -28,6 +28,8 @@ def physics_directions(
     Returns:
         Physics whose tensors have a leading K.
     """
+    if forward_ad._current_level >= 0:
+        raise NotImplementedError("physics_directions is forward mode itself: a derivative in one")
     if unknown := set(directions) - set(values):
         raise ValueError(f"directions of {sorted(unknown)} have no value; give values of the same")
     (count,) = {d.shape[0] for d in directions.values()}

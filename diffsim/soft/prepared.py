@@ -56,7 +56,7 @@ def _require_own_shape(body: Solid) -> None:
     if body.x_rest is not body.mesh.x_rest and not torch.equal(body.x_rest, body.mesh.x_rest):
         raise ValueError(
             "x_rest of a body must be its mesh's, float64; make a new body of a mesh with other "
-            "positions (to(), float() and functional_call cannot change the shape)"
+            "positions (functional_call cannot change the shape)"
         )
 
 

@@ -7,15 +7,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffsim.core.check import (
     require,
     require_choice,
+    require_constant,
     require_count,
     require_indices,
     require_number,
 )
+from diffsim.core.module import Float64Module
 from diffsim.core.values import as_array
 from diffsim.mesh import (
     HexMesh,
@@ -45,7 +47,7 @@ from diffsim.soft.plausible import warn_of_units
 from diffsim.soft.state import State
 
 
-class Solid(nn.Module):
+class Solid(Float64Module):
     """What a :class:`~diffsim.soft.SoftBody` is, without what can be done with it.
 
     Functions of bodies (``step``, ``static_equilibrium``, ...) take this. The arguments are those
@@ -83,6 +85,7 @@ class Solid(nn.Module):
         damping = _options("damping", damping, Damping)
         masses = _options("masses", masses, Masses)
         contact = _options("contact", contact, ContactOptions)
+        require_constant("mesh.x_rest", mesh.x_rest, "parameters of a shape move its mesh")
         self.mesh = mesh
         self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
         require_number("dt", self.dt, at_least=1e-15, at_most=1e9, hint="unit is s")

@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from diffsim.core.module import loadable
 
+
+@loadable
 class State(NamedTuple):
     """Positions and velocities; BDF2 also remembers the step before.
 
@@ -41,6 +44,7 @@ def require_state(state: State) -> State:
     return state
 
 
+@loadable
 class Trajectory(NamedTuple):
     """States of a rollout, the initial one first.
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_constants
 from diffsim.soft.inputs import LOADS, Loads, check_inputs, check_state
 from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
@@ -29,6 +29,8 @@ from diffsim.soft.state import State, require_state
 from diffsim.soft.step import stage_problem
 
 Moving = Tensor | Callable[[int, State, State], Tensor] | None
+
+_ONE_WAY = "tangents are computed without a graph; or call under torch.no_grad()"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +135,7 @@ def rollout_tangents(
         "dirichlet_target": dirichlet_target,
     }
     physics = body.physics() if physics is None else physics
+    require_constants(_ONE_WAY, state=state, directions=directions, physics=physics, **signals)
     directed = directions.physics or still_physics(physics, count)
     keep = keep or (lambda state, moving: (state.x, moving.x))
     kept = [keep(state, moving)]
@@ -178,18 +181,18 @@ def static_tangents(
         (K, num_nodes, 3) [m] per unit of each direction.
     """
     physics = body.physics() if physics is None else physics
+    loads_given = {
+        "external_force": external_force,
+        "activation": activation,
+        "pressure": pressure,
+        "dirichlet_target": dirichlet_target,
+    }
+    require_constants(_ONE_WAY, x=x, directions=directions, physics=physics, **loads_given)
     directed = directions.physics or still_physics(physics, count)
     state = State(x, torch.zeros_like(x))
     with torch.no_grad():
         prepared = PreparedBody(body, physics)
-        x, loads = check_inputs(
-            prepared,
-            state,
-            external_force=external_force,
-            activation=activation,
-            pressure=pressure,
-            dirichlet_target=dirichlet_target,
-        )
+        x, loads = check_inputs(prepared, state, **loads_given)
         problem = StepProblem(y=x, guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
         still = State(torch.zeros(count, *x.shape, dtype=x.dtype), torch.zeros(0))
         moved = _MovedInTime(body, directions, count)(0, state, still)

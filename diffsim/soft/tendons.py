@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffsim.core.check import require, require_constant, require_number
+from diffsim.core.module import Float64Module
 from diffsim.core.values import as_array
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.routing import route
 
 
-class Tendon(nn.Module):
+class Tendon(Float64Module):
     """A cable along a polyline, bonded to the body, with the energy
 
         E = EA/2 sum_e L_e max(0, s_e - a)^2,   s_e = |F m_e|,   a = commanded / rest length,

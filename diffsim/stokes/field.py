@@ -31,9 +31,9 @@ class FlowField:
             gross flux of the worst part of the fluid without an open face), "residual" (of momentum
             and continuity, relative to what drives the flow), "pressure_error" (estimated root
             mean square, relative; of a direct solver's incompressible flow, else zero),
-            "imbalance" (``mass_report``).
+            "imbalance" (``mass_report``); no gradients.
         solve: Why every case ended, with the relative residual, or with the divergence or the error
-            of the pressures where that was too large.
+            of the pressures where that was too large; no gradients.
     """
 
     grid: Grid

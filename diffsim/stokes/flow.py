@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffsim.core.check import has_values, require, require_choice, require_number
+from diffsim.core.module import Float64Module
 from diffsim.core.record import Solve, warn
 from diffsim.stokes import _ops_flow
 from diffsim.stokes._ended import STATS, solve_of
@@ -23,7 +24,7 @@ MAX_DIRECT_NODES: int = _ops_flow.MAX_DIRECT_NODES
 """What the method "auto" solves directly in three dimensions: at most so many nodes with fluid."""
 
 
-class StokesFlow(nn.Module):
+class StokesFlow(Float64Module):
     """Slow viscous flow on a grid whose fluid is where a level set is positive.
 
     -div(2 eta D(v)) + grad p = f,  div v = 0 in the fluid; v = wall velocity on the embedded wall

@@ -98,6 +98,12 @@ def test_a_mapped_axis_may_be_any_and_in_lists_too():
     torch.testing.assert_close(mapped, torch.stack([cube(A, B), cube(A, 3.0 * B)]))
 
 
+def test_gradients_and_tangents_come_in_batches_of_pytorch_s_older_kind():
+    a, b = A.clone().requires_grad_(), B.clone().requires_grad_()
+    options = {"check_forward_ad": True, "check_batched_forward_grad": True}
+    assert torch.autograd.gradcheck(cube, (a, b), check_batched_grad=True, **options)
+
+
 def test_past_the_dispatcher_only_where_nothing_has_to_see_the_call(monkeypatch):
     """Without gradients the kernel is called alone; who follows calls still sees the op."""
     seen = []

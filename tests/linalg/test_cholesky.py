@@ -303,3 +303,13 @@ def test_refuses_another_pattern_and_bad_right_hand_sides():
         factor.solve(np.full(64, np.nan))
     with pytest.raises(ValueError, match="no gradient"):
         factor.solve(torch.ones(64, dtype=torch.float64, requires_grad=True))
+
+
+def test_a_solution_without_room_is_refused():
+    """1e3 over 1e-308 was inf, without a word."""
+    factor = SparseCholesky(sp.identity(3, format="csr") * 1e-308)
+    b = torch.tensor([1e-3, 1.0, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(factor.solve(b), b / 1e-308)
+    b[0] = 1e3
+    with pytest.raises(FactorizationError, match="beyond what float64 holds"):
+        factor.solve(b)

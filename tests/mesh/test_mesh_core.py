@@ -173,3 +173,13 @@ def test_arguments_of_boxes():
         m.hex_box((1, 0, 1))
     with pytest.raises(ValueError, match=r"size\[1\] must lie in"):
         m.tet_box((1, 1, 1), (1, -1, 1))
+
+
+@pytest.mark.parametrize("make", [m.hex_box, m.tet_box])
+def test_meshes_whose_volume_has_no_room_are_refused(make):
+    """Cubes of 1e-160 m had volumes of 0.0."""
+    for length in (1e-160, 1e-108, 1e-89, 1e101):
+        with pytest.raises(MeshError, match="longest side must lie between 1e-88 and 1e\\+100"):
+            make((2, 1, 1), (length, length, length))
+    small = make((2, 1, 1), (1e-87,) * 3)
+    assert m.total_volume(small) == pytest.approx(1e-261, rel=1e-9)

@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -143,3 +144,16 @@ def test_triangle_soup_and_inside_out_surfaces_are_taken():
     assert torch.equal(mesh.hexes, same.hexes)
     # a staircase of ten cells over the diameter misses some 5 % of the volume
     assert m.total_volume(mesh) == pytest.approx(s.volume, rel=0.1)
+
+
+@pytest.mark.parametrize("make", [m.voxelize, partial(m.tetrahedralize, method="stuffing")])
+def test_a_part_in_millimeters_is_asked_for_its_unit(tmp_path, make):
+    import trimesh
+
+    trimesh.creation.box((80.0, 20.0, 10.0)).export(tmp_path / "part.stl")
+    with pytest.raises(ValueError, match=r"it is 80 m long: millimeters\? scale=1e-3"):
+        make(tmp_path / "part.stl", 5e-3)
+    made = make(m.load_surface(tmp_path / "part.stl", scale=1e-3), 5e-3)
+    assert float(np.ptp(made.x_rest.numpy()[:, 0])) == pytest.approx(0.08, abs=5e-3)
+    with pytest.raises(ValueError, match=r"increase spacing$"):  # of a body of 80 mm
+        make(m.load_surface(tmp_path / "part.stl", scale=1e-3), 1e-6)

@@ -155,15 +155,6 @@ def test_members_of_a_batch_do_not_see_each_other_nor_threads():
         assert torch.equal(alone[0], y[k]) and torch.equal(alone[1], x[k])
 
 
-def test_a_second_derivative_raises():
-    t, (start, u, p) = given(1, shared=False)
-    (g,) = torch.autograd.grad(
-        EVERY_OPERATION.solve(t, start, u, p)[0].square().sum(), p, create_graph=True
-    )
-    with pytest.raises(RuntimeError, match="second order"):
-        g.sum().backward()
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -544,6 +544,9 @@ def test_a_gradient_by_the_rest_shape_is_refused():
     body.x_rest = body.x_rest.clone().requires_grad_()
     with pytest.raises(ValueError, match="x_rest must not require grad"):
         body(at_rest(body.x_rest.detach()))
+    m.x_rest.requires_grad_()
+    with pytest.raises(ValueError, match=r"mesh\.x_rest must not require grad"):
+        soft_body(m)
 
 
 def test_a_rest_shape_in_place_of_the_mesh_s_is_refused():
@@ -554,5 +557,6 @@ def test_a_rest_shape_in_place_of_the_mesh_s_is_refused():
         torch.func.functional_call(body, other, (at_rest(m.x_rest),))
     same = torch.func.functional_call(body, {"x_rest": m.x_rest.clone()}, (at_rest(m.x_rest),))
     assert torch.equal(same.x, body(at_rest(m.x_rest)).x)
+    body.x_rest = body.x_rest.float()
     with pytest.raises(ValueError, match="must be its mesh's, float64"):
-        soft_body(m).float()(at_rest(m.x_rest))
+        body(at_rest(m.x_rest))

@@ -23,7 +23,7 @@ from diffsim.copter.vehicle.geometry import Array
 from diffsim.copter.vehicle.mass import rigid_body
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.parts import RotorMount
-from diffsim.core.check import require, require_choice, values_of
+from diffsim.core.check import require, require_choice, require_constant, values_of
 
 _SLACK = 2e-6  # [m], more than the step of a difference quotient at a bound
 
@@ -235,6 +235,7 @@ class Design:
         Raises:
             ValueError: outside the feasible set; names the worst constraint.
         """
+        require_constant("s", s, "multicopter(s), mass(s) and the like carry gradients")
         s = self._free(s).detach().clone()
         self._require_feasible(s)
         return replace(self, values=s)
@@ -245,6 +246,7 @@ class Design:
         Args:
             directions: Unit thrust directions, (n_rotors, 3).
         """
+        require_constant("directions", directions, "multicopter(s, directions) carries one")
         directions = require("directions", directions, (len(self.rotors), 3)).detach()
         rows = dict(zip(self.rotor_names, directions.tolist(), strict=True))
         return self._rebuilt({name: {"direction": tuple(row)} for name, row in rows.items()})
@@ -258,6 +260,7 @@ class Design:
         Raises:
             ValueError: wrong shape, other values.
         """
+        require_constant("spins", spins)
         spins = require("spins", spins, (len(self.rotors),)).detach()
         if bool((spins.abs() != 1.0).any()):
             raise ValueError(f"spins must be +1 or -1, got {spins.tolist()}")

@@ -30,6 +30,7 @@ from diffsim.core.check import (
     values_of,
 )
 from diffsim.core.errors import DiffsimError
+from diffsim.core.module import loadable
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
 
@@ -66,6 +67,7 @@ class Feedback:
         require("reference", self.reference, ("...", 12))
 
 
+@loadable
 @dataclass(frozen=True, eq=False)
 class Flight:
     """What a rollout returns.

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.module import loadable
 from diffsim.core.rotation import (
     body_rates_from_rpy_rates,
     matrix_from_quaternion,
@@ -17,6 +18,7 @@ from diffsim.core.rotation import (
 )
 
 
+@loadable
 @dataclass(frozen=True, eq=False)
 class FlightState:
     """State of a batch of vehicles, NED; leading axes are (batch,) or, for a flight, (batch, time).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffsim.copter.dynamics import _ops_hover
 from diffsim.copter.dynamics._ops_hover import HoverProblem, HoverSolution
@@ -17,6 +17,7 @@ from diffsim.core.check import (
     require_range,
     require_threads,
 )
+from diffsim.core.module import Float64Module
 from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 from diffsim.core.values import scalar
@@ -168,7 +169,7 @@ def hover(
     return result
 
 
-class Hover(nn.Module):
+class Hover(Float64Module):
     """``hover`` with its options, for designs that change.
 
     Args:

@@ -9,11 +9,13 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require, require_choice
+from diffsim.core.module import loadable
 from diffsim.core.rotation import body_rates_matrix, matrix_from_rpy, skew
 
 FORMS = ("euler", "rotation_vector")
 
 
+@loadable
 class LinearModel(NamedTuple):
     """x' = A x + B u for small departures from a fixed point.
 
@@ -42,8 +44,7 @@ def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
     """
     euler, velocity, rates = state[3:6], state[6:9], state[9:]
     R = matrix_from_rpy(euler)
-    turning = torch.func.jvp(body_rates_matrix, (euler,), (rates,))
-    E, E_rate = turning[0], turning[1]
+    E, E_rate = body_rates_matrix(euler), _body_rates_matrix_rate(euler, rates)
     omega = E @ rates
     gravity = R[2] * GRAVITY
     inertia = copter.inertia
@@ -58,6 +59,18 @@ def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
             torch.linalg.solve(E, omega_rate - E_rate @ rates),
         ]
     )
+
+
+def _body_rates_matrix_rate(euler: Tensor, rates: Tensor) -> Tensor:
+    """Time derivative of ``body_rates_matrix``; written out, so that both modes may pass."""
+    (sr, sp, _), (cr, cp, _) = euler.sin(), euler.cos()
+    zero, (roll_rate, pitch_rate, _) = torch.zeros_like(sr), rates
+    rows = [
+        [zero, zero, -cp * pitch_rate],
+        [zero, -sr * roll_rate, cp * cr * roll_rate - sp * sr * pitch_rate],
+        [zero, -cr * roll_rate, -cp * sr * roll_rate - sp * cr * pitch_rate],
+    ]
+    return torch.stack([torch.stack(row) for row in rows])
 
 
 def linearize(

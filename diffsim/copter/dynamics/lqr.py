@@ -9,13 +9,15 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter.dynamics import _ops_riccati
-from diffsim.core.check import require, require_threads
+from diffsim.core.check import require, require_constant, require_constants, require_threads
+from diffsim.core.module import Float64Module, loadable
 from diffsim.core.record import Solve
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart
 _SEMIDEFINITE = 1e-10  # eigenvalue below zero, relative to the largest, that is rounding
 
 
+@loadable
 class LqrGain(NamedTuple):
     """Gain and cost of the regulator.
 
@@ -103,7 +105,8 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
 
 
 def lqr_stats(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> LqrStats:
-    """What the solver reports on the Riccati equation of ``lqr`` with the same arguments."""
+    """What the solver reports on the Riccati equation of ``lqr``; tracked arguments are refused."""
+    require_constants("reports have no gradient", A=A, B=B, Q=Q, R=R)
     with torch.no_grad():
         A, B, Q, R = _require_problem(A, B, Q, R)
         _, report = _solve(A, B, Q, R, 1)
@@ -115,7 +118,7 @@ def lqr_stats(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> LqrStats:
     )
 
 
-class LQR(nn.Module):
+class LQR(Float64Module):
     """``lqr`` with trainable diagonal weights, positive through their logarithms.
 
     Args:
@@ -127,6 +130,7 @@ class LQR(nn.Module):
     def __init__(self, q: Tensor, r: Tensor, *, trainable: bool = True):
         super().__init__()
         for name, value in (("q", q), ("r", r)):
+            require_constant(name, value, "it is a first guess of parameters")
             require(name, value, (name.upper(),))
             if bool((value <= 0.0).any()):
                 raise ValueError(f"{name} must be above 0, got {float(value.min()):g}")

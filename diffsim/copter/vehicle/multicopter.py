@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, values_of
+from diffsim.core.module import loadable
 from diffsim.core.values import as_array
 
 GRAVITY = 9.81  # [m/s^2]
@@ -25,6 +26,7 @@ _NUMBERS = (
 )
 
 
+@loadable
 @dataclass(frozen=True, eq=False)
 class Multicopter:
     """Mass properties and rotors of a multicopter, body frame at the center of mass, NED.

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_constants
 from diffsim.core.errors import DiffsimError
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import StokesFlow
@@ -152,6 +152,7 @@ class Device:
 
     def value_and_gradient(self, x: Tensor) -> tuple[float, Tensor]:
         """Loss and its gradient (num_parameters,); one factorization in memory at a time."""
+        require_constants("the gradient comes as numbers; loss(x) can be differentiated", x=x)
         x = x.detach().clone().requires_grad_(True)
         value = 0.0
         for k, state in enumerate(self.states):

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.module import Float64Module
 from diffsim.core.values import Number, scalar
 
 LevelSet = Callable[[Tensor], Tensor]
@@ -40,7 +41,7 @@ __all__ = [
 ]
 
 
-class Shape(nn.Module):
+class Shape(Float64Module):
     """A level set: phi > 0 in the fluid, < 0 in the solid; subclasses give ``level``.
 
     Parameters may be numbers, tensors (part of the caller's graph) or ``nn.Parameter`` (then among

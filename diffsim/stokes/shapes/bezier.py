@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice, require_range
+from diffsim.core.check import require, require_choice, require_constants, require_range
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.bernstein import basis
@@ -98,6 +98,10 @@ class BezierCurve2d(Shape):
 
     def closest(self, points: Tensor) -> Tensor:
         """Parameters tau (N,) of the closest points; beyond the ends -s and num_curves + s [m]."""
+        hint = "the distance has a gradient, its foot has none; or call it under torch.no_grad()"
+        require_constants(
+            hint, points=points, control_points=self.control_points, weights=self.weights
+        )
         chain = self._chain()
         return closest(chain, require("points", points, ("N", 2)).detach(), self._rays(chain))
 

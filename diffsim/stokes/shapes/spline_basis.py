@@ -62,19 +62,20 @@ class SplineBasis:
         span = span.clamp(0, len(self.breaks) - 2)
         h = (self.breaks[1:] - self.breaks[:-1])[span]
         x = (inside - self.breaks[span]) / h
-        monomials = torch.zeros(len(u), self.degree + 1, order + 1, dtype=torch.float64)
-        monomials[:, 0, 0] = 1.0
+        zero = torch.zeros_like(x)
+        powers = [[torch.ones_like(x), *[zero] * order]]  # x^k and its derivatives
         for k in range(1, self.degree + 1):
-            monomials[:, k, 0] = monomials[:, k - 1, 0] * x
-            for i in range(1, min(order, k) + 1):
-                monomials[:, k, i] = (k / h) * monomials[:, k - 1, i - 1]
+            lower = powers[-1]
+            powers.append([lower[0] * x, *((k / h) * lower[i] for i in range(order))])
+        monomials = torch.stack([torch.stack(row, -1) for row in powers], 1)
         local = (self._coefficients[span] @ monomials).permute(2, 0, 1)  # (order + 1, N, active)
         beyond = u - inside
         if self.extend and not self.periodic and bool((beyond != 0).any()):
             slope = local[1] if order > 0 else self(inside, 1)[1].gather(1, self._active[span])
-            local[0] += beyond[:, None] * slope
+            straight = [local[0] + beyond[:, None] * slope, *local[1:]]
             if order == 2:
-                local[2][beyond != 0] = 0.0
+                straight[2] = torch.where((beyond != 0)[:, None], 0.0, local[2])
+            local = torch.stack(straight)
         out = torch.zeros(order + 1, len(u), self.num, dtype=torch.float64)
         return out.scatter_add_(2, self._active[span].expand_as(local), local)
 

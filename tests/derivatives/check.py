@@ -1,0 +1,170 @@
+"""Derivatives by every floating tensor of a call: reverse and forward mode against differences."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import torch
+import torch.autograd.forward_ad as forward_mode
+from torch import Tensor
+
+from diffsim import stokes
+from diffsim.copter import HoverResult
+from diffsim.core.check import values_of
+from diffsim.core.errors import DiffsimError
+
+REFUSED = (TypeError, ValueError, NotImplementedError, DiffsimError)
+CLEAR = re.compile(r"grad|derivative|differentiat|order|detach")
+NO_NUMBER = re.compile(r"number|got Tensor")
+STEP = 1e-5
+REPORTS = {HoverResult: ("multipliers",), stokes.FlowField: ("stats", "solve")}
+"""Fields that tell how a result was computed; their docstrings say that none has a gradient."""
+Path = tuple[Any, ...]
+
+
+def numbers(value: Any, path: Path = ()) -> Iterator[tuple[Path, float]]:
+    """All plain numbers in arguments, in lists too, which somebody may give as tensors."""
+    if isinstance(value, float) and math.isfinite(value):
+        yield path, value
+    if isinstance(value, (Mapping, list, tuple)) and not hasattr(value, "_fields"):
+        for key, part in parts_of(value):
+            yield from numbers(part, (*path, key))
+
+
+def leaves(value: Any, path: Path = ()) -> Iterator[tuple[Path, Tensor]]:
+    """All floating tensors in arguments, in records and containers too, by where they are."""
+    if isinstance(value, Tensor):
+        if value.is_floating_point() and value.layout is torch.strided and value.numel():
+            yield path, value
+        return
+    for key, part in parts_of(value):
+        yield from leaves(part, (*path, key))
+
+
+def parts_of(value: Any) -> list[tuple[Any, Any]]:
+    """Parts of a container or record by key; of anything else none."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    if hasattr(value, "_fields"):
+        return list(value._asdict().items())
+    if isinstance(value, (list, tuple)):
+        return list(enumerate(value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value)]
+    return []
+
+
+def with_leaf(value: Any, path: Path, leaf: Tensor) -> Any:
+    """The arguments with another tensor in one place; everything around it is made anew."""
+    if not path:
+        return leaf
+    key, *rest = path
+    part = dict(parts_of(value))[key]
+    changed = with_leaf(part, tuple(rest), leaf)
+    if isinstance(value, Mapping):
+        return {**value, key: changed}
+    if hasattr(value, "_fields"):
+        return value._replace(**{key: changed})
+    if isinstance(value, (list, tuple)):
+        return type(value)(changed if k == key else v for k, v in enumerate(value))
+    return dataclasses.replace(value, **{key: changed})
+
+
+def flat(out: Any) -> Tensor:
+    """All floating tensors of a result in a row; infinite ones have no differences."""
+    rows = [
+        part.flatten().double()[values_of(part).flatten().isfinite()]
+        for path, part in leaves(out)
+        if not path or path[0] not in REPORTS.get(type(out), ())
+    ]
+    return torch.cat(rows) if rows else torch.zeros(0, dtype=torch.float64)
+
+
+def check(function: Callable[[Any], Any], given: Any, kind: type = Tensor) -> dict[str, str]:
+    """What each leaf gives, by its place: "moves", "still", "held" or "refused"; wrong ones raise.
+
+    Args:
+        function: Of the arguments; its floating tensors are looked at.
+        given: Arguments.
+        kind: ``Tensor``, or ``float``: plain numbers that are given as tensors, which may be
+            refused for being no numbers.
+    """
+    plain = flat(function(given)).detach()
+    found = {}
+    for path, value in (numbers if kind is float else leaves)(given):
+        place = ".".join(map(str, path))
+        leaf = torch.tensor(value, dtype=torch.float64) if kind is float else value.detach()
+        try:
+            found[place] = _check_leaf(function, given, path, leaf, plain, kind)
+        except AssertionError as error:
+            raise AssertionError(f"{place}: {error}") from None
+    return found
+
+
+def _check_leaf(function, given, path: Path, leaf: Tensor, plain: Tensor, kind: type) -> str:
+    random = torch.Generator().manual_seed(len(path))
+    size = max(float(leaf.abs().max()), 1e-3)
+    direction = size * torch.randn(leaf.shape, generator=random, dtype=leaf.dtype)
+    if leaf.ndim == 2 and leaf.shape[0] == leaf.shape[1] and torch.equal(leaf, leaf.T):
+        direction = direction + direction.T  # an inertia stays one
+    weight = torch.randn(plain.shape, generator=random, dtype=torch.float64)
+    scale = float((weight * plain).abs().sum())
+    slopes = [
+        _asked(lambda: _reverse(function, given, path, leaf, direction, weight), kind),
+        _asked(lambda: _forward(function, given, path, leaf, direction, weight), kind),
+    ]
+    if slopes == [None, None]:
+        return "refused"  # a mode alone may be refused, too
+    try:
+        expected = _difference(function, given, path, leaf, direction, weight, kind)
+    except REFUSED:  # a sign, a unit vector: it cannot be moved a little, but modes must agree
+        assert None in slopes or abs(slopes[0] - slopes[1]) <= 1e-9 * (scale + abs(slopes[0]))
+        return "held"
+    for mode, slope in zip(("reverse", "forward"), slopes, strict=True):
+        if slope is None:
+            continue
+        off = abs(slope - expected)
+        assert off <= 1e-4 * abs(expected) + 1e-7 * scale + 1e-12, (
+            f"{mode} mode gives {slope:.6g}, differences {expected:.6g}"
+        )
+    return "moves" if abs(expected) > 1e-7 * scale else "still"
+
+
+def _asked(work: Callable[[], float], kind: type) -> float | None:
+    """A slope; None where it is refused in words."""
+    try:
+        return work()
+    except REFUSED as error:
+        says = CLEAR.search(str(error)) or (kind is float and NO_NUMBER.search(str(error)))
+        assert says, f"refused without saying why: {error!r}"
+        return None
+
+
+def _reverse(function, given, path, leaf, direction, weight) -> float:
+    asked = leaf.clone().requires_grad_()
+    out = flat(function(with_leaf(given, path, asked)))
+    if not out.requires_grad:
+        return 0.0
+    (grad,) = torch.autograd.grad((weight * out).sum(), asked, allow_unused=True)
+    return 0.0 if grad is None else float((grad * direction).sum())
+
+
+def _forward(function, given, path, leaf, direction, weight) -> float:
+    with forward_mode.dual_level():
+        moving = forward_mode.make_dual(leaf.clone(), direction)
+        out = flat(function(with_leaf(given, path, moving)))
+        tangent = forward_mode.unpack_dual(out).tangent
+        return 0.0 if tangent is None else float((weight * tangent).sum())
+
+
+def _difference(function, given, path, leaf, direction, weight, kind) -> float:
+    as_given = float if kind is float else torch.clone
+    ends = [
+        flat(function(with_leaf(given, path, as_given(leaf + sign * STEP * direction)))).detach()
+        for sign in (1.0, -1.0)
+    ]
+    return float((weight * (ends[0] - ends[1])).sum() / (2.0 * STEP))

@@ -1,0 +1,86 @@
+"""Every public function by every floating tensor: the right derivative in both modes, or refused.
+
+What is public is found, not listed. A function that is new and takes tensors fails here until it
+has an example in ``tests.derivatives``.
+"""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+import torch
+
+pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
+
+from tests.derivatives import models  # noqa: F401 fills the tables
+from tests.derivatives.check import check
+from tests.derivatives.examples import ABSTRACT, CALL, FACTORIES, LATER, LOOK, MAKE, USE
+from tests.derivatives.public import Public, find_public
+
+pytestmark = [pytest.mark.grad, pytest.mark.filterwarnings("ignore")]
+PUBLIC = find_public()
+
+
+def example_of(public: Public):
+    """What a public function is called as, of given arguments, and the arguments."""
+    kind, method = public.owner, public.name.rpartition(".")[2]
+    of_kind = {"make": MAKE[kind]()} if kind in MAKE else {}
+    if method == "__init__":
+        return (lambda given: USE[kind](kind(**given["make"]))), of_kind
+    names = [name for name in public.names if name in CALL]
+    assert names, f"{public.name} takes tensors: give it an example in tests/derivatives"
+    given = {**of_kind, "call": CALL[names[0]]()}
+
+    def called(given):
+        if kind is None:
+            out = public.function(**given["call"])
+            return LOOK[names[0]](out) if names[0] in LOOK else out
+        made = FACTORIES.get(kind, kind)
+        return getattr(made(**given["make"]) if of_kind else made, method)(**given["call"])
+
+    return called, given
+
+
+def needs_example(public: Public) -> bool:
+    """Whether it is to be called; an object whose methods are called is looked at through these."""
+    if any(re.search(pattern, public.name) for pattern in LATER):
+        return False
+    if not public.name.endswith(".__init__"):
+        return public.owner is None or public.owner not in ABSTRACT
+    return public.owner in USE or not any(
+        other.owner is public.owner and other is not public for other in PUBLIC
+    )
+
+
+@pytest.mark.parametrize(
+    "public", filter(needs_example, PUBLIC), ids=lambda p: p.name.removeprefix("diffsim.")
+)
+def test_derivatives_are_right_or_refused(public):
+    check(*example_of(public))
+
+
+@pytest.mark.parametrize(
+    "public", filter(needs_example, PUBLIC), ids=lambda p: p.name.removeprefix("diffsim.")
+)
+def test_numbers_as_tensors_are_right_or_refused(public):
+    check(*example_of(public), kind=float)
+
+
+def test_what_has_an_example_is_public():
+    used = {name for public in PUBLIC for name in public.names}
+    assert not set(CALL) - used
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        (lambda given: given["x"].detach() ** 2 + 0.01 * given["x"], "reverse mode gives"),
+        (lambda given: torch.relu(given["x"]).square() * float(given["x"][0]), "reverse mode"),
+        (lambda given: torch.from_numpy(given["x"].numpy()), "numpy"),
+        (lambda given: given["x"] * (1 if given["x"].requires_grad else given["x"].detach()), ""),
+    ],
+)
+def test_what_is_silent_is_found(function, words):
+    with pytest.raises((AssertionError, RuntimeError), match=words):
+        check(function, {"x": torch.tensor([1.5, 0.5], dtype=torch.float64)})
