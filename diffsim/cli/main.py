@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from diffsim.cli import (
@@ -25,7 +26,12 @@ from diffsim.cli import (
 )
 from diffsim.core.errors import DiffsimError, Mistakes
 from diffsim.core.inside import allow_links
-from diffsim.core.interrupts import EXIT_INTERRUPTED, ending_at_once, terminate_as_interrupt
+from diffsim.core.interrupts import (
+    EXIT_INTERRUPTED,
+    ending_at_once,
+    ending_in_one_line,
+    terminate_as_interrupt,
+)
 from diffsim.core.version import __version__
 
 EXIT_MISTAKE = 2  # what argparse uses too
@@ -93,7 +99,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         terminate_as_interrupt()
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if given[:2] == ["examples", "run"] and "--" in given else len(given)
-    args = parser().parse_args(given[:cut])
+    with ending_in_one_line() if argv is None else nullcontext():
+        args = parser().parse_args(given[:cut])
     args.options = given[cut + 1 :]
     try:
         allow_links(args.links)

@@ -10,6 +10,7 @@ import pytest
 from diffsim import __version__, cli
 from diffsim.core import compiled
 from diffsim.core.errors import ConvergenceError, Mistakes
+from diffsim.core.interrupts import EXIT_INTERRUPTED
 from tests import warm
 
 
@@ -92,6 +93,18 @@ def test_a_bug_is_not_hidden(fake_demo):
     fake_demo.error = KeyError("bug")
     with pytest.raises(KeyError):
         cli.main(["demo"])
+
+
+def test_ctrl_c_while_arguments_are_read_ends_in_one_line():
+    code = """
+import diffsim.cli.main as command
+def parser():
+    raise KeyboardInterrupt
+command.parser = parser
+command.main()
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr.strip()) == (EXIT_INTERRUPTED, "interrupted")
 
 
 def test_interrupt_says_how_to_resume(fake_demo, capsys):
