@@ -97,7 +97,8 @@ def test_a_bug_is_not_hidden(fake_demo):
 
 def test_ctrl_c_while_arguments_are_read_ends_in_one_line():
     code = """
-import diffsim.cli.main as command
+import importlib
+command = importlib.import_module("diffsim.cli.main")
 def parser():
     raise KeyboardInterrupt
 command.parser = parser

@@ -1,4 +1,4 @@
-"""First answers of published sets by the command alone, laws that nobody listed among the causes."""
+"""First answers of published sets by the command alone, unlisted laws among the causes."""
 
 from __future__ import annotations
 
