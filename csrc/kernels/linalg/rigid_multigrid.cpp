@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "kernels/linalg/block3.h"
 #include "kernels/linalg/float_lanes.h"
 #include "kernels/subscript.h"
 
@@ -28,30 +29,11 @@ void for_rows(Index num_rows, ThreadPool& pool, F&& f) {
     pool.run(tasks, run);
 }
 
-/// y = A x for rows of strips.
-void multiply_strips(const Pattern& pattern, const std::int64_t* strip_start, const float* values,
-                     const float* x, float* y, Index begin, Index end) {
-  std::vector<float> gathered;
-  for (Index i = begin; i < end; ++i) {
-    const Index width = (strip_start[i + 1] - strip_start[i]) / 3;
-    if (gathered.size() < at(width + kFloatLanes)) gathered.resize(at(width + kFloatLanes));
-    float* to = gathered.data();
-    for (Index e = pattern.begin(i); e < pattern.end(i); ++e, to += 3) {
-      const float* from = x + 3 * pattern[e];
-      to[0] = from[0], to[1] = from[1], to[2] = from[2];
-    }
-    for (float* last = gathered.data() + width; to < last; ++to) *to = 0.0F;
-    const float* strip = values + strip_start[i];
-    FloatLane total[3] = {};
-    for (Index k = 0; k < width; k += kFloatLanes) {
-      const FloatLane v = load_floats(gathered.data() + k);
-      for (int a = 0; a < 3; ++a) {
-        __builtin_prefetch(strip + a * width + k + 1024);
-        total[a] += load_floats(strip + a * width + k) * v;
-      }
-    }
-    for (int a = 0; a < 3; ++a) y[3 * i + a] = sum_floats(total[a]);
-  }
+/// y = A x for rows of blocks (3, 3).
+void multiply_fine(const Pattern& pattern, const float* values, const float* x, float* y,
+                   Index begin, Index end) {
+  for (Index i = begin; i < end; ++i)
+    block3_row(values, pattern.column.data(), pattern.begin(i), pattern.end(i), x, y + 3 * i);
 }
 
 /// y = A x for rows of blocks (6, 8).
@@ -98,7 +80,7 @@ void RigidMultigrid::multiply(int l, const float* x, float* y, ThreadPool& pool)
   const Level& level = levels_[at(l)];
   for_rows(pattern(l).num_rows(), pool, [&](Index begin, Index end) {
     if (l == 0)
-      multiply_strips(pattern(0), strip_start_, level.matrix.data(), x, y, begin, end);
+      multiply_fine(pattern(0), level.matrix.data(), x, y, begin, end);
     else
       multiply_blocks(pattern(l), level.matrix.data(), x, y, begin, end);
   });
@@ -231,8 +213,7 @@ void RigidMultigrid::apply(const Vector& r, Vector& z, ThreadPool& pool) {
 std::int64_t RigidMultigrid::bytes() const {
   std::int64_t floats = 0;
   for (int l = 0; l < hierarchy_->num_levels(); ++l) {
-    floats += l == 0 && strip_start_ ? strip_start_[pattern(0).num_rows()]
-                                     : static_cast<Index>(pattern(l).column.size()) * kFloatBlock;
+    floats += static_cast<Index>(pattern(l).column.size()) * (l == 0 ? kBlock3 : kFloatBlock);
     if (l + 1 == hierarchy_->num_levels()) break;
     const RigidTransfer& t = hierarchy_->transfer(l);
     floats += static_cast<Index>(t.prolongation.column.size() + t.product.column.size()) *

@@ -14,11 +14,9 @@
 
 namespace diffsim {
 
-/// A matrix of 3x3 blocks in strips: row i is dense, (3, strip width) row-major, its columns those
-/// of the hierarchy's finest pattern.
-struct StripMatrix {
+/// A matrix of 3x3 blocks (block3.h), in the order of the hierarchy's finest pattern.
+struct BlockMatrix {
   std::int64_t num_nodes = 0;
-  const std::int64_t* strip_start = nullptr;  // (num_nodes + 1)
   const double* values = nullptr;
   const double* diagonal = nullptr;     // (num_nodes,) added to the diagonal, all three axes
   const std::uint8_t* fixed = nullptr;  // (num_nodes, 3), 1 where an unknown takes no part
@@ -30,7 +28,7 @@ class RigidMultigrid {
 
   /// Takes over new numbers.
   /// @param[in] x  (num_nodes, 3) positions, whose rigid motions cost no energy [m]
-  void prepare(const StripMatrix& matrix, const double* x, ThreadPool& pool);
+  void prepare(const BlockMatrix& matrix, const double* x, ThreadPool& pool);
   /// Leaves its memory alone and forgets all numbers.
   void forget();
 
@@ -41,7 +39,7 @@ class RigidMultigrid {
 
  private:
   struct Level {
-    AlignedBuffer<float> matrix;        // level 0: strips; else blocks (6, 8) column-major
+    AlignedBuffer<float> matrix;        // level 0: 3x3 blocks; else (6, 8) column-major
     AlignedBuffer<float> inverse;       // inverse diagonal blocks (nodes, K, K)
     AlignedBuffer<float> prolongation;  // blocks (K, 8)
     AlignedBuffer<float> product;       // the same, of matrix times prolongation
@@ -55,7 +53,7 @@ class RigidMultigrid {
   const Pattern& pattern(int l) const { return hierarchy_->matrix(l); }
   int stride(int l) const { return l == 0 ? 3 : 8; }
 
-  void copy_matrix(const StripMatrix& matrix, ThreadPool& pool);
+  void copy_matrix(const BlockMatrix& matrix, ThreadPool& pool);
   void invert_diagonal(int l, ThreadPool& pool);
   void estimate_largest(int l, ThreadPool& pool);
   void place_aggregates(int l);
@@ -78,7 +76,6 @@ class RigidMultigrid {
 
   std::shared_ptr<const RigidHierarchy> hierarchy_;
   std::vector<Level> levels_;
-  const std::int64_t* strip_start_ = nullptr;
   std::vector<std::uint8_t> fixed_;
   CholeskyFactor coarsest_;
   CholeskyWorkspace cholesky_;

@@ -1,6 +1,7 @@
 #include <Eigen/Cholesky>
 #include <cmath>
 
+#include "kernels/linalg/block3.h"
 #include "kernels/linalg/float_lanes.h"
 #include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/subscript.h"
@@ -38,19 +39,14 @@ struct Entries;
 template <>
 struct Entries<3> {
   const float* values;
-  const std::int64_t* strip_start;
-  const Pattern& pattern;
-  float operator()(Index row, Index entry, int k, int m) const {
-    const Index width = (strip_start[row + 1] - strip_start[row]) / 3;
-    return values[strip_start[row] + k * width + 3 * (entry - pattern.begin(row)) + m];
+  float operator()(Index entry, int k, int m) const {
+    return values[entry * kBlock3 + block3_place(k, m)];
   }
 };
 template <>
 struct Entries<6> {
   const float* values;
-  const std::int64_t* strip_start;
-  const Pattern& pattern;
-  float operator()(Index, Index entry, int k, int m) const {
+  float operator()(Index entry, int k, int m) const {
     return values[entry * kFloatBlock + m * kFloatLanes + k];
   }
 };
@@ -71,8 +67,7 @@ void invert(const Eigen::Matrix<double, K, K>& block, float* out) {
 
 }  // namespace
 
-void RigidMultigrid::prepare(const StripMatrix& matrix, const double* x, ThreadPool& pool) {
-  strip_start_ = matrix.strip_start;
+void RigidMultigrid::prepare(const BlockMatrix& matrix, const double* x, ThreadPool& pool) {
   fixed_.assign(matrix.fixed, matrix.fixed + 3 * matrix.num_nodes);
   levels_[0].position.assign(x, x + 3 * matrix.num_nodes);
   copy_matrix(matrix, pool);
@@ -99,17 +94,16 @@ void RigidMultigrid::forget() {
   for (Level& level : levels_) level.mode.clear();  // all else is overwritten
 }
 
-void RigidMultigrid::copy_matrix(const StripMatrix& matrix, ThreadPool& pool) {
-  float* to = levels_[0].matrix.resize(at(strip_start_[matrix.num_nodes]) + kFloatLanes);
+void RigidMultigrid::copy_matrix(const BlockMatrix& matrix, ThreadPool& pool) {
+  float* to = levels_[0].matrix.resize(pattern(0).column.size() * kBlock3 + kBehindBlocks3);
   for_rows(
       matrix.num_nodes, pool, [] { return Nothing{}; },
       [&](Index i, Nothing&) {
-        const Index begin = strip_start_[i], end = strip_start_[i + 1];
+        const Index begin = kBlock3 * pattern(0).begin(i), end = kBlock3 * pattern(0).end(i);
         for (Index k = begin; k < end; ++k) to[k] = static_cast<float>(matrix.values[k]);
-        const Index width = (end - begin) / 3;
-        const Index place = 3 * (hierarchy_->diagonal(0, i) - pattern(0).begin(i));
+        float* own = to + kBlock3 * hierarchy_->diagonal(0, i);
         for (int a = 0; a < 3; ++a)
-          to[begin + a * width + place + a] += static_cast<float>(matrix.diagonal[i]);
+          own[block3_place(a, a)] += static_cast<float>(matrix.diagonal[i]);
       });
 }
 
@@ -123,20 +117,20 @@ void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
       [&](Index i, Nothing&) {
         const Index entry = hierarchy_->diagonal(l, i);
         if (l > 0) {
-          const Entries<6> entries{level.matrix.data(), nullptr, pattern(l)};
+          const Entries<6> entries{level.matrix.data()};
           Eigen::Matrix<double, 6, 6> block;
           for (int k = 0; k < 6; ++k)
-            for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(entries(i, entry, k, m));
+            for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(entries(entry, k, m));
           invert<6>(block, inverse + i * size);
           return;
         }
-        const Entries<3> entries{level.matrix.data(), strip_start_, pattern(0)};
+        const Entries<3> entries{level.matrix.data()};
         const std::uint8_t* fixed = fixed_.data() + 3 * i;
         Eigen::Matrix3d block;
         for (int k = 0; k < 3; ++k)
           for (int m = 0; m < 3; ++m)
             block(k, m) = fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0)
-                                               : static_cast<double>(entries(i, entry, k, m));
+                                               : static_cast<double>(entries(entry, k, m));
         float* out = inverse + i * size;
         invert<3>(block, out);
         for (int k = 0; k < 3; ++k)
@@ -236,7 +230,7 @@ void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
   const RigidTransfer& t = hierarchy_->transfer(l);
   const Pattern& p = t.prolongation;
   float* out = level.prolongation.resize(p.column.size() * K * kFloatLanes);
-  const Entries<K> entries{level.matrix.data(), strip_start_, pattern(l)};
+  const Entries<K> entries{level.matrix.data()};
   const float omega =
       level.largest > 0.0F ? static_cast<float>(kProlongationDamping) / level.largest : 0.0F;
   for_rows(
@@ -254,7 +248,7 @@ void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
           for (int m = 0; m < K; ++m) rows[m] = load_floats(T + m * kFloatLanes);
           for (int k = 0; k < K; ++k) {
             FloatLane total = load_floats(to + k * kFloatLanes);
-            for (int m = 0; m < K; ++m) total += entries(i, e, k, m) * rows[m];
+            for (int m = 0; m < K; ++m) total += entries(e, k, m) * rows[m];
             store_floats(to + k * kFloatLanes, total);
           }
         }
@@ -282,7 +276,7 @@ void RigidMultigrid::make_product(int l, ThreadPool& pool) {
   const Pattern& p = t.prolongation;
   const Pattern& ap = t.product;
   float* out = level.product.resize(ap.column.size() * K * kFloatLanes);
-  const Entries<K> entries{level.matrix.data(), strip_start_, pattern(l)};
+  const Entries<K> entries{level.matrix.data()};
   for_rows(
       ap.num_rows(), pool, [&] { return std::vector<Index>(at(t.aggregates.count)); },
       [&](Index i, std::vector<Index>& place) {
@@ -292,7 +286,7 @@ void RigidMultigrid::make_product(int l, ThreadPool& pool) {
           const Index j = pattern(l)[e];
           float a[K][K];
           for (int k = 0; k < K; ++k)
-            for (int m = 0; m < K; ++m) a[k][m] = entries(i, e, k, m);
+            for (int m = 0; m < K; ++m) a[k][m] = entries(e, k, m);
           for (Index q = p.begin(j); q < p.end(j); ++q) {
             const float* P = level.prolongation.data() + q * K * kFloatLanes;
             float* to = out + place[at(p[q])] * K * kFloatLanes;

@@ -1,4 +1,4 @@
-// Products with a matrix of 3x3 blocks in the model's strip layout, and its export for factorizing.
+// Products with a matrix of 3x3 blocks in the model's layout, and its export for factorizing.
 #pragma once
 
 #include "kernels/soft/soft_model.h"

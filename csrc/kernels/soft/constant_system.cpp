@@ -108,6 +108,11 @@ bool same_set(const SoftModel& model, const std::uint8_t* fixed, int a, int b) {
   return true;
 }
 
+/// The columns of the graph as Cholesky's analysis reads them.
+std::vector<Index> wide_columns(const SoftModel& model) {
+  return {model.column.begin(), model.column.end()};
+}
+
 }  // namespace
 
 SoftPattern::SoftPattern(SoftModel model, const double* coords)
@@ -115,7 +120,8 @@ SoftPattern::SoftPattern(SoftModel model, const double* coords)
 
 std::shared_ptr<const CholeskySymbolic> SoftPattern::scalar() const {
   std::call_once(scalar_once_, [this] {
-    scalar_ = analyze_cholesky(model_.num_nodes, model_.row_start.data(), model_.column.data(),
+    const std::vector<Index> columns = wide_columns(model_);
+    scalar_ = analyze_cholesky(model_.num_nodes, model_.row_start.data(), columns.data(),
                                coords_.data(), 1);
   });
   return scalar_;
@@ -123,7 +129,8 @@ std::shared_ptr<const CholeskySymbolic> SoftPattern::scalar() const {
 
 std::shared_ptr<const CholeskySymbolic> SoftPattern::blocks() const {
   std::call_once(blocks_once_, [this] {
-    blocks_ = analyze_cholesky(model_.num_nodes, model_.row_start.data(), model_.column.data(),
+    const std::vector<Index> columns = wide_columns(model_);
+    blocks_ = analyze_cholesky(model_.num_nodes, model_.row_start.data(), columns.data(),
                                coords_.data(), 3);
   });
   return blocks_;
@@ -133,7 +140,7 @@ std::shared_ptr<const RigidHierarchy> SoftPattern::hierarchy() const {
   std::call_once(hierarchy_once_, [this] {
     Pattern nodes;
     nodes.row_start = model_.row_start;
-    nodes.column.assign(model_.column.begin(), model_.column.end());
+    nodes.column = model_.column;
     hierarchy_ = std::make_shared<const RigidHierarchy>(std::move(nodes));
   });
   return hierarchy_;
@@ -149,7 +156,7 @@ const LaneTables* SoftPattern::lanes() const {
       if (!seen[at(node)]) order.push_back(node);
       seen[at(node)] = 1;
     }
-    LanePattern pattern(model_.row_start, model_.column, std::move(order));
+    LanePattern pattern(model_.row_start, wide_columns(model_), std::move(order));
     if (pattern.num_products() > kMostLaneProducts) return;
     LanePlaces places = lane_places(model_, pattern);
     lanes_.reset(new LaneTables{std::move(pattern), std::move(places)});

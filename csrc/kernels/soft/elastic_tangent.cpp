@@ -37,13 +37,13 @@ struct TetMatrices {
 template <typename Group>
 using MatricesOf = std::conditional_t<Group::kNodes == 8, HexMatrices, TetMatrices>;
 
-DIFFSIM_INLINE void add_block(double* strip, Index width, const double block[9]) {
+DIFFSIM_INLINE void add_block(double* to, const double block[9]) {
   for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) strip[i * width + k] += block[3 * i + k];
+    for (int k = 0; k < 3; ++k) to[block3_place(i, k)] += block[3 * i + k];
 }
-DIFFSIM_INLINE void add_transposed(double* strip, Index width, const double block[9]) {
+DIFFSIM_INLINE void add_transposed(double* to, const double block[9]) {
   for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) strip[i * width + k] += block[3 * k + i];
+    for (int k = 0; k < 3; ++k) to[block3_place(i, k)] += block[3 * k + i];
 }
 
 /// Adds the element matrices of groups [first, last) to rows, a fixed row range per thread: every
@@ -64,20 +64,18 @@ void scatter_matrices(const SoftModel& model, const ElementBlock& block,
       const int lane = static_cast<int>(e % Matrices::kElements);
       const Index* node = block.nodes.data() + e * n;
       const std::int32_t* slot = slots.data() + e * n * n;
-      double* strip[n];  // null where another thread's
-      Index width[n];
+      double* row[n];  // null where another thread's
       for (int a = 0; a < n; ++a) {
         const bool mine = node[a] >= row_begin && node[a] < row_end;
-        strip[a] = mine ? values + model.strip_start[at(node[a])] : nullptr;
-        width[a] = model.strip_width(node[a]);
+        row[a] = mine ? values + kBlock3 * model.row_start[at(node[a])] : nullptr;
       }
       for (int b = 0; b < n; ++b)
         for (int a = 0; a <= b; ++a) {
-          if (!strip[a] && !strip[b]) continue;
+          if (!row[a] && !row[b]) continue;
           double k[9];
           Matrices::read(matrix, lane, a, b, k);
-          if (strip[a]) add_block(strip[a] + 3 * slot[a * n + b], width[a], k);
-          if (a != b && strip[b]) add_transposed(strip[b] + 3 * slot[b * n + a], width[b], k);
+          if (row[a]) add_block(row[a] + kBlock3 * slot[a * n + b], k);
+          if (a != b && row[b]) add_transposed(row[b] + kBlock3 * slot[b * n + a], k);
         }
     }
   });

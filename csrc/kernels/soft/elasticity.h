@@ -46,7 +46,7 @@ double energy_gradient(const SoftModel& model, const SoftParameters& parameters,
                        const std::vector<DampingFrame>& frames, const double* x, double* gradient,
                        ElasticityScratch& scratch, ThreadPool& pool);
 
-/// d^2(E + D)/dx^2 [N/m] in the model's strip layout, overwritten.
+/// d^2(E + D)/dx^2 [N/m] in the model's layout, overwritten.
 /// @param[in] clamp  drop negative eigenvalues of each sample's tangent
 void tangent(const SoftModel& model, const SoftParameters& parameters,
              const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,

@@ -1,4 +1,4 @@
-// The tangent of a small body as one lane of several (lane_cholesky.h): no strips, no export.
+// The tangent of a small body as one lane of several (lane_cholesky.h): no rows, no export.
 #pragma once
 
 #include "kernels/linalg/lane_cholesky.h"

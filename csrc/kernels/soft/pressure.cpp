@@ -79,12 +79,12 @@ void for_chamber_nodes(const Chambers& all, ThreadPool& pool, F&& f) {
   });
 }
 
-/// Adds scale [a]x, the matrix of a x ., at a block of a strip.
-void add_skew(double scale, const Vec3& a, double* block, Index width) {
+/// Adds scale [a]x, the matrix of a x ., to a block.
+void add_skew(double scale, const Vec3& a, double* block) {
   const double x = scale * a.v[0], y = scale * a.v[1], z = scale * a.v[2];
-  block[1] -= z, block[2] += y;
-  block[width] += z, block[width + 2] -= x;
-  block[2 * width] -= y, block[2 * width + 1] += x;
+  block[block3_place(0, 1)] -= z, block[block3_place(0, 2)] += y;
+  block[block3_place(1, 0)] += z, block[block3_place(1, 2)] -= x;
+  block[block3_place(2, 0)] -= y, block[block3_place(2, 1)] += x;
 }
 
 }  // namespace
@@ -126,18 +126,15 @@ void add_pressure_tangent(const SoftModel& model, const double* pressure, const 
   const Chambers& all = model.chambers;
   const Points points(model, x);
   for_chamber_nodes(all, pool, [&](Index k) {
-    const Index row = all.nodes[at(k)], width = model.strip_width(row);
-    double* strip = values + model.strip_start[at(row)];
+    double* row = values + kBlock3 * model.row_start[at(all.nodes[at(k)])];
     // d(x_b x x_c) = -[x_c]x dx_b + [x_b]x dx_c
     for (Index i = all.corner_start[at(k)]; i < all.corner_start[at(k + 1)]; ++i) {
       const Chambers::Corner& corner = all.corners[at(i)];
       const double scale = pressure[corner.chamber] / 6.0;
       if (corner.slot_next >= 0)
-        add_skew(-scale, points(corner.chamber, corner.previous), strip + 3 * corner.slot_next,
-                 width);
+        add_skew(-scale, points(corner.chamber, corner.previous), row + kBlock3 * corner.slot_next);
       if (corner.slot_previous >= 0)
-        add_skew(scale, points(corner.chamber, corner.next), strip + 3 * corner.slot_previous,
-                 width);
+        add_skew(scale, points(corner.chamber, corner.next), row + kBlock3 * corner.slot_previous);
     }
     // Through the lid's center, the mean of n nodes: d^2E/(dx_i dcenter) = p/6 [d_i]x with
     // d_i = x_next - x_previous, so nodes i, j of the rim share p/(6 n) [d_i - d_j]x.
@@ -149,7 +146,7 @@ void add_pressure_tangent(const SoftModel& model, const double* pressure, const 
       const Vec3 own = minus(points.rim(rim.lid, rim.place, 1), points.rim(rim.lid, rim.place, -1));
       for (Index j = 0; j < size; ++j) {
         const Vec3 other = minus(points.rim(rim.lid, j, 1), points.rim(rim.lid, j, -1));
-        add_skew(scale, minus(own, other), strip + 3 * rim.slots[at(j)], width);
+        add_skew(scale, minus(own, other), row + kBlock3 * rim.slots[at(j)]);
       }
     }
   });

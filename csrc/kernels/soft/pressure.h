@@ -18,7 +18,7 @@ namespace diffsim {
 double add_pressure_gradient(const SoftModel& model, const double* pressure, const double* x,
                              double* gradient, ThreadPool& pool);
 
-/// Adds the geometric stiffness, d^2(-sum p V)/dx^2 [N/m], in the model's strip layout.
+/// Adds the geometric stiffness, d^2(-sum p V)/dx^2 [N/m], in the model's layout.
 void add_pressure_tangent(const SoftModel& model, const double* pressure, const double* x,
                           double* values, ThreadPool& pool);
 

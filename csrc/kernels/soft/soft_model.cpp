@@ -87,7 +87,6 @@ void make_graph(SoftModel& model, const ChamberTables& chambers) {
       lids_of[at(chambers.lid_nodes[k])].push_back(lid);
 
   model.row_start.assign(1, 0);
-  model.strip_start.assign(1, 0);
   std::vector<Index> row;
   for (Index i = 0; i < model.num_nodes; ++i) {
     row.assign(1, i);
@@ -104,9 +103,6 @@ void make_graph(SoftModel& model, const ChamberTables& chambers) {
     model.diagonal.push_back(model.row_start.back() + diagonal);
     model.column.insert(model.column.end(), row.begin(), row.end());
     model.row_start.push_back(static_cast<Index>(model.column.size()));
-    const Index width = (3 * static_cast<Index>(row.size()) + kLanes - 1) / kLanes * kLanes;
-    model.max_strip_width = std::max(model.max_strip_width, width);
-    model.strip_start.push_back(model.strip_start.back() + 3 * width);
   }
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "kernels/linalg/block3.h"
 #include "kernels/soft/chambers.h"
 #include "kernels/soft/element_block.h"
 
@@ -31,8 +32,7 @@ struct MeshTables {
 };
 
 /// Immutable. Matrix pattern: node graph in CSR, diagonal included, columns ascending. Values of a
-/// 3x3-block matrix lie per row node as a *strip*: dense (3, strip width) row-major, the width
-/// being 3 * row length padded with zeros to whole lanes, so that products stream aligned vectors.
+/// matrix are its 3x3 blocks in that order (block3.h).
 struct SoftModel {
   std::int64_t num_nodes = 0;
   Material material{};
@@ -42,8 +42,9 @@ struct SoftModel {
   std::vector<double> fiber_pull_only;   // (num_fibers,) 1 or 0
   Chambers chambers;
 
-  std::vector<std::int64_t> row_start, column;  // CSR node graph
-  std::vector<std::int64_t> diagonal;           // position of (i, i) in `column`
+  std::vector<std::int64_t> row_start;  // CSR node graph
+  std::vector<std::int32_t> column;
+  std::vector<std::int64_t> diagonal;  // position of (i, i) in `column`
   std::vector<std::int32_t> solid_slot,
       fiber_slot;  // (elements, N, N): place of node b in row of a
 
@@ -52,16 +53,9 @@ struct SoftModel {
   std::int64_t gather_stride = 1;
   std::int64_t fiber_vectors_start = 0, vectors_size = 0;
 
-  std::vector<std::int64_t> strip_start;  // (num_nodes + 1) offsets of the strips
-  std::int64_t max_strip_width = 0;
-
   std::int64_t weights_size() const { return num_weights * solid.num_elements; }
   std::int64_t num_blocks() const { return static_cast<std::int64_t>(column.size()); }
-  std::int64_t values_size() const { return strip_start.back(); }
-  std::int64_t strip_width(std::int64_t row) const {
-    const std::size_t i = static_cast<std::size_t>(row);
-    return (strip_start[i + 1] - strip_start[i]) / 3;
-  }
+  std::int64_t values_size() const { return kBlock3 * num_blocks() + kBehindBlocks3; }
 };
 
 SoftModel make_soft_model(const MeshTables& tables);

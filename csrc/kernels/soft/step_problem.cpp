@@ -189,8 +189,7 @@ void StepProblem::prepare_multigrid() {
   if (!memory_->multigrid)
     memory_->multigrid = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());
   const SoftModel& model = system_.model();
-  const StripMatrix matrix{model.num_nodes, model.strip_start.data(), memory_->values.data(),
-                           inertia(), system_.fixed()};
+  const BlockMatrix matrix{model.num_nodes, memory_->values.data(), inertia(), system_.fixed()};
   memory_->multigrid->prepare(matrix, assembled_at_.data(), pool_);
   is_multigrid_stale_ = false;
 }
@@ -217,16 +216,14 @@ void StepProblem::solve_constant(const Vector& r, Vector& z) {
 
 const double* StepProblem::diagonal_block(std::int64_t i) const {
   const SoftModel& model = system_.model();
-  return memory_->values.data() + model.strip_start[at(i)] +
-         3 * (model.diagonal[at(i)] - model.row_start[at(i)]);
+  return memory_->values.data() + kBlock3 * model.diagonal[at(i)];
 }
 
 void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
   const SoftModel& model = system_.model();
   using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
   for (std::int64_t i = 0; i < model.num_nodes; ++i) {
-    const std::int64_t width = model.strip_width(i);
-    const double* strip = diagonal_block(i);
+    const double* own = diagonal_block(i);
     Block block;
     Eigen::Vector3d b;
     for (int a = 0; a < 3; ++a) {
@@ -235,7 +232,7 @@ void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
       for (int c = 0; c < 3; ++c)
         block(a, c) = fixed || system_.fixed()[3 * i + c]
                           ? (a == c ? 1.0 : 0.0)
-                          : strip[a * width + c] + (a == c ? inertia()[i] : 0.0);
+                          : own[block3_place(a, c)] + (a == c ? inertia()[i] : 0.0);
     }
     // Jacobi preconditions by the diagonal where the block is not positive definite.
     const Eigen::LLT<Block> llt(block);

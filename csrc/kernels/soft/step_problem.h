@@ -91,7 +91,7 @@ class StepProblem {
 
  private:
   void prepare_multigrid();
-  /// Upper left entry of the diagonal block of node i in its strip.
+  /// The diagonal block of node i (block3.h).
   const double* diagonal_block(std::int64_t i) const;
   const double* inertia() const { return in_.inertia ? in_.inertia : system_.inertia(); }
 
