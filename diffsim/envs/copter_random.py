@@ -51,12 +51,12 @@ def sag_of(battery: Battery, vehicle: Multicopter) -> BatterySag:
 
 
 def with_factors(
-    vehicle: Multicopter, effects: FlightEffects, factors: Mapping[str, Tensor]
+    vehicle: Multicopter | Fleet, effects: FlightEffects, factors: Mapping[str, Tensor]
 ) -> tuple[Multicopter | Fleet, FlightEffects]:
     """One vehicle per member of a batch.
 
     Args:
-        vehicle: The nominal one.
+        vehicle: The nominal one, or one per member.
         effects: With motor lag and body drag.
         factors: Factors (batch,) on some of ``PACKED``, by name.
 
@@ -65,7 +65,7 @@ def with_factors(
     """
     if not factors:
         return vehicle, effects
-    fleet = Fleet.of([vehicle])
+    fleet = vehicle if isinstance(vehicle, Fleet) else Fleet.of([vehicle])
     if "mass" in factors:
         fleet = fleet.replace(mass=fleet.mass * factors["mass"])
     if "inertia" in factors:

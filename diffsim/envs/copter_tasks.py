@@ -15,6 +15,7 @@ from torch import Tensor
 
 from diffsim.copter import (
     Battery,
+    Fleet,
     FlightEffects,
     FlightState,
     Multicopter,
@@ -26,6 +27,7 @@ from diffsim.copter import (
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
+from diffsim.envs.copter_model import CopterSizes, delayed, queue_length
 from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomizing, Task, TaskState
@@ -57,8 +59,12 @@ class CopterHover(Task):
         dt: Control period [s].
         seconds: Length of an episode [s].
         start_spread: Standard deviations of the start, in m, m/s, and tenths of a radian [-].
-        motor_time_constant: Lag of the thrust behind its command [s].
-        drag: Linear drag of the body [N s/m].
+        model: ``extended_model.yaml`` of a diagnosis of this design's flights, or the folder that
+            holds it: its sizes change the copter. Hover thrust stays that of the design.
+        posterior: Whether each episode of each member draws its sizes from the file's posterior,
+            by the seed of the start; otherwise they are its values.
+        motor_time_constant: Lag of the thrust behind its command [s]; None: the model's, else 0.03.
+        drag: Linear drag of the body [N s/m]; None: 0.1, with a model its own drag alone.
         wind_speed: Standard deviation of each horizontal component of the episode's wind [m/s].
         battery: Sags under the rotors' currents (their models are the design's); None: a voltage
             that stays.
@@ -77,8 +83,10 @@ class CopterHover(Task):
         dt: float = 0.02,
         seconds: float = 4.0,
         start_spread: float = 0.5,
-        motor_time_constant: float = 0.03,
-        drag: float = 0.1,
+        model: str | Path | None = None,
+        posterior: bool = False,
+        motor_time_constant: float | None = None,
+        drag: float | None = None,
         wind_speed: float = 0.0,
         battery: Battery | None = None,
         action_delay: int = 0,
@@ -94,6 +102,14 @@ class CopterHover(Task):
         self.start_spread = require_number("start_spread", start_spread, at_least=0.0)
         self.wind_speed = require_number("wind_speed", wind_speed, at_least=0.0)
         n = design.num_rotors
+        self.sizes = None if model is None else CopterSizes.read(model, n)
+        self.posterior = posterior
+        if posterior and self.sizes is None:
+            raise ValueError("posterior needs a model to draw from; give model=FILE as well")
+        motor_time_constant, drag = self._lag_and_drag(motor_time_constant, drag)
+        self._queue = 0
+        if self.sizes is not None and "delay" in self.sizes.names:
+            self._queue = queue_length(self.sizes.most_delay, self.dt)
         trim = hover(design, on_infeasible="raise")
         self.trim = trim.thrusts.detach()
         self.level = torch.tensor([*trim.attitude.tolist(), 0.0], dtype=torch.float64)
@@ -111,6 +127,17 @@ class CopterHover(Task):
         self._packed: _ValueOfTensors[PreparedFlight] | None = None
         self.actions = tuple(Entry(f"thrust of rotor {i}", -1.0, 1.0) for i in range(n))
         self.observations = tuple(self._entries())
+
+    def _lag_and_drag(self, lag: float | None, drag: float | None) -> tuple[float, float]:
+        """Both as stated, as usual, or 0.0 for a drag that the model's stands for."""
+        sizes = self.sizes
+        if sizes is not None:
+            if lag is not None and sizes.has_lag:
+                raise ValueError(f"motor_time_constant is that of {sizes.path}; leave it out")
+            if drag is not None and sizes.has_drag:
+                raise ValueError(f"drag is that of {sizes.path}; leave it out")
+        usual = 0.1 if sizes is None else 0.0
+        return 0.03 if lag is None else lag, usual if drag is None else drag
 
     def rest(self, batch: int, rng: np.random.Generator) -> TaskState:
         """Near the reference, motors at hover thrust."""
@@ -136,11 +163,15 @@ class CopterHover(Task):
         }
         if self.sag is not None:
             out["charge"] = torch.ones(batch, dtype=torch.float64)
+        if self._queue:
+            out["asked"] = self.trim.expand(batch, self._queue, -1).clone()
         return out
 
     def start(self, batch: int, rng: np.random.Generator) -> TaskState:
-        """See ``Task``; a randomized battery starts with the charge that was drawn."""
+        """See ``Task``; a battery's charge and the sizes of a posterior are drawn here."""
         state = super().start(batch, rng)
+        if self.posterior and self.sizes is not None:
+            state["random.model"] = self.sizes.draw(batch, rng)
         if "random.battery" in state:
             state["charge"] = state["random.battery"].clone()
         return state
@@ -150,9 +181,21 @@ class CopterHover(Task):
         thrust = self.trim + self.span * action
         if "random.thrust" in state:
             thrust = thrust * state["random.thrust"][:, None]
+        more: TaskState = {}
+        if self.sizes is not None:
+            sizes = self._sizes_in(state)
+            if self._queue:
+                steps = self.sizes.delay(sizes) / self.dt
+                thrust, more["asked"] = delayed(state["asked"], thrust, steps)
+            thrust = thrust * self.sizes.thrust_gains(sizes, self.vehicle.num_rotors)
         end = self._flights(state).step(self._flight(state), thrust, wind=state["wind"])
         after = {k: getattr(end, k) for k in (*_STATE, "charge") if k in state}
-        return after | {"wind": state["wind"], "phase": state["phase"]}
+        return after | more | {"wind": state["wind"], "phase": state["phase"]}
+
+    def _sizes_in(self, state: TaskState) -> Tensor:
+        """Sizes of the model, (batch or 1, num_sizes)."""
+        assert self.sizes is not None
+        return state["random.model"] if self.posterior else self.sizes.values[None]
 
     def observe(self, state: TaskState) -> Tensor:
         """Errors and velocities in the body frame, attitude, turning, thrust, what comes next."""
@@ -209,10 +252,16 @@ class CopterHover(Task):
         tensors = [t for s in sources for t in vars(s).values() if isinstance(t, Tensor)]
         factors = {name: state[f"random.{name}"] for name in PACKED if f"random.{name}" in state}
         tensors += factors.values()
+        if self.sizes is not None:
+            tensors.append(state["random.model"] if self.posterior else self.sizes.values)
         kept = self._packed
         if kept is not None and kept.is_of(tensors) and kept.value.dt == self.dt:
             return kept.value
-        vehicles, effects = with_factors(self.vehicle, self._effects, factors)
+        nominal: Multicopter | Fleet = self.vehicle
+        effects = self._effects
+        if self.sizes is not None:
+            nominal, effects = self.sizes.vehicles(self.vehicle, effects, self._sizes_in(state))
+        vehicles, effects = with_factors(nominal, effects, factors)
         flights = prepare_flight(vehicles, dt=self.dt, effects=effects)
         if not any(t.requires_grad for t in tensors):
             self._packed = _ValueOfTensors(flights, tensors)

@@ -234,8 +234,9 @@ at hover thrust |
     | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
     | truncation | 200 steps of 20 ms |
     | options | design (shipped name, file, vehicle), dt, seconds, start_spread, \
-motor_time_constant, drag, wind_speed, battery, action_delay, randomization (thrust, mass, \
-inertia, drag, motor_lag, battery), sensor_noise |
+model (a diagnosis's extended_model.yaml), posterior, motor_time_constant, drag, wind_speed, \
+battery, action_delay, randomization (thrust, mass, inertia, drag, motor_lag, battery), \
+sensor_noise |
     | versions | v0: first |
     """
 

@@ -14,6 +14,8 @@
     frame: {labels: ...}         # what the causes took from the fitted runs: labels, magnitudes
     plain:                       # parameters of the plain model at its own fit
       mass: {value: 1.52, sd: 0.003, unit: kg}
+    correlation:                 # of the posterior, each with those before it; not of single runs
+      wind.north: {mass: 0.31}
     facts: ...                   # noise floor, fitted runs and their range: to judge new runs by
 """
 
@@ -40,6 +42,7 @@ from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
 from diffsim.identify.setup import DiagnosisSetup
 
 MODEL_FILE = "extended_model.yaml"
+LEAST_CORRELATION = 0.01  # that is worth a place in the file
 _ENTRY_KEYS = ("value", "sd", "unit")
 
 
@@ -61,6 +64,7 @@ class SavedModel:
         facts: What judging new runs needs beside the model: noise floor, fitted runs, their range.
         numerics: Refined numerical settings of the fits; None: the model's own.
         frame: What the causes took from the fitted runs, for a study of other runs.
+        correlation: Of the posterior, by name with names before it; what is not there is 0.
         model, study: Names of the plain model and of the study that it was fitted to.
     """
 
@@ -76,8 +80,16 @@ class SavedModel:
     facts: Mapping[str, Any] = field(default_factory=dict)
     numerics: Numerics | None = None
     frame: Mapping[str, Any] = field(default_factory=dict)
+    correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     model: str = ""
     study: str = ""
+
+    def correlation_of(self, a: str, b: str) -> float:
+        """Of two sizes in the posterior; 0 where the file does not say."""
+        if a == b:
+            return 1.0
+        rows = self.correlation
+        return float(rows.get(a, {}).get(b, rows.get(b, {}).get(a, 0.0)))
 
     def framed(self, study: Study) -> Study:
         """A study of new runs, its causes as they were where the model was fitted."""
@@ -116,6 +128,7 @@ def save_extended(
         else dict(zip(problem.names, prepared.tolist(), strict=False)),
         "parameters": dict(list(entries.items())[:count]),
         "effects": dict(list(entries.items())[count:]),
+        **({"correlation": correlation} if (correlation := _correlation(fit)) else {}),
         **({"frame": dict(problem.model.frame)} if problem.model.frame else {}),
         **({} if plain is None else {"plain": _entries(plain)}),
         **({} if facts is None else {"facts": dict(facts)}),
@@ -131,6 +144,18 @@ def _entries(fit: Fit) -> dict[str, dict[str, Any]]:
         name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
         for name, unit in zip(problem.names, units, strict=True)
     }
+
+
+def _correlation(fit: Fit) -> dict[str, dict[str, float]]:
+    """Correlations of what all runs share, each with those before it; tiny ones are left out."""
+    names = list(fit.problem.names)
+    shared = [i for i, name in enumerate(names) if "@" not in name]
+    out: dict[str, dict[str, float]] = {}
+    for i in shared:
+        row = {names[j]: round(float(fit.correlation[i, j]), 4) for j in shared if j < i}
+        if row := {name: r for name, r in row.items() if abs(r) >= LEAST_CORRELATION}:
+            out[names[i]] = row
+    return out
 
 
 def read_extended(path: str | Path) -> SavedModel:
@@ -176,6 +201,7 @@ def read_extended(path: str | Path) -> SavedModel:
         facts=_mapping(path, content, "facts"),
         numerics=_numerics(path, _mapping(path, content, "numerics")),
         frame=_mapping(path, content, "frame"),
+        correlation=_correlations(path, content),
         model=str(content.get("model", "")),
         study=str(content.get("study", "")),
     )
@@ -208,6 +234,19 @@ def _numbers(path: Path, content: Mapping[str, Any], key: str) -> dict[str, Any]
     given = _mapping(path, content, key)
     for name, value in given.items():
         _require_entry(f"{path}: {key}.{name}", {"value": value, "sd": 0.0})
+    return given
+
+
+def _correlations(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Correlations of the file, each a number from -1 to 1."""
+    given = _mapping(path, content, "correlation")
+    for name in given:
+        for other, value in _mapping(path, given, name).items():
+            what = f"{path}: correlation.{name}.{other}"
+            try:
+                require_number(what, value, at_least=-1.0, at_most=1.0)
+            except (TypeError, OverflowError) as error:
+                raise ValueError(str(error)) from None
     return given
 
 

@@ -35,6 +35,7 @@ from diffsim.systems.multicopter.candidates import (
 )
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.flight import AXES, rotor_names
+from diffsim.systems.multicopter.frames import FRAMES
 from diffsim.systems.multicopter.instruments import instrument_causes, states_sensors
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
@@ -80,7 +81,7 @@ class MulticopterDescription(MulticopterKeys):
         if self.causes_act_in:
             effects = tuple(acting_in(e, self.causes_act_in) for e in effects)
         model = CopterModel(flights, flights.parameters.base)
-        model.frame = {SCALES: scales.saved()}
+        model.frame = {SCALES: scales.saved(), FRAMES: flights.cutter.frames.saved()}
         return DiagnosisSetup(
             model,
             effects,

@@ -14,6 +14,7 @@ from diffsim.core.rotation import (
     quaternion_product,
 )
 
+FRAMES = "frames"  # name of the recording's frames in a saved model
 _HALF = 0.5**0.5
 # Each is a half turn of the model's frame (or none), so that it is its own inverse.
 _TURNS = {
@@ -39,6 +40,10 @@ class RecordingFrames:
 
     world: str = "NED"
     body: str = "FRD"
+
+    def saved(self) -> dict[str, str]:
+        """Names of both, for a saved model."""
+        return {"world": self.world, "body": self.body}
 
     def in_world(self, vectors: Tensor) -> Tensor:
         """World vectors (..., 3) of the model as the recording writes them, and back."""

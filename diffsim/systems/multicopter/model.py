@@ -118,7 +118,7 @@ class CopterModel(SimModel):
         if SCALES in self.frame:
             scales = Scales.read(self.frame[SCALES])
             shorter_scales = replace(scales, facts={**scales.facts, LONGEST: longest_s})
-            made.frame = {SCALES: shorter_scales.saved()}
+            made.frame = {**self.frame, SCALES: shorter_scales.saved()}
         return made
 
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:

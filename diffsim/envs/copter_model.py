@@ -1,0 +1,293 @@
+"""A copter as a diagnosis found it: sizes of an ``extended_model.yaml`` put into a vehicle."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.copter import Fleet, FlightEffects, Multicopter
+from diffsim.copter.vehicle.effects import BodyDrag, MotorLag, RotorDrag
+from diffsim.identify.model_file import SavedModel, read_extended
+from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
+
+SYSTEM = "multicopter"  # name of the plain model in the file
+_SIGMAS = 3.0  # widest draw of a size
+# What a fit knows by its logarithm: above zero in every draw.
+_LOGARITHMIC = (
+    "mass",
+    "mass_gain",
+    "thrust_gain",
+    "torque_gain",
+    "inertia_gain",
+    "torque_ratio",
+    "motor_lag",
+    "motor_time_constant",
+    "inertia_xx",
+    "inertia_yy",
+    "inertia_zz",
+)
+_CENTER = tuple(f"center_of_mass_{a}" for a in "xyz")  # where the vehicle was described
+_MOVED = ("center_of_mass.x", "center_of_mass.y")  # by a cause
+_DRAGS = ("body_drag", "parasitic_drag", "rotor_drag")
+_NEVER_NEGATIVE = (*_DRAGS, "extra_mass", "lag", "delay")
+_OF_ROTOR = re.compile(r"(weak_rotor|thrust_loss|torque_loss)_(\d+)|rotor_(\d+)_share")
+# What instruments of the recording showed; a copter of an environment has others.
+_OF_RECORDING = re.compile(
+    r"(attitude|body_rates|accelerometer|specific_force)_offset_[xyz]|clock(_.*)?|.*@.*"
+)
+_LAGS = ("motor_lag", "motor_time_constant", "lag")
+
+
+@dataclass(frozen=True, eq=False)
+class CopterSizes:
+    """Sizes that change a copter, with their posterior.
+
+    Attributes:
+        path: File that they are of.
+        names: Parameters and components of causes, each in the unit of the file.
+        values, sd: Of each, (num_sizes,).
+        correlation: Of the posterior, (num_sizes, num_sizes).
+        set_aside: Names of what only the recording's instruments or single runs had.
+        frames: That the recording is written in.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    values: Tensor
+    sd: Tensor
+    correlation: Tensor
+    set_aside: tuple[str, ...]
+    frames: RecordingFrames
+
+    @classmethod
+    def read(cls, path: str | Path, num_rotors: int) -> CopterSizes:
+        """Read an ``extended_model.yaml``.
+
+        Args:
+            path: The file, or the folder that holds it.
+            num_rotors: Of the vehicle that the study describes.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: a file of another system, or parts that an environment cannot simulate.
+        """
+        saved = read_extended(path)
+        if saved.model != SYSTEM:
+            raise ValueError(
+                f"{saved.path}: a model of {saved.model or 'an unnamed system'}, not of a "
+                "multicopter; a copter's environment needs one that was fitted to flights"
+            )
+        names, aside, refused = [], [], []
+        for name in saved.values:
+            if _OF_RECORDING.fullmatch(name):
+                aside.append(name)
+            elif _is_known(name, num_rotors):
+                names.append(name)
+            else:
+                refused.append(name)
+        if refused:
+            raise ValueError(
+                f"{saved.path}: {', '.join(refused)} cannot be simulated in a copter's "
+                "environment; diagnose without it (diffsim diagnose explain STUDY --without CAUSE, "
+                "or state the number in the study)"
+            )
+        return cls(
+            path=saved.path,
+            names=tuple(names),
+            values=torch.tensor([saved.values[n] for n in names], dtype=torch.float64),
+            sd=torch.tensor([saved.sd[n] for n in names], dtype=torch.float64),
+            correlation=torch.tensor(
+                [[saved.correlation_of(a, b) for b in names] for a in names], dtype=torch.float64
+            ).reshape(len(names), len(names)),
+            set_aside=tuple(aside),
+            frames=_frames_of(saved, names),
+        )
+
+    def draw(self, batch: int, rng: np.random.Generator) -> Tensor:
+        """Sizes drawn from the posterior, (batch, num_sizes).
+
+        Numbers above zero are drawn by their logarithm, as they were fitted; no draw is farther
+        than 3 sd from its value, and no drag, load or delay is negative.
+        """
+        order, turns = torch.linalg.eigh(self.correlation)
+        unit = torch.from_numpy(rng.standard_normal((batch, len(self.names))))
+        spread = (unit * order.clamp(min=0.0).sqrt()) @ turns.mT
+        spread = spread.clamp(-_SIGMAS, _SIGMAS)
+        columns = []
+        for name, value, sd, z in zip(self.names, self.values, self.sd, spread.mT, strict=True):
+            if name in _LOGARITHMIC:
+                columns.append(value * torch.exp(sd / value * z))
+            else:
+                low = 0.0 if name in _NEVER_NEGATIVE else -torch.inf
+                columns.append((value + sd * z).clamp(min=low))
+        return torch.stack(columns, 1) if columns else spread
+
+    @property
+    def most_delay(self) -> float:
+        """Longest delay of a draw [s]."""
+        if "delay" not in self.names:
+            return 0.0
+        k = self.names.index("delay")
+        return float(self.values[k] + _SIGMAS * self.sd[k])
+
+    def has_any(self, names: tuple[str, ...]) -> bool:
+        """Whether the file holds one of some sizes."""
+        return any(name in self.names for name in names)
+
+    @property
+    def has_lag(self) -> bool:
+        """Whether the file says how the thrusts lag."""
+        return self.has_any(_LAGS)
+
+    @property
+    def has_drag(self) -> bool:
+        """Whether the file says how the air brakes."""
+        return self.has_any(_DRAGS)
+
+    def thrust_gains(self, sizes: Tensor, num_rotors: int) -> Tensor:
+        """Thrust over the thrust asked for, (batch, num_rotors).
+
+        Args:
+            sizes: (batch, num_sizes).
+            num_rotors: Of the vehicle.
+        """
+        v = self._by_name(sizes)
+        gains = _ones(sizes, num_rotors) * v.get("thrust_gain", sizes.new_ones(1))[:, None]
+        return gains * self._kept(v, sizes, num_rotors, "weak_rotor", "thrust_loss")
+
+    def delay(self, sizes: Tensor) -> Tensor:
+        """Of the thrusts behind their commands, (batch,) [s]."""
+        return self._by_name(sizes).get("delay", sizes.new_zeros(len(sizes)))
+
+    def vehicles(
+        self, vehicle: Multicopter, effects: FlightEffects, sizes: Tensor
+    ) -> tuple[Fleet, FlightEffects]:
+        """The vehicles, one per row of sizes, and what they feel in flight.
+
+        Args:
+            vehicle: As the study describes it.
+            effects: What it feels beside what the file says.
+            sizes: (batch, num_sizes).
+        """
+        v, n = self._by_name(sizes), vehicle.num_rotors
+        fleet = Fleet.of([vehicle])
+        one = sizes.new_ones(len(sizes))
+        mass = v.get("mass", fleet.mass * one) * v.get("mass_gain", one) + v.get("extra_mass", 0.0)
+        fleet = fleet.replace(
+            mass=mass,
+            inertia=_inertias(fleet.inertia, v) * v.get("inertia_gain", one)[:, None, None],
+            positions=fleet.positions - self._center(v, sizes)[:, None],
+            torque_ratios=self._torque_ratios(fleet.torque_ratios, v, sizes),
+        )
+        return fleet, _changed(effects, v, n)
+
+    def _by_name(self, sizes: Tensor) -> dict[str, Tensor]:
+        return dict(zip(self.names, sizes.unbind(1), strict=True))
+
+    def _kept(self, v: Mapping[str, Tensor], sizes: Tensor, count: int, *causes: str) -> Tensor:
+        """Share that is left of each rotor's thrust or torque, (batch, num_rotors)."""
+        columns = []
+        for i in range(1, count + 1):
+            share = sizes.new_ones(len(sizes))
+            for cause in causes:
+                share = share * (1.0 - v.get(f"{cause}_{i}", 0.0 * share))
+            if "weak_rotor" in causes:
+                share = share * v.get(f"rotor_{i}_share", torch.ones_like(share))
+            columns.append(share)
+        return torch.stack(columns, 1)
+
+    def _torque_ratios(self, nominal: Tensor, v: Mapping[str, Tensor], sizes: Tensor) -> Tensor:
+        """Reaction torque per thrust, (batch, num_rotors) [m]."""
+        count, one = nominal.shape[1], sizes.new_ones(len(sizes))
+        ratio = v["torque_ratio"][:, None] if "torque_ratio" in v else nominal
+        ratio = ratio * v.get("torque_gain", one)[:, None]
+        # a rotor that lost thrust alone takes the same torque for it
+        kept_torque = self._kept(v, sizes, count, "torque_loss")
+        return ratio * kept_torque / self._kept(v, sizes, count, "thrust_loss")
+
+    def _center(self, v: Mapping[str, Tensor], sizes: Tensor) -> Tensor:
+        """Shift of the center of mass, forward, right, down, (batch, 3) [m]."""
+        zero = sizes.new_zeros(len(sizes))
+        parts = [
+            v.get(f"center_of_mass_{a}", zero) + v.get(f"center_of_mass.{a}", zero) for a in "xyz"
+        ]
+        return self.frames.in_body(torch.stack(parts, 1))
+
+
+def queue_length(delay: float, dt: float) -> int:
+    """Commands to be kept for a delay [s] with steps of dt [s]."""
+    return int(np.ceil(delay / dt - 1e-9)) + 1
+
+
+def delayed(queue: Tensor, asked: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
+    """What acts over a step, in the mean, when commands come late; and the commands kept.
+
+    Args:
+        queue: Commands of the steps before, the oldest first, (batch, length, width).
+        asked: Command of this step, (batch, width).
+        steps: Delay in steps, at most length, (batch or 1,).
+    """
+    kept = torch.cat([queue, asked[:, None]], 1)
+    ages = torch.arange(kept.shape[1] - 1, -1, -1, dtype=steps.dtype)
+    # a command held over its step and late by 2.3 steps: 0.7 of that two steps ago, 0.3 of three
+    shares = (1.0 - (ages - steps[:, None]).abs()).clamp(min=0.0)
+    return (shares[..., None] * kept).sum(1), kept[:, 1:]
+
+
+def _is_known(name: str, num_rotors: int) -> bool:
+    if found := _OF_ROTOR.fullmatch(name):
+        return 1 <= int(found[2] or found[3]) <= num_rotors
+    return name in (*_LOGARITHMIC, *_CENTER, *_MOVED, *_NEVER_NEGATIVE)
+
+
+def _frames_of(saved: SavedModel, names: list[str]) -> RecordingFrames:
+    """Frames of the recording; only a center of mass has a direction in them."""
+    given = saved.frame.get(FRAMES)
+    if given is not None:
+        return RecordingFrames(**given)
+    if directed := [name for name in names if name in (*_CENTER, *_MOVED)]:
+        raise ValueError(
+            f"{saved.path}: does not say in which frame {directed[0]} is; write it again with "
+            "`diffsim diagnose explain`"
+        )
+    return RecordingFrames()
+
+
+def _ones(sizes: Tensor, count: int) -> Tensor:
+    return sizes.new_ones(len(sizes), count)
+
+
+def _inertias(nominal: Tensor, v: Mapping[str, Tensor]) -> Tensor:
+    """(batch or 1, 3, 3) [kg m^2]; half turns of the body's frame leave the diagonal as it is."""
+    out = nominal
+    for i, axis in enumerate("xyz"):
+        if f"inertia_{axis}{axis}" in v:
+            mine = torch.zeros(3, 3, dtype=torch.float64)
+            mine[i, i] = 1.0
+            out = out * (1.0 - mine) + v[f"inertia_{axis}{axis}"][:, None, None] * mine
+    return out
+
+
+def _changed(effects: FlightEffects, v: Mapping[str, Tensor], count: int) -> FlightEffects:
+    if lag := [v[name] for name in _LAGS if name in v]:
+        tau = torch.stack(lag).sum(0).clamp(min=1e-6)[:, None].expand(-1, count)
+        effects = replace(effects, motor_lag=MotorLag(time_constants=tau))
+    if "rotor_drag" in v:
+        effects = replace(effects, rotor_drag=RotorDrag(coefficient=v["rotor_drag"]))
+    linear, square = v.get("body_drag"), v.get("parasitic_drag")
+    if linear is None and square is None:
+        return effects
+    size = linear if linear is not None else square
+    assert size is not None
+    none = torch.zeros_like(size)
+    along = none if linear is None else linear
+    level = [along, along, none]  # the body's drag acts across its z axis
+    by_square = none if square is None else square
+    drag = BodyDrag(linear=torch.stack(level, 1), quadratic=torch.stack([by_square] * 3, 1))
+    return replace(effects, body_drag=drag)
