@@ -159,7 +159,7 @@ class CopterSizes:
         """
         v = self._by_name(sizes)
         gains = _ones(sizes, num_rotors) * v.get("thrust_gain", sizes.new_ones(1))[:, None]
-        return gains * self._kept(v, sizes, num_rotors, "weak_rotor", "thrust_loss")
+        return gains * self._kept_share(v, sizes, num_rotors, "weak_rotor", "thrust_loss")
 
     def delay(self, sizes: Tensor) -> Tensor:
         """Of the thrusts behind their commands, (batch,) [s]."""
@@ -185,12 +185,14 @@ class CopterSizes:
             positions=fleet.positions - self._center(v, sizes)[:, None],
             torque_ratios=self._torque_ratios(fleet.torque_ratios, v, sizes),
         )
-        return fleet, _changed(effects, v, n)
+        return fleet, _with_file_effects(effects, v, n)
 
     def _by_name(self, sizes: Tensor) -> dict[str, Tensor]:
         return dict(zip(self.names, sizes.unbind(1), strict=True))
 
-    def _kept(self, v: Mapping[str, Tensor], sizes: Tensor, count: int, *causes: str) -> Tensor:
+    def _kept_share(
+        self, v: Mapping[str, Tensor], sizes: Tensor, count: int, *causes: str
+    ) -> Tensor:
         """Share that is left of each rotor's thrust or torque, (batch, num_rotors)."""
         columns = []
         for i in range(1, count + 1):
@@ -208,8 +210,8 @@ class CopterSizes:
         ratio = v["torque_ratio"][:, None] if "torque_ratio" in v else nominal
         ratio = ratio * v.get("torque_gain", one)[:, None]
         # a rotor that lost thrust alone takes the same torque for it
-        kept_torque = self._kept(v, sizes, count, "torque_loss")
-        return ratio * kept_torque / self._kept(v, sizes, count, "thrust_loss")
+        kept_torque = self._kept_share(v, sizes, count, "torque_loss")
+        return ratio * kept_torque / self._kept_share(v, sizes, count, "thrust_loss")
 
     def _center(self, v: Mapping[str, Tensor], sizes: Tensor) -> Tensor:
         """Shift of the center of mass, forward, right, down, (batch, 3) [m]."""
@@ -274,7 +276,9 @@ def _inertias(nominal: Tensor, v: Mapping[str, Tensor]) -> Tensor:
     return out
 
 
-def _changed(effects: FlightEffects, v: Mapping[str, Tensor], count: int) -> FlightEffects:
+def _with_file_effects(
+    effects: FlightEffects, v: Mapping[str, Tensor], count: int
+) -> FlightEffects:
     if lag := [v[name] for name in _LAGS if name in v]:
         tau = torch.stack(lag).sum(0).clamp(min=1e-6)[:, None].expand(-1, count)
         effects = replace(effects, motor_lag=MotorLag(time_constants=tau))
