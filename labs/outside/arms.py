@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from diffsim.data.study import Channel, Run
 from labs.outside.case import Case, Maker, off, plan, recorded
-from labs.outside.mechanisms import SHARP, Rig
+from labs.outside.mechanisms import SHARP, SLOW, Rig, fine_step
 
 Array = NDArray[np.float64]
 TIME: Array = 0.025 * np.arange(65.0)
@@ -68,7 +68,7 @@ def arm(
     hidden: Mapping[str, float | None] | None = None,
     joint: str = "",
     option: str = "",
-    motor: str = "",
+    lag: float = 0.0,
     camera_s: float = 0.0,
     also: tuple[str, ...] = (),
 ) -> Case:
@@ -77,14 +77,15 @@ def arm(
     Args:
         seed: Of commands, true parameters and noise.
         hidden: What is hidden, with its size in the library's unit.
-        joint, option, motor: More attributes of the elbow, the medium, the elbow's motor.
+        joint, option: More attributes of the elbow and of the medium.
+        lag: Time constant of the elbow's motor [s].
         camera_s: Time by which the camera is late [s].
         also: Names that say the same.
     """
     rng = np.random.default_rng(seed)
     lower = off(rng, 0.6, 0.05)
     xml = ARM.format(
-        step=5e-4,
+        step=fine_step(lag),
         integrator="RK4",
         option=option,
         shoulder=off(rng, 0.25, 0.3),
@@ -92,7 +93,7 @@ def arm(
         lower=lower,
         turning=0.004 * lower / 0.6,
         joint=joint,
-        actuator=MOTORS.format(more=motor),
+        actuator=MOTORS.format(more=SLOW.format(lag=lag) if lag else ""),
     )
     rig = Rig(xml, read=("shoulder", "elbow", "hand"))
     own = ARM.format(
@@ -163,8 +164,6 @@ ARMS: dict[str, Maker] = {
     "arm_cable_at_elbow": partial(
         arm, joint='stiffness="0.25"', hidden={"added_spring_at_elbow": 0.25}
     ),
-    "arm_slow_elbow_motor": partial(
-        arm, motor='dyntype="filterexact" dynprm="0.03"', hidden={"lag_of_elbow": 0.03}
-    ),
+    "arm_slow_elbow_motor": partial(arm, lag=0.03, hidden={"lag_of_elbow": 0.03}),
     "arm_late_camera": partial(arm, camera_s=0.03, hidden={"sensor_delay_of_camera": 0.03}),
 }

@@ -15,7 +15,7 @@ from labs.outside.case import Case, Maker, off, plan, recorded
 
 Array = NDArray[np.float64]
 TIME: Array = 0.02 * np.arange(150.0)
-FINE = 5e-4  # MuJoCo's step [s], forty to a sample
+FINE = 5e-4  # MuJoCo's usual step [s], forty to a sample
 SHARP = 'solreffriction="0.0015 1"'  # friction without give
 Push = Callable[[Any, Any, float], None]
 
@@ -61,12 +61,13 @@ class Rig:
         entries = [int(s.adr[0]) + i for s in sensors for i in range(int(s.dim[0]))]
         columns = list(run.command.values())
         time, rows = run.time_s, []
-        per_sample = round((time[1] - time[0]) / FINE)
+        step = float(model.opt.timestep)
+        per_sample = round((time[1] - time[0]) / step)
         for k in range(len(time)):
             mujoco.mj_forward(model, data)
             rows.append(np.array(data.sensordata[entries]))
             for s in range(per_sample if k + 1 < len(time) else 0):
-                now = time[k] + (s + 0.5) * FINE
+                now = time[k] + (s + 0.5) * step
                 data.ctrl[:] = [np.interp(now - self.late_s, time, c) for c in columns]
                 if self.push is not None:
                     self.push(model, data, now)
@@ -78,7 +79,7 @@ class Rig:
 
 PENDULUM = """
 <mujoco>
-  <option timestep="0.0005" integrator="RK4" {option}/>
+  <option timestep="{step}" integrator="RK4" {option}/>
   <worldbody>
     <body name="rod">
       <inertial mass="{mass}" pos="0 0 -0.25" diaginertia="{inertia} {inertia} 0.001"/>
@@ -90,9 +91,20 @@ PENDULUM = """
 </mujoco>
 """
 MOTOR = '<motor name="motor" joint="{joint}"/>'
-FILTERED = (
-    '<general name="motor" joint="{joint}" dyntype="filterexact" dynprm="{lag}" gainprm="1"/>'
-)
+# not "filterexact": it holds the force over each step, which is half a step more of lag
+SLOW = 'dyntype="filter" dynprm="{lag}"'
+FILTERED = f'<general name="motor" joint="{{joint}}" gainprm="1" {SLOW}/>'
+
+
+def fine_step(lag: float) -> float:
+    """MuJoCo's step [s]: the usual one, or a part of it no longer than a motor's lag.
+
+    Args:
+        lag: Time constant of the motor [s]; 0: none.
+    """
+    return FINE / max(np.ceil(FINE / lag), 1.0) if lag else FINE
+
+
 PENDULUM_MODEL = {
     "system": "ode",
     "states": {"angle": "0 rad", "rate": "0 rad/s"},
@@ -146,6 +158,7 @@ def pendulum(
     actuator = (FILTERED if lag else MOTOR).format(joint="hinge", lag=lag)
     rig = Rig(
         PENDULUM.format(
+            step=fine_step(lag),
             mass=mass,
             inertia=inertia,
             damping=damping,
@@ -166,7 +179,7 @@ def pendulum(
 
 CART = """
 <mujoco>
-  <option timestep="0.0005" integrator="RK4" gravity="{gx} 0 -9.81"/>
+  <option timestep="{step}" integrator="RK4" gravity="{gx} 0 -9.81"/>
   <worldbody>
     <body name="cart">
       <inertial mass="{mass}" pos="0 0 0" diaginertia="0.01 0.01 0.01"/>
@@ -199,6 +212,7 @@ def cart(
     body: str = "",
     more: str = "",
     actuator: str = "",
+    lag: float = 0.0,
     gx: float = 0.0,
     push: Push | None = None,
     also: tuple[str, ...] = (),
@@ -210,12 +224,14 @@ def cart(
         kind: Kind of case; by ``hidden`` if empty.
         hidden: What is hidden, with its size in the library's unit.
         joint, body, more, actuator: More of the MJCF.
+        lag: Time constant of the motor, where no actuator is given [s].
         gx: Gravity along the rail [m/s^2].
         push: Force that nobody recorded.
         also: Names that say the same.
     """
     rng = np.random.default_rng(seed)
     xml = CART.format(
+        step=fine_step(lag),
         mass=off(rng, 1.2, 0.05),
         damping=off(rng, 1.0, 0.3),
         spring=off(rng, 40.0, 0.1),
@@ -223,7 +239,7 @@ def cart(
         joint=joint,
         body=body,
         more=more,
-        actuator=actuator or MOTOR.format(joint="rail"),
+        actuator=actuator or (FILTERED if lag else MOTOR).format(joint="rail", lag=lag),
     )
     rig = Rig(xml, push=push, read=("place",))
     model = {
@@ -275,9 +291,7 @@ MECHANISMS: dict[str, Maker] = {
         actuator='<motor name="motor" joint="rail" ctrllimited="true" ctrlrange="-2.2 2.2"/>',
         hidden={"saturation": None},
     ),
-    "cart_slow_motor": partial(
-        cart, actuator=FILTERED.format(joint="rail", lag=0.04), hidden={"lag": 0.04}
-    ),
+    "cart_slow_motor": partial(cart, lag=0.04, hidden={"lag": 0.04}),
     "cart_stiffening_spring": partial(
         cart,
         more='<tendon><spatial stiffness="60" springlength="0.3"><site site="hook"/>'

@@ -17,7 +17,7 @@ import numpy as np
 from labs.outside.arms import arm
 from labs.outside.case import Maker
 from labs.outside.flights import flight
-from labs.outside.mechanisms import FILTERED, SHARP, cart, pendulum
+from labs.outside.mechanisms import SHARP, cart, pendulum
 from labs.outside.rods import rod
 from labs.rates.rig import Cause, Recorded, Size
 
@@ -65,10 +65,6 @@ def _rubbing(size: float) -> Mapping[str, Any]:
 
 def _sprung(size: float) -> Mapping[str, Any]:
     return {"joint": f'stiffness="{size}"'}
-
-
-def _slow_elbow(size: float) -> Mapping[str, Any]:
-    return {"motor": f'dyntype="filterexact" dynprm="{size}"'}
 
 
 def _limited(size: float) -> Mapping[str, Any]:
@@ -120,7 +116,7 @@ OUTSIDE = (
             "dry_friction": (Cause(0.05), _rubbing),
             "lag": (
                 Cause(0.01, names=("lag", "sensor_lag")),
-                lambda s: {"actuator": FILTERED.format(joint="rail", lag=s)},
+                lambda s: {"lag": s},
             ),
             "saturation": (Cause(0.3, sized=False, most=0.8), _limited),
             "cubic_stiffness": (Cause(20.0, sized=False), _taut),
@@ -134,7 +130,7 @@ OUTSIDE = (
         {
             "dry_friction_at_elbow": (Cause(0.01), _rubbing),
             "added_spring_at_elbow": (Cause(0.1), _sprung),
-            "lag_of_elbow": (Cause(0.02), _slow_elbow),
+            "lag_of_elbow": (Cause(0.02), lambda s: {"lag": s}),
         },
     ),
     ForeignRig(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy.signal import lsim
 
+from diffsim.data.study import Run
 from labs.outside import __main__ as outside_cases
 from labs.outside.__main__ import SEED, held_against, judged, table
 from labs.outside.case import Case
 from labs.outside.catalog import CASES
+from labs.outside.mechanisms import CART, FILTERED, MOTOR, TIME, Rig, fine_step
 
 CHEAP = ("pendulum_spring", "arm_as_described")
 
@@ -95,3 +99,24 @@ def test_what_was_hidden_is_found(name):
     assert not row["wrong_name"] and not row["false_alarm"], row
     if row["kind"] == "null" or row["lambda"] >= 8.0:
         assert row["right"], row
+
+
+@pytest.mark.parametrize("lag", [0.0, 2e-4, 1.3e-3, 0.03])
+def test_a_slow_motor_is_late_by_its_time_constant_alone(lag):
+    """Against the linear equations, solved exactly for commands that are straight lines."""
+    pytest.importorskip("mujoco")
+    mass, damping, spring = 1.2, 1.0, 40.0
+    motor = (FILTERED if lag else MOTOR).format(joint="rail", lag=lag)
+    more = {"joint": "", "body": "", "more": "", "gx": 0.0}
+    xml = CART.format(
+        step=fine_step(lag), mass=mass, damping=damping, spring=spring, actuator=motor, **more
+    )
+    force = np.interp(TIME, [0.0, 0.3, 1.0, 1.02, 3.0], [0.0, 3.0, 3.0, -2.0, -1.0])
+    run = Run("run", TIME, np.zeros((len(TIME), 1)), {"force_N": force}, "run")
+    seen = Rig(xml, read=("place",)).record(run)[:, 0]
+
+    whole = np.polymul([lag, 1.0], [mass, damping, spring])
+    _, exact, _ = lsim(([1.0], whole), force, TIME)
+    # what 0.1 ms more of lag would move
+    shift = 1e-4 * np.abs(np.gradient(exact, TIME)).max()
+    assert np.abs(seen - exact).max() < 0.05 * shift
