@@ -10,6 +10,7 @@ import torch
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
+from diffsim.identify import fit
 from diffsim.systems.registry import description_of, setup_of
 from labs.systems import network
 from labs.virtual import NetworkLab
@@ -136,6 +137,19 @@ def test_causes_act_by_their_formulas():
     fast = study(single(slit), ["p"], pump=[4e-6, 8e-6])
     thin = predict(fast, thinning=0.2)[:, 0]
     assert np.log2(thin[1] / thin[0]) == pytest.approx(0.8, abs=0.002)
+
+
+def test_a_resistance_that_grows_with_the_flow_is_no_thinning():
+    s = study(single(SHAPES["slit"][0]), ["p"], pump=np.linspace(1e-8, 8e-8, 8))
+    thinning = next(e for e in setup_of(s).effects if e.name == "thinning")
+    setup = setup_of(s)
+    found = {}
+    for kind, sizes in {"loss": {"entrance_loss": 3.0}, "thin": {"thinning": 0.02}}.items():
+        (run,) = s.runs
+        made = (replace(run, measured=predict(s, **sizes)),)
+        found[kind] = fit(setup.model, made, s.channels, effects=[thinning]).values["thinning"]
+    assert found["loss"] == 0.0
+    assert found["thin"] == pytest.approx(0.02, rel=0.1)
 
 
 R = {"supply": 1e11, "link": 0.6e11, "one": 2e11, "two": 1.5e11, "three": 3e11}
