@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from diffsim.copter import GRAVITY
 from diffsim.copter.dynamics.flight import Feedback, FlightError, fly
@@ -386,6 +387,28 @@ def test_feedback_takes_the_short_way():
     )
     expected = 3.0 - np.deg2rad(2.0)
     torch.testing.assert_close(flight.state.thrusts[0, 1], tensor([expected] * 4))
+
+
+class Called(TorchDispatchMode):
+    """Names of the torch operations of a block."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.names = [*getattr(self, "names", []), func.__name__]
+        return func(*args, **(kwargs or {}))
+
+
+def test_a_state_is_a_view_of_its_flight():
+    """No field is copied, not even to be looked at; a wrong one is refused all the same."""
+    state = fly(crooked_copter(), still(2), constant([3.0] * 5, 3), dt=0.01).state
+    assert not state.velocity.is_contiguous()
+    with Called() as called:
+        again = replace(state)
+    assert not getattr(called, "names", [])
+    assert again.velocity is state.velocity
+    with pytest.raises(ValueError, match=r"velocity must have shape \(2, 4, 3\)"):
+        replace(state, velocity=state.velocity[:, 1:])
+    with pytest.raises(TypeError, match=r"velocity must be torch\.float64"):
+        replace(state, velocity=state.velocity.float())
 
 
 def test_bad_input():
