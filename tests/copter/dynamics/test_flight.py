@@ -440,7 +440,27 @@ def test_bad_input():
         fly(vehicle, still(), commands.float(), dt=0.01)
 
 
-def test_a_flight_that_blows_up_is_reported():
+def test_the_end_alone_is_the_end_of_the_path():
+    """Whole registers and parts of one, shared starts, one step and none."""
+    for batch, steps in ((1, 1), (8, 5), (11, 5)):
+        commands = constant([3.0] * 5, steps) + torch.arange(batch)[:, None, None]
+        start = replace(tumbling(1), thrusts=None)
+        path, end = (
+            fly(crooked_copter(), start, commands, dt=0.01, effects=all_effects(5, steps), keep=k)
+            for k in ("path", "end")
+        )
+        assert end.state.position.shape == (batch, 1, 3)
+        assert torch.equal(end.time, path.time[-1:])
+        for name, value in vars(end.state).items():
+            assert torch.equal(value, getattr(path.state, name)[:, -1:])
+    nowhere = fly(crooked_copter(), tumbling(2, 5), constant([3.0] * 5, 0), dt=0.01, keep="end")
+    assert torch.equal(nowhere.state.position[:, 0], tumbling(2, 5).position)
+    with pytest.raises(ValueError, match="keep must be one of"):
+        fly(crooked_copter(), still(), constant([3.0] * 5, 2), dt=0.01, keep="last")
+
+
+@pytest.mark.parametrize("keep", ["path", "end"])
+def test_a_flight_that_blows_up_is_reported(keep):
     gain = 1e200 * torch.ones(4, 12, dtype=torch.float64)
     start = replace(still(2), body_rates=tensor([[0.0] * 3, [1e200] * 3]))
     with pytest.raises(FlightError, match="vehicle 1 has no finite state after step 1"):
@@ -450,4 +470,5 @@ def test_a_flight_that_blows_up_is_reported():
             constant([3.0] * 4, 5),
             dt=0.01,
             feedback=Feedback(gain=gain, reference=torch.zeros(12, dtype=torch.float64)),
+            keep=keep,
         )
