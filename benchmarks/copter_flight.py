@@ -67,18 +67,29 @@ def effects(kind: str) -> FlightEffects:
 
 
 def passes(batch: int, steps: int, kind: str, threads: int) -> dict[str, Callable[[], object]]:
-    """Forward, and forward with the gradient to commands, gain and mass."""
+    """Forward, forward of which the last state is kept, and with the gradient to commands, gain and
+    mass."""
     vehicle, K, on = quadcopter(), gain(), effects(kind)
     start = FlightState.at_rest(0.1 * torch.randn(batch, 3, dtype=torch.float64))
     hover = (vehicle.weight / 4).expand(batch, steps, 4).contiguous()
     reference = torch.zeros(12, dtype=torch.float64)
 
     def forward(
-        commands: torch.Tensor = hover, K: torch.Tensor = K, vehicle: Multicopter = vehicle
+        commands: torch.Tensor = hover,
+        K: torch.Tensor = K,
+        vehicle: Multicopter = vehicle,
+        keep: str = "path",
     ) -> torch.Tensor:
         loop = Feedback(gain=K, reference=reference)
         flown = fly(
-            vehicle, start, commands, dt=1e-3, feedback=loop, effects=on, num_threads=threads
+            vehicle,
+            start,
+            commands,
+            dt=1e-3,
+            feedback=loop,
+            effects=on,
+            keep=keep,
+            num_threads=threads,
         )
         return flown.state.position
 
@@ -87,7 +98,11 @@ def passes(batch: int, steps: int, kind: str, threads: int) -> dict[str, Callabl
         loss = forward(leaves[0], leaves[1], vehicle.replace(mass=leaves[2])).square().sum()
         return torch.autograd.grad(loss, leaves)
 
-    return {"forward": forward, "forward + backward": backward}
+    return {
+        "forward": forward,
+        "forward, end alone": lambda: forward(keep="end"),
+        "forward + backward": backward,
+    }
 
 
 def row(name: str, times: list[Seconds], vehicle_steps: int) -> str:
@@ -103,13 +118,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1.0, help="per row")
+    parser.add_argument("--batches", type=int, nargs="+", default=BATCHES)
     args = parser.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)  # the few torch operations around the kernel only spin with more
     print(f"{args.steps} steps, {INSTRUCTION_SET}, {args.threads} threads; vehicle-steps:")
     with cores(args.threads):
         for kind in ("bare", "drag, wind, lag"):
-            for batch in BATCHES:
+            for batch in args.batches:
                 for name, call in passes(batch, args.steps, kind, args.threads).items():
                     times = repeat_for(call, seconds=args.seconds)
                     print(row(f"{kind} {batch:5d} {name}", times, batch * args.steps), flush=True)

@@ -64,7 +64,8 @@ void bind_copter_flight(nb::module_& m) {
       .def_rw("ground_effect", &FlightOptions::ground_effect)
       .def_rw("interference", &FlightOptions::interference)
       .def_rw("battery", &FlightOptions::battery)
-      .def_rw("free_thrusts", &FlightOptions::free_thrusts);
+      .def_rw("free_thrusts", &FlightOptions::free_thrusts)
+      .def_rw("end_alone", &FlightOptions::end_alone);
   m.attr("FLIGHT_BODY") = kBody;
   m.attr("FLIGHT_GROUP") = kGroup;
   m.attr("FLIGHT_MAX_ROTORS") = kMaxRotors;

@@ -58,10 +58,7 @@ def require(
         TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
         ValueError: wrong shape, or not finite.
     """
-    require_tensor(name, value, dtype)
-    if not _fits(value.shape, shape):
-        expected = ", ".join(str(s) for s in shape)
-        raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
+    require_shape(name, value, shape, dtype)
     if torch.compiler.is_compiling():
         return value.contiguous()
     if value.is_inference() and not torch.is_inference_mode_enabled():
@@ -76,6 +73,21 @@ def require(
             f"{name} must be finite, got {len(bad)} NaN or infinite entries, first at {first}"
         )
     return value.contiguous()
+
+
+def require_shape(
+    name: str, value: Tensor, shape: Sequence[int | str], dtype: torch.dtype = torch.float64
+) -> None:
+    """``require`` of what is kept as it is: neither its numbers nor their order are looked at.
+
+    Raises:
+        TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
+        ValueError: wrong shape.
+    """
+    require_tensor(name, value, dtype)
+    if not _fits(value.shape, shape):
+        expected = ", ".join(str(s) for s in shape)
+        raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
 
 
 def require_tensor(name: str, value: Tensor, dtype: torch.dtype = torch.float64) -> None:

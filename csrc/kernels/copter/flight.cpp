@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "kernels/copter/flight_moving.h"
+#include "kernels/huge_pages.h"
 #include "kernels/parallel.h"
 
 namespace diffsim {
@@ -13,14 +14,34 @@ constexpr int kPartsOfGroup = kGroup / kNativeLanes;
 
 using Record = V[kBody + kMaxRotors];
 
+/// Where the records of a batch go: all of them, or the last of every vehicle.
+struct Kept {
+  double* data;
+  std::int64_t steps;
+  int size;
+  bool end_alone;
+
+  Kept(double* to, std::int64_t all_steps, int width, const FlightOptions& options)
+      : data(to), steps(all_steps), size(width), end_alone(options.end_alone) {}
+
+  std::int64_t rows() const { return end_alone ? 1 : steps + 1; }
+
+  template <class Number>
+  void save(const Crew& crew, std::int64_t step, Number number) const {
+    if (end_alone && step < steps) return;
+    for (int lane = 0; lane < crew.count; ++lane) {
+      double* row = data + ((crew.first + lane) * rows() + (end_alone ? 0 : step)) * size;
+      for (int k = 0; k < size; ++k) row[k] = number(k)[lane];
+    }
+  }
+};
+
 void fly(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptions& options,
          const FlightInputs& inputs, double* records) {
   const int size = flight.record();
+  const Kept kept(records, steps, size, options);
   const auto save = [&](std::int64_t step, const V* x) {
-    for (int lane = 0; lane < crew.count; ++lane) {
-      double* row = records + ((crew.first + lane) * (steps + 1) + step) * size;
-      for (int k = 0; k < size; ++k) row[k] = x[k][lane];
-    }
+    kept.save(crew, step, [x](int k) { return x[k]; });
   };
   Record x;
   load_row(inputs.start, crew, 0, size, x);
@@ -37,11 +58,9 @@ void fly_along(Flying<MovingRows>& flight, const MovingRows& rows, std::int64_t 
                const FlightOptions& options, double* rates) {
   const int size = flight.record();
   const Crew& crew = rows.crew;
+  const Kept kept(rates, steps, size, options);
   const auto save = [&](std::int64_t step, const Moving* x) {
-    for (int lane = 0; lane < crew.count; ++lane) {
-      double* row = rates + ((crew.first + lane) * (steps + 1) + step) * size;
-      for (int k = 0; k < size; ++k) row[k] = x[k].rate[lane];
-    }
+    kept.save(crew, step, [x](int k) { return x[k].rate; });
   };
   Moving x[kBody + kMaxRotors];
   rows.load(&FlightInputs::start, 0, size, x);
@@ -57,7 +76,8 @@ void fly_back(Flight& flight, const Crew& crew, std::int64_t steps, const Flight
               const double* records, const double* grad_records, const FlightInputGrads& grads) {
   const int size = flight.record(), n = size - kBody;
   const FlightRows kept{records, (steps + 1) * size, size};
-  const FlightRows cotangents{grad_records, (steps + 1) * size, size};
+  const FlightRows cotangents{grad_records, (options.end_alone ? 1 : steps + 1) * size,
+                              options.end_alone ? 0 : size};
   std::vector<V> grad_P(static_cast<std::size_t>(flight.layout().size));
   std::vector<V> grad_K(static_cast<std::size_t>(n * kFeedback));
   std::vector<V> path(static_cast<std::size_t>(options.substeps * size));
@@ -77,6 +97,7 @@ void fly_back(Flight& flight, const Crew& crew, std::int64_t steps, const Flight
     }
     flight.command_vjp(step, path.data(), grad_command, grad_wind, grad_x, grad_P.data(),
                        grad_K.data(), grads);
+    if (options.end_alone) continue;
     load_row(cotangents, crew, step, size, cotangent);
     for (int k = 0; k < size; ++k) grad_x[k] += cotangent[k];
   }
@@ -106,6 +127,9 @@ void for_crews(std::int64_t batch, int num_threads, F&& f) {
 void flight_rollout(int num_rotors, std::int64_t batch, std::int64_t steps,
                     const FlightOptions& options, const FlightInputs& inputs, double* records,
                     int num_threads) {
+  const std::int64_t kept = options.end_alone ? 1 : steps + 1;
+  on_huge_pages(records,
+                sizeof(double) * static_cast<std::size_t>(batch * kept * (kBody + num_rotors)));
   flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
     flight::Flight one(num_rotors, options, inputs, crew);
     flight::fly(one, crew, steps, options, inputs, records);

@@ -36,6 +36,7 @@ struct FlightOptions {
   bool feedback = false, motor_lag = false, thrust_curve = false, rotor_drag = false;
   bool body_drag = false, ground_effect = false, interference = false, battery = false;
   bool free_thrusts = false;  ///< commands are not clamped to 0..max_thrusts
+  bool end_alone = false;     ///< one record per vehicle is wanted, that of the end
 };
 
 struct FlightInputs {
@@ -51,13 +52,15 @@ struct FlightInputGrads {
   FlightGrads start, feed_forward, gain, reference, wind, parameters;
 };
 
-/// @param[out] records (batch, steps + 1, kBody + num_rotors); record 0 is the start
+/// @param[out] records (batch, steps + 1, kBody + num_rotors); record 0 is the start. With
+///                     end_alone (batch, 1, kBody + num_rotors)
 void flight_rollout(int num_rotors, std::int64_t batch, std::int64_t steps,
                     const FlightOptions& options, const FlightInputs& inputs, double* records,
                     int num_threads);
 
-/// Adjoint of flight_rollout; the records are its checkpoints.
-/// @param[in] grad_records same shape as records
+/// Adjoint of flight_rollout.
+/// @param[in] records      all of them, as checkpoints
+/// @param[in] grad_records same shape as what flight_rollout wrote
 void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
                         const FlightOptions& options, const FlightInputs& inputs,
                         const double* records, const double* grad_records,
@@ -65,7 +68,7 @@ void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
 
 /// Records along one direction in the inputs.
 /// @param[in]  directions  of the same sizes, with strides of their own
-/// @param[out] rates       same shape as records
+/// @param[out] rates       same shape as what flight_rollout writes
 void flight_rollout_tangent(int num_rotors, std::int64_t batch, std::int64_t steps,
                             const FlightOptions& options, const FlightInputs& inputs,
                             const FlightInputs& directions, double* rates, int num_threads);

@@ -7,9 +7,7 @@
 #include <type_traits>
 #include <utility>
 
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
+#include "kernels/huge_pages.h"
 
 namespace diffsim {
 
@@ -33,15 +31,12 @@ class AlignedBuffer {
     std::free(data_);
     data_ = nullptr;
     capacity_ = 0;
-    constexpr std::size_t kHugePage = std::size_t{1} << 21;
     const std::size_t bytes = count * sizeof(T);
     const std::size_t alignment = bytes >= kHugePage ? kHugePage : 64;
     const std::size_t rounded = (bytes + alignment - 1) / alignment * alignment;
     void* memory = nullptr;
     if (posix_memalign(&memory, alignment, rounded) != 0) throw std::bad_alloc();
-#if defined(__linux__)
-    if (bytes >= kHugePage) madvise(memory, rounded, MADV_HUGEPAGE);  // a hint; may be refused
-#endif
+    on_huge_pages(memory, rounded);
     data_ = static_cast<T*>(memory);
     capacity_ = rounded / sizeof(T);
     return data_;

@@ -77,10 +77,16 @@ class FlightSettings(NamedTuple):
     num_threads: int
 
 
-def rollout(inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps: int) -> Tensor:
-    """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start."""
+def rollout(
+    inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps: int, end_alone: bool
+) -> Tensor:
+    """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start.
+
+    With ``end_alone`` (batch, 1, BODY + num_rotors): the last ones, and no memory for the others.
+    """
     contiguous = {name: value.contiguous() for name, value in inputs._asdict().items()}
-    return flight_layer(**contiguous, batch=batch, steps=steps, **settings._asdict())
+    sizes = {"batch": batch, "steps": steps, "end_alone": end_alone}
+    return flight_layer(**contiguous, **sizes, **settings._asdict())
 
 
 # known before PyTorch's compiler looks, which cannot follow the core
@@ -149,13 +155,21 @@ def _gradient_arrays(grads: FlightInputs) -> object:
     return arrays
 
 
-def _options(dt: float, gravity: float, substeps: int, effects: str, feedback: bool) -> object:
+def _options(
+    dt: float, gravity: float, substeps: int, effects: str, feedback: bool, end_alone: bool
+) -> object:
     options = core.FlightOptions()
+    options.end_alone = end_alone
     options.dt, options.gravity, options.substeps = dt, gravity, substeps
     options.feedback = feedback
     for name in filter(None, effects.split(",")):
         setattr(options, name, True)
     return options
+
+
+def _kept(steps: int, end_alone: bool) -> int:
+    """Records that are kept of every vehicle."""
+    return 1 if end_alone else steps + 1
 
 
 @custom_op("diffsim::flight")
@@ -168,6 +182,7 @@ def flight(
     parameters: Tensor,
     batch: int,
     steps: int,
+    end_alone: bool,
     dt: float,
     gravity: float,
     substeps: int,
@@ -176,12 +191,12 @@ def flight(
 ) -> Tensor:
     """Records of ``FlightInputs`` under ``FlightSettings``; see :func:`rollout`."""
     inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
-    records = start.new_empty(batch, steps + 1, BODY + inputs.num_rotors)
+    records = start.new_empty(batch, _kept(steps, end_alone), BODY + inputs.num_rotors)
     core.flight_rollout(
         num_rotors=inputs.num_rotors,
         batch=batch,
         steps=steps,
-        options=_options(dt, gravity, substeps, effects, inputs.feedback),
+        options=_options(dt, gravity, substeps, effects, inputs.feedback, end_alone),
         inputs=_arrays(inputs, batch, steps),
         records=records.data_ptr(),
         num_threads=num_threads,
@@ -190,8 +205,8 @@ def flight(
 
 
 @flight.register_fake
-def _(start, feed_forward, gain, reference, wind, parameters, batch, steps, *args):
-    return start.new_empty(batch, steps + 1, BODY + feed_forward.shape[-1])
+def _(start, feed_forward, gain, reference, wind, parameters, batch, steps, end_alone, *args):
+    return start.new_empty(batch, _kept(steps, end_alone), BODY + feed_forward.shape[-1])
 
 
 @custom_op("diffsim::flight_vjp")
@@ -204,19 +219,21 @@ def flight_vjp(
     reference: Tensor,
     wind: Tensor,
     parameters: Tensor,
+    end_alone: bool,
     dt: float,
     gravity: float,
     substeps: int,
     effects: str,
     num_threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Adjoint of :func:`flight`: gradients of ``FlightInputs``."""
+    """Adjoint of :func:`flight`: gradients of ``FlightInputs``; ``records`` are all of them."""
     inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
     batch, steps = records.shape[0], records.shape[1] - 1
     width = BODY + inputs.num_rotors
-    if grad_records.shape != records.shape or records.shape[2] != width:
+    wanted = (batch, _kept(steps, end_alone), width)
+    if grad_records.shape != wanted or records.shape[2] != width:
         raise ValueError(
-            f"records and grad_records must have shape ({batch}, {steps + 1}, {width}), got "
+            f"records must have shape ({batch}, {steps + 1}, {width}), grad_records {wanted}, got "
             f"{tuple(records.shape)} and {tuple(grad_records.shape)}"
         )
     grad_records, records = grad_records.contiguous(), records.contiguous()
@@ -233,7 +250,7 @@ def flight_vjp(
         num_rotors=inputs.num_rotors,
         batch=batch,
         steps=steps,
-        options=_options(dt, gravity, substeps, effects, inputs.feedback),
+        options=_options(dt, gravity, substeps, effects, inputs.feedback, end_alone),
         inputs=_arrays(inputs, batch, steps),
         records=records.data_ptr(),
         grad_records=grad_records.data_ptr(),
@@ -256,18 +273,23 @@ def _(grad_records, records, *args):
 
 def _setup_context(ctx, inputs, output):
     count = len(FlightInputs._fields)
-    _batch, _steps, *settings = inputs[count:]
+    ctx.batch, ctx.steps, ctx.end_alone, *settings = inputs[count:]
     ctx.settings = FlightSettings(*settings)
     ctx.save_for_backward(output, *inputs[:count])
 
 
 def _backward(ctx, grad_records):
     records, *saved = ctx.saved_tensors
-    inputs = FlightInputs(*saved)
+    inputs = FlightInputs(*saved)._asdict()
+    settings = ctx.settings._asdict()
+    if ctx.end_alone:  # the records that nobody kept, once more
+        sizes = {"batch": ctx.batch, "steps": ctx.steps, "end_alone": False}
+        with torch.no_grad():
+            records = flight_layer(**inputs, **sizes, **settings)
     grads = flight_vjp_layer(
-        grad_records=grad_records, records=records, **inputs._asdict(), **ctx.settings._asdict()
+        grad_records=grad_records, records=records, **inputs, end_alone=ctx.end_alone, **settings
     )
-    return (*grads, *(None,) * 7)
+    return (*grads, *(None,) * 8)
 
 
 @custom_op("diffsim::flight_jvp")
@@ -286,6 +308,7 @@ def flight_jvp(
     d_parameters: Tensor,
     batch: int,
     steps: int,
+    end_alone: bool,
     dt: float,
     gravity: float,
     substeps: int,
@@ -296,12 +319,12 @@ def flight_jvp(
     inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
     given = d_start, d_feed_forward, d_gain, d_reference, d_wind, d_parameters
     directions = FlightInputs(*(direction.contiguous() for direction in given))
-    rates = start.new_empty(batch, steps + 1, BODY + inputs.num_rotors)
+    rates = start.new_empty(batch, _kept(steps, end_alone), BODY + inputs.num_rotors)
     core.flight_rollout_tangent(
         num_rotors=inputs.num_rotors,
         batch=batch,
         steps=steps,
-        options=_options(dt, gravity, substeps, effects, inputs.feedback),
+        options=_options(dt, gravity, substeps, effects, inputs.feedback, end_alone),
         inputs=_arrays(inputs, batch, steps),
         directions=_arrays(directions, batch, steps),
         rates=rates.data_ptr(),
@@ -312,18 +335,19 @@ def flight_jvp(
 
 @flight_jvp.register_fake
 def _(start, feed_forward, *args):
-    batch, steps = args[10:12]
-    return start.new_empty(batch, steps + 1, BODY + feed_forward.shape[-1])
+    batch, steps, end_alone = args[10:13]
+    return start.new_empty(batch, _kept(steps, end_alone), BODY + feed_forward.shape[-1])
 
 
 def _tangent(ctx, *moved):
-    records, *saved = ctx.saved_tensors
+    _, *saved = ctx.saved_tensors
     inputs = FlightInputs(*saved)
     return flight_jvp_layer(
         **inputs._asdict(),
         **directions_of(inputs._asdict(), moved),
-        batch=records.shape[0],
-        steps=records.shape[1] - 1,
+        batch=ctx.batch,
+        steps=ctx.steps,
+        end_alone=ctx.end_alone,
         **ctx.settings._asdict(),
     )
 

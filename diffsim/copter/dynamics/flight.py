@@ -24,6 +24,7 @@ from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import (
     all_finite,
     require,
+    require_choice,
     require_count,
     require_number,
     require_threads,
@@ -74,8 +75,8 @@ class Flight:
 
     Attributes:
         state: State of every vehicle at every control step and at the end, axes (batch, steps + 1,
-            ...).
-        time: (steps + 1,) [s].
+            ...); of a flight with ``keep="end"`` at the end alone, (batch, 1, ...).
+        time: (steps + 1,) or (1,) [s].
     """
 
     state: FlightState
@@ -92,6 +93,7 @@ def fly(
     effects: FlightEffects | None = None,
     substeps: int = 1,
     clamp: bool = True,
+    keep: str = "path",
     num_threads: int = 1,
 ) -> Flight:
     """Fly a batch of multicopters.
@@ -112,10 +114,13 @@ def fly(
         substeps: Integration steps per control period.
         clamp: Whether thrusts stay within 0..max_thrusts; False: they are what is commanded,
             negative ones too, for moments that are given to the vehicle through its thrusts.
+        keep: "path": the states at the start and after each control period; "end": the last alone,
+            which needs no memory for the others, and no time to write them. Its gradient flies
+            once more.
         num_threads: Threads of the kernel; the result does not depend on it.
 
     Returns:
-        The states at the start and after each control period.
+        The states that are kept.
 
     Raises:
         TypeError, ValueError: bad arguments.
@@ -131,7 +136,7 @@ def fly(
         clamp=clamp,
         num_threads=num_threads,
     )
-    return prepared.fly(start, commands, feedback=feedback)
+    return prepared.fly(start, commands, feedback=feedback, keep=keep)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,16 +168,19 @@ class PreparedFlight:
         *,
         feedback: Feedback | None = None,
         wind: Tensor | None = None,
+        keep: str = "path",
     ) -> Flight:
         """A flight; the same as the function ``fly``.
 
         Args:
-            start, commands, feedback: As of ``fly``.
+            start, commands, feedback, keep: As of ``fly``.
             wind: As of ``FlightEffects``; the prepared one by default.
         """
-        records = self._records(start, commands, feedback, wind)
-        steps = records.shape[1] - 1
-        time = self.dt * torch.arange(steps + 1, dtype=torch.float64)
+        end_alone = require_choice("keep", keep, ("path", "end")) == "end"
+        records = self._records(start, commands, feedback, wind, end_alone)
+        steps = commands.shape[1]
+        first = steps if end_alone else 0
+        time = self.dt * torch.arange(first, steps + 1, dtype=torch.float64)
         return Flight(self._state(records), time)
 
     def step(
@@ -193,10 +201,15 @@ class PreparedFlight:
         """
         require("thrusts", thrusts, ("batch", self.num_rotors), finite=False)
         gust = None if wind is None else wind[..., None, :]
-        return self._state(self._records(start, thrusts[:, None], None, gust)[:, 1])
+        return self._state(self._records(start, thrusts[:, None], None, gust, False)[:, 1])
 
     def _records(
-        self, start: FlightState, commands: Tensor, feedback: Feedback | None, wind: Tensor | None
+        self,
+        start: FlightState,
+        commands: Tensor,
+        feedback: Feedback | None,
+        wind: Tensor | None,
+        end_alone: bool,
     ) -> Tensor:
         n = self.num_rotors
         require("commands", commands, ("batch", "steps", n))
@@ -217,8 +230,13 @@ class PreparedFlight:
         timed = ("wind", "reference", "commands")
         common_size("steps", {name: names[name].shape[1] for name in timed})
         steps = commands.shape[1]
-        records = _ops_flight.rollout(inputs, self.settings, batch=batch, steps=steps)
-        _require_airborne(records.detach(), self.has_battery)
+        sizes = {"batch": batch, "steps": steps}
+        records = _ops_flight.rollout(inputs, self.settings, **sizes, end_alone=end_alone)
+        if not _is_airborne(records.detach()[..., -1, :], self.has_battery):
+            path = records
+            if end_alone:
+                path = _ops_flight.rollout(inputs, self.settings, **sizes, end_alone=False)
+            raise _failure(values_of(path).flatten(end_dim=-3))
         return records
 
     def _wind_rows(self, wind: Tensor | None, commands: Tensor) -> Tensor:
@@ -286,25 +304,29 @@ def prepare_flight(
     )
 
 
-def _require_airborne(records: Tensor, has_battery: bool) -> None:
+def _is_airborne(ends: Tensor, has_battery: bool) -> bool:
+    """Whether the last states are numbers, and charge is left: what is lost does not come back."""
     if torch.compiler.is_compiling():
-        return
-    records = values_of(records).flatten(end_dim=-3)
-    if not all_finite(records):
-        vehicle, step, _ = (int(i) for i in torch.nonzero(~torch.isfinite(records))[0])
-        raise FlightError(
+        return True
+    ends = values_of(ends)
+    return all_finite(ends) and not (has_battery and bool((ends[..., 13] < 0.0).any()))
+
+
+def _failure(records: Tensor) -> FlightError:
+    """What went wrong first in (batch, steps + 1, ...) records, one of which did."""
+    broken = torch.nonzero(~torch.isfinite(records))
+    if len(broken):
+        vehicle, step, _ = (int(i) for i in broken[0])
+        return FlightError(
             f"vehicle {vehicle} has no finite state after step {step}; shorten dt or raise "
             "substeps, check the gain, and keep the pitch away from +-90 degrees under feedback",
             vehicle=vehicle,
             step=step,
         )
-    if has_battery:
-        charge = records[..., 13]
-        if bool((charge < 0.0).any()):
-            vehicle, step = (int(i) for i in torch.nonzero(charge < 0.0)[0])
-            raise FlightError(
-                f"the battery of vehicle {vehicle} is empty after step {step}; fly for less time, "
-                "or give a larger capacity",
-                vehicle=vehicle,
-                step=step,
-            )
+    vehicle, step = (int(i) for i in torch.nonzero(records[..., 13] < 0.0)[0])
+    return FlightError(
+        f"the battery of vehicle {vehicle} is empty after step {step}; fly for less time, "
+        "or give a larger capacity",
+        vehicle=vehicle,
+        step=step,
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_shape
 from diffsim.core.module import loadable
 from diffsim.core.rotation import (
     body_rates_from_rpy_rates,
@@ -40,14 +40,16 @@ class FlightState:
     charge: Tensor | None = None
 
     def __post_init__(self) -> None:
-        require("position", self.position, ("...", 3), finite=False)
+        # kept as given: a flight's fields are strided views of its records, and a copy made only to
+        # be looked at cost up to half of the flight
+        require_shape("position", self.position, ("...", 3))
         lead = self.position.shape[:-1]
         for name, width in (("quaternion", 4), ("velocity", 3), ("body_rates", 3)):
-            require(name, getattr(self, name), (*lead, width), finite=False)
+            require_shape(name, getattr(self, name), (*lead, width))
         if self.thrusts is not None:
-            require("thrusts", self.thrusts, (*lead, "n_rotors"), finite=False)
+            require_shape("thrusts", self.thrusts, (*lead, "n_rotors"))
         if self.charge is not None:
-            require("charge", self.charge, tuple(lead), finite=False)
+            require_shape("charge", self.charge, tuple(lead))
 
     @classmethod
     def at_rest(cls, position: Tensor, rpy: Tensor | None = None) -> FlightState:

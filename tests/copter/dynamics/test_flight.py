@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from diffsim.copter import GRAVITY
 from diffsim.copter.dynamics.flight import Feedback, FlightError, fly
@@ -388,6 +389,28 @@ def test_feedback_takes_the_short_way():
     torch.testing.assert_close(flight.state.thrusts[0, 1], tensor([expected] * 4))
 
 
+class Called(TorchDispatchMode):
+    """Names of the torch operations of a block."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.names = [*getattr(self, "names", []), func.__name__]
+        return func(*args, **(kwargs or {}))
+
+
+def test_a_state_is_a_view_of_its_flight():
+    """No field is copied, not even to be looked at; a wrong one is refused all the same."""
+    state = fly(crooked_copter(), still(2), constant([3.0] * 5, 3), dt=0.01).state
+    assert not state.velocity.is_contiguous()
+    with Called() as called:
+        again = replace(state)
+    assert not getattr(called, "names", [])
+    assert again.velocity is state.velocity
+    with pytest.raises(ValueError, match=r"velocity must have shape \(2, 4, 3\)"):
+        replace(state, velocity=state.velocity[:, 1:])
+    with pytest.raises(TypeError, match=r"velocity must be torch\.float64"):
+        replace(state, velocity=state.velocity.float())
+
+
 def test_bad_input():
     vehicle, commands = plus_quadcopter(), constant([3.0] * 4, 5)
     with pytest.raises(ValueError, match="commands must have shape"):
@@ -417,7 +440,27 @@ def test_bad_input():
         fly(vehicle, still(), commands.float(), dt=0.01)
 
 
-def test_a_flight_that_blows_up_is_reported():
+def test_the_end_alone_is_the_end_of_the_path():
+    """Whole registers and parts of one, shared starts, one step and none."""
+    for batch, steps in ((1, 1), (8, 5), (11, 5)):
+        commands = constant([3.0] * 5, steps) + torch.arange(batch)[:, None, None]
+        start = replace(tumbling(1), thrusts=None)
+        path, end = (
+            fly(crooked_copter(), start, commands, dt=0.01, effects=all_effects(5, steps), keep=k)
+            for k in ("path", "end")
+        )
+        assert end.state.position.shape == (batch, 1, 3)
+        assert torch.equal(end.time, path.time[-1:])
+        for name, value in vars(end.state).items():
+            assert torch.equal(value, getattr(path.state, name)[:, -1:])
+    nowhere = fly(crooked_copter(), tumbling(2, 5), constant([3.0] * 5, 0), dt=0.01, keep="end")
+    assert torch.equal(nowhere.state.position[:, 0], tumbling(2, 5).position)
+    with pytest.raises(ValueError, match="keep must be one of"):
+        fly(crooked_copter(), still(), constant([3.0] * 5, 2), dt=0.01, keep="last")
+
+
+@pytest.mark.parametrize("keep", ["path", "end"])
+def test_a_flight_that_blows_up_is_reported(keep):
     gain = 1e200 * torch.ones(4, 12, dtype=torch.float64)
     start = replace(still(2), body_rates=tensor([[0.0] * 3, [1e200] * 3]))
     with pytest.raises(FlightError, match="vehicle 1 has no finite state after step 1"):
@@ -427,4 +470,5 @@ def test_a_flight_that_blows_up_is_reported():
             constant([3.0] * 4, 5),
             dt=0.01,
             feedback=Feedback(gain=gain, reference=torch.zeros(12, dtype=torch.float64)),
+            keep=keep,
         )

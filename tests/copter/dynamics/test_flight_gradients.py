@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -225,6 +226,40 @@ def test_commands_without_a_clamp_have_gradients_everywhere():
     assert bool((limits == 0.0).all())
 
 
+@pytest.mark.parametrize("closed", [True, False])
+def test_the_end_alone_has_the_derivatives_of_the_path(closed):
+    """Bit for bit in both modes; nine vehicles fill a register and begin another."""
+    generator = torch.Generator().manual_seed(4)
+    start = tumbling(9, ROTORS)
+    leaves = [case()["commands"][:1], case()["gain"], crooked_copter(ROTORS).mass]
+    directions = [torch.randn(v.shape, generator=generator, dtype=torch.float64) for v in leaves]
+
+    def end(keep, commands, gain, mass):
+        loop = Feedback(gain=gain, reference=case()["reference"]) if closed else None
+        vehicle = crooked_copter(ROTORS).replace(mass=mass)
+        effects = all_effects(ROTORS, STEPS)
+        rest = {"dt": 0.03, "effects": effects, "substeps": 2, "keep": keep}
+        state = fly(vehicle, start, commands, feedback=loop, **rest).state
+        parts = [state.position, state.quaternion, state.velocity, state.thrusts]
+        return torch.cat(parts, dim=-1)[:, -1]
+
+    both = {}
+    for keep in ("path", "end"):
+        moving = [v.clone().requires_grad_() for v in leaves]
+        out = end(keep, *moving)
+        used = moving if closed else [moving[0], moving[2]]
+        weights = torch.linspace(1, 2, out.numel(), dtype=out.dtype).view_as(out)
+        grads = torch.autograd.grad(out, used, weights)
+        call = partial(end, keep)
+        _, rate = torch.func.jvp(call, tuple(leaves), tuple(directions))
+        mapped = torch.func.vmap(call, in_dims=(None, None, 0))(
+            leaves[0], leaves[1], leaves[2] * torch.tensor([1.0, 1.1], dtype=torch.float64)
+        )
+        both[keep] = [out.detach(), *grads, rate, mapped]
+    for path, alone in zip(*both.values(), strict=True):
+        assert torch.equal(path, alone) and bool((path != 0.0).any())
+
+
 def test_op_contract():
     n = ROTORS
     width = sum(size for _, size in _ops_flight.fields(n))
@@ -239,8 +274,10 @@ def test_op_contract():
         torch.zeros(1, 1, 3, dtype=torch.float64),
         tensor(rng.uniform(0.5, 1.0, (1, 1, width))).requires_grad_(),
     ]
-    args = (*tensors, 2, 3, 0.01, 9.81, 1, "body_drag", 1)
+    args = (*tensors, 2, 3, False, 0.01, 9.81, 1, "body_drag", 1)
     torch.library.opcheck(_ops_flight.flight, args)
+    end_alone = (*tensors, 2, 3, True, 0.01, 9.81, 1, "body_drag", 1)
+    torch.library.opcheck(_ops_flight.flight, end_alone)
     layer = torch.compile(_ops_flight.flight, fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(layer(*args), _ops_flight.flight(*args))
 
