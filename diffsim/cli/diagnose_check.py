@@ -14,11 +14,11 @@ from diffsim.causes.readings import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
-from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
+from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
 from diffsim.diagnose.faults.given import take_apart
@@ -139,7 +139,7 @@ def _has_clock(study: Study) -> bool:
     """Whether a column of the files tells the time: a step alone numbers rows."""
     if study.file is None:
         return True
-    clocks = StudyFile.model_validate(read_yaml_file(study.file)).time
+    clocks = StudyFile.model_validate(read_whole(study.file)).time
     return not clocks or any(clock.column is not None or clock.step is None for clock in clocks)
 
 

@@ -1,8 +1,8 @@
 """Jumps of commands that nothing commanded: a marker that is lost for a sample, a value misread.
 
 A channel's outliers are taken out by the diagnosis, which knows what the model expects there;
-`check` tells of them, too. A command is taken as it is: an outlier in a motion that drives a model
-is an acceleration to it.
+`check` tells of them, too. An outlier in a motion that drives a model is an acceleration to it:
+the diagnosis simulates a measured command with and without its jumps.
 """
 
 from __future__ import annotations
@@ -64,6 +64,32 @@ def jumps_of(values: Array, *, is_measured: bool, noise: float = 0.0) -> Jumps:
         return Jumps([], [], 0.0)
     sizes = [*away[back], *change[lasting - 1]]
     return Jumps(valid[back].tolist(), valid[lasting].tolist(), float(max(sizes, default=0.0)))
+
+
+def without_jumps(values: Array, times: Array, jumps: Jumps) -> Array:
+    """A command as it would be without its jumps.
+
+    Samples off both sides lie on the straight line between their neighbors. What follows a jump
+    that stays is moved back by it; how far the command moved meanwhile is the mean of the changes
+    before and after.
+
+    Args:
+        values: Samples of the command, (num_samples,).
+        times: Their times, (num_samples,) [s].
+        jumps: Its jumps.
+    """
+    mended = np.array(values, dtype=np.float64)
+    kept = np.isfinite(mended)
+    off = np.zeros(len(mended), dtype=bool)
+    off[jumps.back] = True
+    mended[off] = np.interp(times[off], times[kept & ~off], mended[kept & ~off])
+    for k in jumps.lasting:
+        change = np.diff(mended[max(k - 2, 0) : k + 2])
+        usual = np.delete(change, min(k, 2) - 1)
+        usual = usual[np.isfinite(usual)]
+        moved = float(usual.mean()) if len(usual) else 0.0
+        mended[k:] -= mended[k] - mended[k - 1] - moved
+    return mended
 
 
 def _lasting(change: Array, least: float) -> NDArray[np.int64]:

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from diffsim.core.units import factor, to_si
-from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.clock_guess import COUNTER, unit_of_clock
 from diffsim.data.study_check import Problem
+from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 from diffsim.data.table_guess import column_of
 
@@ -24,7 +24,7 @@ def header_units(path: Path) -> Iterator[Problem]:
     Args:
         path: ``study.yaml``, which was read before without a mistake.
     """
-    stated = StudyFile.model_validate(read_yaml_file(path))
+    stated = StudyFile.model_validate(read_whole(path))
     for clock in stated.time:
         if clock.column and clock.step is None:
             yield from _compare_units("time", clock.column, clock.unit)

@@ -247,6 +247,10 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             yield from _find_jumps(run, study, name)
 
 
+_MENDED = "the diagnosis takes this for a misreading where the model is no worse without it"
+_TAKEN = "the model takes this for what acted; mend the file, or say is_measured: true"
+
+
 def _find_misread(run: Run, channel: Channel, values: Array) -> Iterator[Problem]:
     """Samples of a channel that lie off both sides: the sensor or the bus lost them."""
     jumps = jumps_of(values, is_measured=False, noise=channel.sd or 0.0)
@@ -270,6 +274,7 @@ def _find_jumps(run: Run, study: Study, name: str) -> Iterator[Problem]:
     jumps = jumps_of(run.command[name], is_measured=known.is_measured)
     unit = known.shown_unit or known.unit
     times = 1.0 if unit == known.unit or unit is None else factor(known.unit or unit, unit)
+    does = _MENDED if known.is_measured else _TAKEN
     by = f"by up to {times * jumps.size:.3g}{'' if unit in (None, '-') else f' {unit}'}"
     for rows, how in ((jumps.back, "jumps off and back"), (jumps.lasting, "jumps and stays")):
         if rows:
@@ -278,8 +283,7 @@ def _find_jumps(run: Run, study: Study, name: str) -> Iterator[Problem]:
                 "warning",
                 f"run {run.name}",
                 f"command {name} {how} at {len(rows)} {at}, {by}, first at "
-                f"{run.time_s[rows[0]]:g} s: the model takes this for what acted; mend the file, "
-                "or leave these samples out",
+                f"{run.time_s[rows[0]]:g} s: {does}",
             )
 
 

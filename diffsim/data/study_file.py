@@ -3,7 +3,7 @@
 The least that a study needs; all keys are in docs/study_keys.md::
 
     name: cart
-    model: {system: ode, ...}                    # see the system's own page
+    model: {system: ode, ...}                    # see the system's own page; or like: RIG
     time: {column: "t (ms)", unit: ms}           # default: column time_s
     channels:                                    # what was measured; inside all is in SI units
       - {name: position, column: "pos (mm)", unit: mm, sd: 0.1}
@@ -31,11 +31,11 @@ from typing import Any
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import read_part
 from diffsim.core.units import to_si
-from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.formats import split_part
 from diffsim.data.recording import find_dataset
 from diffsim.data.run_files import RunReader
 from diffsim.data.study import Channel, Command, Study
+from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 
 STUDY_FILE = "study.yaml"
@@ -79,7 +79,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     path = path / STUDY_FILE if path.is_dir() else path
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such study; give study.yaml or the folder that has it")
-    content = read_yaml_file(path)
+    content = read_whole(path)
     if more_runs and isinstance(content, Mapping):
         content = {**content, "runs": [*content.get("runs", ()), *more_runs]}
     stated = _parse_study(path, content)
@@ -113,7 +113,10 @@ def _parse_study(path: Path, content: Any) -> StudyFile:
         raise ValueError(f"{path}: the study must be a mapping, got {type(content).__name__}")
     stated = read_part(StudyFile, content, f"{path}: ")
     if stated.model is None and stated.system is None:
-        raise ValueError(f"{path}: the study has neither model nor system; describe its model")
+        raise ValueError(
+            f"{path}: the study has neither model nor system; describe its model, or say "
+            "what it is like"
+        )
     if stated.model is not None and "system" not in stated.model:
         raise ValueError(f"{path}: model has no system; name the kind of system")
     return stated

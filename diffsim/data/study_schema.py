@@ -348,6 +348,11 @@ class StudyFile(Part):
     name: Annotated[str, AfterValidator(_plain_name)] = Field(
         description="Short name, as reports and the folder of results show it"
     )
+    like: str | None = Field(
+        None,
+        description="Rig that is ready (position_servo), or another study's file: its keys hold "
+        "where this file states none. Entries of lists are joined by `name`; null takes a key away",
+    )
     system: Annotated[
         str | None, PlainValidator(_read_system), KindWords(f"one of {', '.join(SYSTEMS)}")
     ] = Field(None, description="Kind of system, of studies without `model`")

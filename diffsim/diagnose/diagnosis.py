@@ -318,7 +318,7 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             case = replace(case, store=case.store.beside(f"renewed{round_}"))
         at = replace(null.at, record=null.at.record + change)
         ended = gauss_newton(case.problem(null.noise.whitener), at)
-        null = Null(case, null.noise, *ended, null.num_spikes)
+        null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
         search = search_rounds(null, search.simulations.moved(null, change, case.store))
     return search, (coarse_gate(size, search.null.fit.problem),)
 

@@ -44,12 +44,14 @@ class NullFit:
         noise: Noise floor of the study.
         fit: Fit of the base parameters to the runs for fitting.
         num_spikes: Number of samples that were removed as spikes.
+        num_misread: Number of jumps of measured commands that were taken out.
     """
 
     study: Study
     noise: NoiseFloor
     fit: Fit
     num_spikes: int
+    num_misread: int = 0
 
     def strongest_correlations(self, limit: float = CORRELATED) -> Iterator[tuple[str, str, float]]:
         """Pairs of parameters above the limit, strongest first."""
@@ -73,6 +75,7 @@ class NullFit:
                     "sd": dict(zip(channels, self.noise.sd.tolist(), strict=True)),
                     "source": self.noise.source,
                     "num_spikes": self.num_spikes,
+                    "num_misread": self.num_misread,
                 },
             }
         )
@@ -87,7 +90,7 @@ def fit_null(inputs: Inputs, numerics: Numerics | None = None) -> NullFit:
         numerics: Refined numerical settings; None: the model's own.
     """
     null = null_fit(_case(inputs, numerics))
-    return NullFit(null.case.study, null.noise, null.fit, null.num_spikes)
+    return NullFit(null.case.study, null.noise, null.fit, null.num_spikes, null.num_misread)
 
 
 @dataclass(frozen=True, eq=False)

@@ -156,7 +156,10 @@ def quantities_of(part: Part, prefix: str = "") -> dict[str, Quantity]:
 class EffectChoice(Part):
     """Which candidate causes are judged."""
 
-    only: tuple[str, ...] = Field((), description="Judge only these; empty: all of the library")
+    only: tuple[str, ...] = Field(
+        (),
+        description="Judge only these of the library, and your own; empty: all of the library",
+    )
     without: tuple[str, ...] = Field((), description="Leave these out")
     typical: dict[str, float] = Field(
         {}, description="Size that would be no surprise, by name of the cause, in its unit"
@@ -357,10 +360,9 @@ def chosen_effects(
             _require_known(f"effects.{key}", name, known)
     for name in choice.typical:
         _require_known("effects.typical", name, known)
+    asked = {*choice.only, *(row.name for row in choice.own)}
     kept = [
-        e
-        for e in library
-        if (not choice.only or e.name in choice.only) and e.name not in choice.without
+        e for e in library if (not choice.only or e.name in asked) and e.name not in choice.without
     ]
     return tuple(
         replace(e, typical=choice.typical[e.name]) if e.name in choice.typical else e for e in kept

@@ -116,6 +116,7 @@ def held_fixed(report: Report) -> dict[str, Any]:
         "taken from the study": list(report.study.metadata) or "runs and channels only",
         "noise floor from": list(dict.fromkeys(report.noise["source"])),
         "spikes taken out": report.noise["num_spikes"],
+        "jumps of measured commands taken out": report.noise["num_misread"],
         **settings,
         "effort of the search": effort,
     }

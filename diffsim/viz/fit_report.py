@@ -48,6 +48,7 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
             held_fixed=[
                 ("noise floor from", ", ".join(dict.fromkeys(null.noise.source))),
                 ("spikes taken out", str(null.num_spikes)),
+                ("jumps of measured commands taken out", str(null.num_misread)),
                 ("converged", f"{fit.converged}: {fit.message}"),
             ],
         ),

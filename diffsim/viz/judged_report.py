@@ -58,6 +58,7 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
             ("verdict of its diagnosis", saved.verdict or "unknown"),
             ("runs that it was fitted to or chosen by", ", ".join(saved.facts["seen_runs"])),
             ("spikes taken out", str(found.num_spikes)),
+            ("jumps of measured commands taken out", str(found.num_misread)),
         ],
     )
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
 from diffsim.data.study import Channel, Command, Run
+from diffsim.diagnose.checks.misread import settled
 from diffsim.diagnose.checks.noise import without_spikes
 from diffsim.diagnose.judge.band import no_band
 from diffsim.diagnose.judge.gain import Gain, compared
@@ -199,6 +201,7 @@ class Unseen:
         gains: The same by run.
         outside: Where the runs lie outside of what was fitted.
         num_spikes: Samples that were left out as spikes, for both models.
+        num_misread: Jumps of measured commands that were taken out, for both models.
         failed: Runs that a model cannot simulate, with why; nothing is known of a gain then.
         predicted: By run, what plain and extended model say of it, with the run's own values
             fitted, each (num_samples, num_channels) [unit of the channel].
@@ -214,6 +217,7 @@ class Unseen:
     gains: Mapping[str, Gain]
     outside: tuple[OutsideRow, ...]
     num_spikes: int = 0
+    num_misread: int = 0
     failed: Mapping[str, str] = field(default_factory=dict)
     predicted: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     bands: Mapping[str, Array] = field(default_factory=dict)
@@ -232,6 +236,7 @@ class Unseen:
             "fitted": [asdict(row) for row in self.own],
             "differences": list(self.differences),
             "num_spikes": self.num_spikes,
+            "num_misread": self.num_misread,
             "failed": dict(self.failed),
         }
 
@@ -277,11 +282,12 @@ def on_unseen(
     failed: dict[str, str] = {}
     predicted: dict[str, tuple[Array, Array]] = {}
     bands: dict[str, Array] = {}
-    cleaned, before, after, num_spikes = [], [], [], 0
+    cleaned, before, after, num_spikes, num_misread = [], [], [], 0, 0
     fitted: list[OwnRow] = []
     for given in runs:
         try:
-            run, count = _without_spikes((plain, extended), given)
+            run, misread = settled(given, commands, partial(_left_by, extended), sd)
+            run, count = _without_spikes((plain, extended), run)
             points = [
                 At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
                 for frozen in (plain, extended)
@@ -291,7 +297,7 @@ def on_unseen(
         except DiffsimError as error:  # of one run: the answer to all others stands
             failed[given.name] = str(error)
             continue
-        num_spikes += count
+        num_spikes, num_misread = num_spikes + count, num_misread + misread
         left = [run.measured - prediction for prediction in said]
         # what the study declares unknown of a run, and start states that a model fits away
         own = own_names(extended.problem.names, run, unmet)
@@ -323,6 +329,7 @@ def on_unseen(
         gains=gains,
         outside=outside_rows(cleaned, channels, spans, commands),
         num_spikes=num_spikes,
+        num_misread=num_misread,
         failed=failed,
         predicted=predicted,
         bands=bands,
@@ -370,10 +377,14 @@ def _first_reading(run: Run) -> Array:
     return np.where(valid.any(axis=0), first, np.nan)
 
 
+def _left_by(model: Frozen, run: Run) -> Array:
+    return run.measured - _predict_run(model, run)
+
+
 def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     """The run without isolated spikes; a spike is one in the record itself and to every model."""
     is_spike = np.isfinite(run.measured)
-    left = (run.measured - _predict_run(frozen, run) for frozen in models)
+    left = (_left_by(frozen, run) for frozen in models)
     for record in (run.measured, *left):
         cleaned, _ = without_spikes(run, record)
         is_spike &= ~np.isfinite(cleaned.measured)

@@ -170,6 +170,7 @@ def report_of(
         screened=screened,
         cannot_see=cannot_see(effects, screened, case.unmet, rows),
         num_spikes=null.num_spikes,
+        num_misread=null.num_misread,
         gain=judgment.gain,
         settings=_settings(null, search, seed),
         null=null.fit,

@@ -43,6 +43,7 @@ class Report(Answer):
         screened: Scores of all candidates at the plain model.
         cannot_see: Effect or component -> why, or the smallest visible size.
         num_spikes: Samples that were taken out as spikes.
+        num_misread: Jumps of measured commands that were taken out.
         gain: Gain of the extended model on test runs; None without such runs.
         next_run: Advice, None if no bank of commands was given.
         force_map: Where and when a force is missing; None without an ``UnknownForce``.
@@ -69,6 +70,7 @@ class Report(Answer):
     screened: Screen
     cannot_see: Mapping[str, str]
     num_spikes: int
+    num_misread: int = 0
     gain: Gain | None
     settings: Mapping[str, Any]
     null: Fit
@@ -123,6 +125,7 @@ class Report(Answer):
             "source": self.floor.source,
             "scatter_ratio": self.floor.scatter_ratio,
             "num_spikes": self.num_spikes,
+            "num_misread": self.num_misread,
         }
 
     @property
@@ -137,7 +140,7 @@ class Report(Answer):
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fits' matrices and the recordings, in types that JSON has."""
         left_out = {"decision", "floor", "best_names", "beside"}
-        left_out |= {"screened", "num_spikes", "bands"}
+        left_out |= {"screened", "num_spikes", "num_misread", "bands"}
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.misread import settled, without_misread
 from diffsim.diagnose.checks.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.checks.numerics import (
     names_of_failed,
@@ -190,6 +192,7 @@ class Null:
         fit: Fit of the base parameters, without effects.
         at: Linearization where the fit ended.
         num_spikes: Number of samples that were removed as spikes.
+        num_misread: Number of jumps of measured commands that were taken out.
     """
 
     case: Case
@@ -197,6 +200,7 @@ class Null:
     fit: Fit
     at: Linearization
     num_spikes: int
+    num_misread: int = 0
 
     @property
     def wide(self) -> Problem:
@@ -261,9 +265,12 @@ def _can_be_simulated(problem: Problem) -> bool:
 def null_fit(case: Case) -> Null:
     """Fit the plain model, remove spikes, estimate the noise of the residuals, fit again.
 
-    The first fit uses a rough noise floor; the model prepares at its end what it prepares once.
+    The first fit uses a rough noise floor, and measured commands without their jumps; the model
+    prepares at its end what it prepares once.
     """
     study = case.study
+    recorded = study.runs
+    case, num_jumps = _without_jumps(case)
     raw = {r.name: r.measured for r in study.runs}
     channels = [
         c
@@ -277,16 +284,27 @@ def null_fit(case: Case) -> Null:
     fit, at = first_fit(problem, case.settings.windows)
     case = replace(case, model=fit.problem.model)
     case, (fit, at) = _prepare(case, WhiteNoise(channels), (fit, at))
-    cleaned = [without_spikes(r, residual_of(fit, r)) for r in study.runs]
+    rough = np.array([c.sd for c in channels], dtype=np.float64)
+    chosen = [settled(r, study.commands, partial(residual_of, fit), rough) for r in recorded]
+    num_misread = sum(count for _, count in chosen)
+    cleaned = [without_spikes(r, residual_of(fit, r)) for r, _ in chosen]
     num_spikes = sum(count for _, count in cleaned)
     study = replace(study, runs=tuple(run for run, _ in cleaned))
     case = replace(case, study=study)
     residuals = residuals_by_run(study.fit_runs, at.record)
     noise = noise_floor(study.fit_runs, study.channels, residuals)
     problem = case.problem(noise.whitener)
-    if num_spikes:  # a model that fits initial states to the record predicts otherwise without them
+    # a model that fits initial states to the record predicts otherwise without spikes
+    if num_spikes or num_misread != num_jumps:
         at = linearization_at(problem, fit.x)
-    return Null(case, noise, *gauss_newton(problem, at), num_spikes)
+    return Null(case, noise, *gauss_newton(problem, at), num_spikes, num_misread)
+
+
+def _without_jumps(case: Case) -> tuple[Case, int]:
+    """The case without jumps of measured commands, and their number."""
+    found = [without_misread(run, case.study.commands) for run in case.study.runs]
+    runs, counts = (tuple(x) for x in zip(*found, strict=True))
+    return replace(case, study=replace(case.study, runs=runs)), sum(counts)
 
 
 def _prepare(case: Case, whitener: Whitener, ended: Ended) -> tuple[Case, Ended]:

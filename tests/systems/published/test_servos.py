@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import yaml
 
 from benchmarks.servo_bench import constant_error, is_read
 from diffsim.data.study_check import check_study
@@ -22,6 +21,17 @@ FOLDER = Path(published.__file__).parent
 RUNS = "run,motor,mass_kg,arm_m,arm_mass_kg,kp,trajectory"
 TRUTH = {"supply": 12.0, "kt": 2.2, "resistance": 4.2, "armature": 0.02, "coulomb": 0.12}
 DELAY, FASTEST, LOAD_FRICTION = 0.02, 5.0, 0.15  # s, rad/s, share: hidden
+STUDY = """
+name: my_servo
+like: position_servo
+channels: [{name: position, column: position_rad}]
+commands: [{name: goal, column: goal_rad}, {name: powered, column: torque_enabled}]
+runs:
+  - name: "{run}"
+    file: "{run}.csv"
+    table: runs.csv
+    setup: {mass_kg: "{mass_kg}", arm_m: "{arm_m}", arm_mass_kg: "{arm_mass_kg}", kp: "{kp}"}
+"""
 TIME = 0.01 * np.arange(250)
 STEP = 5e-4  # s, of the twin's own integration
 
@@ -77,10 +87,7 @@ def twin(tmp_path_factory):
         header = "time_s,goal_rad,position_rad,temperature_C,torque_enabled"
         np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=header, comments="")
     (folder / "runs.csv").write_text("\n".join(rows) + "\n")
-    stated = yaml.safe_load((FOLDER / "servo_sts3215.yaml").read_text())
-    stated |= {"data": ".", "runs": [{**stated["runs"][0], "where": {"motor": "sts3215"}}]}
-    del stated["runs"][0]["use"]
-    (folder / "study.yaml").write_text(yaml.safe_dump(stated))
+    (folder / "study.yaml").write_text(STUDY)
     return folder
 
 
