@@ -18,6 +18,7 @@ STEPS = {
     "faults": "which groups of runs have a fault, and which, against the scatter between groups",
     "export": "constants of a saved model in the words of other programs",
     "next": "which run to record next to settle what is open",
+    "schema": "JSON Schema of study.yaml, for editors that complete keys",
 }
 
 
@@ -30,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
     }
     _starting(made.pop("init"))
     _finding(made.pop("faults"))
+    made.pop("schema").add_argument(
+        "--out",
+        type=Path,
+        default=Path("study.schema.json"),
+        help="file to write (default: %(default)s)",
+    )
     for name, step in made.items():
         step.add_argument(
             "study", metavar="STUDY", help="study.yaml, its folder, or a published data set's name"
@@ -178,6 +185,15 @@ def command(args: argparse.Namespace) -> None:
         StudyError: the study has errors, printed above.
         ValueError: names that the setup does not have.
     """
+    if args.step == "init":
+        _refuse_early(args)
     from diffsim.cli.diagnose_steps import run_step
 
     run_step(args)
+
+
+def _refuse_early(args: argparse.Namespace) -> None:
+    """What needs no simulator to be refused: PyTorch takes seconds to load."""
+    from diffsim.cli.init_target import require_target
+
+    require_target(args.folder, args.out, force=args.force)

@@ -12,13 +12,14 @@ from typing import Any
 import yaml
 
 from diffsim.cli.diagnose_inputs import described
+from diffsim.cli.init_target import require_target
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
 from diffsim.data.runs_guess import GuessedQuantity, GuessedRun
 from diffsim.data.study_check import TODO
-from diffsim.data.study_file import STUDY_FILE, load_study
+from diffsim.data.study_file import load_study
 from diffsim.data.study_guess import Guess, guess_study
 from diffsim.systems.registry import DESCRIPTIONS
 
@@ -32,6 +33,16 @@ For a cart on a spring that a command `force` pushes, with a channel `position`:
   rates: {x: v, v: (force - c*v - k*x)/m}
   readings: {position: x}
   places: [{name: cart, position: x, velocity: v, inertia: m}]   # where forces may act""",
+    "soft_body": """\
+For a bar of silicone, clamped at x = 0, whose tip a camera follows, with a channel `tip_z`:
+  body: {bar: {size: [100 mm, 30 mm, 30 mm], cells: [6, 2, 2]}}    # or {mesh: part.msh}
+  material:
+    youngs_modulus: {value: 260 kPa, percent: 30}
+    density: {value: 1070, percent: 2}
+    rayleigh_beta: {value: 2 ms, percent: 70}
+  fixed: [{x: 0 mm}]
+  markers: {tip: {at: [100 mm, 15 mm, 15 mm]}}
+  channels: {tip_z: {markers: [tip], axis: z}}""",
 }
 SKIPPED = ("system", "effects", "effort")  # every description has them, and few need them
 
@@ -61,11 +72,7 @@ def init(
         ValueError: nothing in the folder looks like a recording, or no such kind of system.
     """
     require_choice("--system", system, DESCRIPTIONS)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"{folder}: no such folder; give the folder of your recordings")
-    out = out or folder / STUDY_FILE
-    if out.exists() and not force:
-        raise FileExistsError(f"{out} is there already; --force replaces it")
+    out = require_target(folder, out, force=force)
     guess = guess_study(folder, parts)
     text = study_text(guess, folder, out, system)
     write_text_atomic(out, text)

@@ -25,6 +25,7 @@ from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.cli.diagnose_judged import write_judged
 from diffsim.cli.diagnose_progress import progress_bar
+from diffsim.cli.diagnose_schema import write_schema
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -58,6 +59,11 @@ def run_step(args: argparse.Namespace) -> None:
 def _init(args: argparse.Namespace) -> None:
     """Write a first study of a folder."""
     init(args.folder, args.out, system=args.system, parts=args.parts, force=args.force)
+
+
+def _schema(args: argparse.Namespace) -> None:
+    """Write the schema of study.yaml."""
+    write_schema(args.out)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -422,6 +428,7 @@ def _read_json(path: Path) -> Mapping[str, Any] | None:
 
 STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
     "init": _init,
+    "schema": _schema,
     "check": _check,
     "fit": _fit,
     "explain": _explain,

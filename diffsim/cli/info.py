@@ -9,9 +9,10 @@ import platform
 from pathlib import Path
 
 from diffsim.core import paths
+from diffsim.core.optional import extras, lacking
 from diffsim.core.version import __version__
 
-HELP = "versions, processor, data folder"
+HELP = "versions, extras, processor, data folder"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +35,10 @@ def command(_args: argparse.Namespace) -> None:
         rows.append(("available here", ", ".join(compiled.available())))
     except ImportError as err:
         rows.append(("compiled core", f"not loaded: {err}"))
+    for name, wanted in extras().items():
+        lacks = lacking(wanted)
+        said = f"lacks {', '.join(lacks)}" if lacks else "installed"
+        rows.append((f"extra {name}", said))
     rows.append(("processors", str(os.cpu_count())))
     rows.append(("package", str(Path(__file__).parents[1])))
     folder = paths.data_folder()

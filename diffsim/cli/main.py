@@ -32,6 +32,7 @@ from diffsim.core.interrupts import (
     ending_in_one_line,
     terminate_as_interrupt,
 )
+from diffsim.core.progress import hide_progress
 from diffsim.core.version import __version__
 
 EXIT_MISTAKE = 2  # what argparse uses too
@@ -64,6 +65,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"diffsim {__version__}")
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    common.add_argument("--quiet", action="store_true", help="no progress, only results")
     common.add_argument(
         "--links",
         type=Path,
@@ -104,6 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.options = given[cut + 1 :]
     try:
         allow_links(args.links)
+        hide_progress(args.quiet)
         status = args.run(args) or 0
         sys.stdout.flush()
         return status

@@ -1,7 +1,7 @@
 """Optional packages: imported when needed, asked for before work starts, named as pip knows them.
 
-The advice names the packages themselves, never an extra of diffsim: it works for every way of
-installing, from a checkout or a wheel.
+The advice names the packages themselves, which works for every way of installing; the extra of
+diffsim that has them stands beside.
 """
 
 from __future__ import annotations
@@ -46,6 +46,31 @@ def requirement(module: str) -> str:
     return name
 
 
+def extras() -> dict[str, list[str]]:
+    """Requirements of each extra, by its name; none where diffsim's metadata is not installed."""
+    try:
+        lines = importlib.metadata.requires(DISTRIBUTION) or []
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        wanted, _, condition = line.partition(";")
+        if (extra := re.search(r"extra == ['\"](\w+)['\"]", condition)) and "[" not in wanted:
+            found.setdefault(extra[1], []).append(wanted.strip())
+    return found
+
+
+def lacking(requirements: Sequence[str]) -> list[str]:
+    """Names of the distributions among requirements that are not installed."""
+    lacks = []
+    for name in (re.split(r"[<>=!~\[ ]", wanted)[0] for wanted in requirements):
+        try:
+            importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            lacks.append(name)
+    return lacks
+
+
 def advice(modules: Sequence[str]) -> str:
     """The command that installs such modules.
 
@@ -53,10 +78,13 @@ def advice(modules: Sequence[str]) -> str:
         modules: names as they are imported.
 
     Returns:
-        Such as ``pip install 'osqp>=0.6.7' 'cvxpy>=1.5'``.
+        Such as ``pip install 'osqp>=0.6.7' 'cvxpy>=1.5' (extra opt of diffsim-robot)``.
     """
     wanted = dict.fromkeys(requirement(module) for module in modules)
-    return "pip install " + " ".join(f"'{r}'" if re.search(r"[<>=]", r) else r for r in wanted)
+    holding = [name for name, has in extras().items() if name != "all" and set(wanted) <= set(has)]
+    where = f" (extra {holding[0]} of {DISTRIBUTION})" if holding else ""
+    command = " ".join(f"'{r}'" if re.search(r"[<>=]", r) else r for r in wanted)
+    return f"pip install {command}{where}"
 
 
 def optional(module: str, *, purpose: str, otherwise: str = "") -> ModuleType:

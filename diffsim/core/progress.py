@@ -157,6 +157,15 @@ class ProgressLines:
         self._last = line
 
 
+_hidden = False
+
+
+def hide_progress(hidden: bool) -> None:
+    """Show no progress of this process from now on, or show it again: ``--quiet``."""
+    global _hidden
+    _hidden = hidden
+
+
 def show_progress(
     iterable: Iterable[Any] | None = None,
     *,
@@ -176,7 +185,7 @@ def show_progress(
         disable: Whether to show nothing.
         **look: Options of ``tqdm`` that change how the bar on a terminal looks.
     """
-    if disable:
+    if disable or _hidden:
         return tqdm(iterable, disable=True)
     said: dict[str, Any] = {"desc": desc, "total": total, "initial": initial}
     said |= {"unit": unit, "leave": leave}

@@ -99,12 +99,12 @@ def causes(r: Report) -> Table:
     """Every candidate cause with its status, probability and size."""
     columns = [
         "cause",
-        "name",
         "status",
-        "probability",
         "size (90 % interval)",
+        "probability",
         "gain where not fitted (90 % interval)",
         "removes",
+        "name",
         "note",
     ]
     return Table(
@@ -116,6 +116,8 @@ def causes(r: Report) -> Table:
         "the error removed from runs that the cause was not fitted to. Removes: share of the "
         "fitted misfit above the noise that is back without the cause.",
         emphasis=[i for i, row in enumerate(r.causes) if row.status == "certain"],
+        folded=[i for i, row in enumerate(r.causes) if row.status == REFUTED and not row.helps],
+        folded_words="refuted",
     )
 
 
@@ -174,12 +176,12 @@ def _cause(row: CauseRow) -> list[str]:
     row = row.as_read()
     return [
         row.words,
-        row.name,
         _status(row),
-        "–" if row.probability is None else f"{row.probability:.2f}",
         _sizes(row),
+        "–" if row.probability is None else f"{row.probability:.2f}",
         _interval(row.gain),
         "–" if row.removes is None else f"{row.removes:.0%}",
+        row.name,
         _note(row),
     ]
 

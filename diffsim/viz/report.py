@@ -77,12 +77,16 @@ class Table:
         rows: Cells, as many as columns.
         caption: What the table shows.
         emphasis: Indices of rows to stress.
+        folded: Indices of rows that stand in a part of their own, which a click opens.
+        folded_words: What these rows are, as "refuted".
     """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     caption: str = ""
     emphasis: Sequence[int] = ()
+    folded: Sequence[int] = ()
+    folded_words: str = ""
 
     def __post_init__(self) -> None:
         for i, row in enumerate(self.rows):
@@ -91,6 +95,15 @@ class Table:
                     f"table row {i} has {len(row)} cells, but there are {len(self.columns)} "
                     f"columns: {list(row)}"
                 )
+
+    @property
+    def parts(self) -> list[tuple[str, list[int]]]:
+        """Indices of rows by part, each with what a click opens it by; the first stands open."""
+        folded = set(self.folded)
+        parts = [("", [i for i in range(len(self.rows)) if i not in folded])]
+        if folded:
+            parts.append((f"{len(folded)} {self.folded_words}", sorted(folded)))
+        return parts
 
     @property
     def numeric(self) -> frozenset[int]:

@@ -345,15 +345,17 @@ def test_the_status_says_below_which_size_and_beside_which_rivals():
     likely = CauseRow("b", "b", "effect", "likely", 0.9, size, "N", rivals=("c", "d"))
     refuted = CauseRow("e", "e", "effect", "refuted", 0.0, size, "N", rivals=("b",))
     unjudged = CauseRow("f", "f", "effect", "not judged", None, {}, "N", note="three runs")
-    rows = tables.causes(example(causes=(hidden, likely, refuted, unjudged))).rows
-    assert [row[2] for row in rows] == [
+    shown = tables.causes(example(causes=(hidden, likely, refuted, unjudged)))
+    rows = shown.rows
+    assert [row[1] for row in rows] == [
         "not visible below 0.0187 to 0.0219 m/s^2",
         "likely; rivals: c, d",
         "refuted by b",
         "not judged",
     ]
-    assert [row[4].replace("\xa0", " ") for row in rows] == ["–", "0.2 (0.1 to 0.3) N", "–", "–"]
+    assert [row[2].replace("\xa0", " ") for row in rows] == ["–", "0.2 (0.1 to 0.3) N", "–", "–"]
     assert rows[3][7] == "needs three runs"
+    assert shown.parts == [("", [0, 1, 3]), ("1 refuted", [2])]
 
 
 def test_the_note_of_a_likely_cause_says_why_it_is_not_certain():
@@ -468,10 +470,10 @@ def test_the_page_shows_the_report():
     shown = dr.diagnosis_page(report)
     tables = [c for s in shown.sections for c in s.content if isinstance(c, page.Table)]
     causes = next(t for t in tables if t.caption.startswith("Probability"))
-    assert causes.rows[0][:4] == ["a tilt", "tilt", "certain", "1.00"]
-    sizes = causes.rows[0][4].replace("\xa0", " ").split("\n")
+    assert [causes.rows[0][k] for k in (0, 1, 3, 6)] == ["a tilt", "certain", "1.00", "tilt"]
+    sizes = causes.rows[0][2].replace("\xa0", " ").split("\n")
     assert sizes == ["x: 0.1 (0.08 to 0.12) rad", "y: 0.2 (0.15 to 0.25) rad"]
-    assert causes.rows[0][5] == "0.97 (0.93 to 0.99)"
+    assert causes.rows[0][4] == "0.97 (0.93 to 0.99)"
     base = next(t for t in tables if t.caption.startswith("Pull"))
     assert base.rows[0] == ["gain", "a", "1.4 (1.37 to 1.43)", "1 ± 0.1", "–", "+4.0"]
     assert list(base.emphasis) == [0]
