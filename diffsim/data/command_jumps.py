@@ -20,6 +20,7 @@ WIDTH = 5  # samples whose median is compared with: what lasts longer than two i
 FAR = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
 LEAST = 0.02  # of the command's range
 ALONE = 6.0  # times the changes on either side of a lasting jump
+GAP = 1.5  # usual time steps
 MOST = 0.03  # share of the samples; more are how the command is
 
 
@@ -37,13 +38,16 @@ class Jumps(NamedTuple):
     size: float
 
 
-def jumps_of(values: Array, *, is_measured: bool, noise: float = 0.0) -> Jumps:
+def jumps_of(
+    values: Array, *, is_measured: bool, noise: float = 0.0, times: Array | None = None
+) -> Jumps:
     """Jumps of a command or channel in a run.
 
     Args:
         values: Its samples; those that are not finite are left out.
         is_measured: Whether lasting jumps are looked for: what is commanded may jump and stay.
         noise: Standard deviation that is usual, of a sensor that may stand still for a while.
+        times: Times of the samples [s]: over a gap of lost ones it may have moved far. None: even.
     """
     valid = np.flatnonzero(np.isfinite(values))
     seen = values[valid]
@@ -58,6 +62,9 @@ def jumps_of(values: Array, *, is_measured: bool, noise: float = 0.0) -> Jumps:
     lasting = np.empty(0, dtype=np.int64)
     if is_measured:
         lasting = _lasting(change, max(FAR * float(np.median(change)), least))
+        if times is not None:
+            step = np.diff(np.asarray(times)[valid])
+            lasting = lasting[step[lasting - 1] < GAP * np.median(step)]
         near = np.abs(lasting[:, None] - back[None, :]).min(axis=1, initial=len(seen)) > 1
         lasting = lasting[near]
     if len(back) + len(lasting) > MOST * len(seen):

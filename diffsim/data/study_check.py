@@ -271,7 +271,7 @@ def _find_misread(run: Run, channel: Channel, values: Array) -> Iterator[Problem
 def _find_jumps(run: Run, study: Study, name: str) -> Iterator[Problem]:
     """Jumps of a command: a model takes them for motion."""
     known = next((c for c in study.commands if c.name == name), Command(name))
-    jumps = jumps_of(run.command[name], is_measured=known.is_measured)
+    jumps = jumps_of(run.command[name], is_measured=known.is_measured, times=run.time_s)
     unit = known.shown_unit or known.unit
     times = 1.0 if unit == known.unit or unit is None else factor(known.unit or unit, unit)
     does = _MENDED if known.is_measured else _TAKEN

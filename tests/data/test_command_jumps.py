@@ -36,6 +36,13 @@ def test_a_marker_that_is_taken_for_another_stays_off():
     assert found(sway, is_measured=False) == ([], [])  # what is commanded may step
 
 
+def test_over_a_gap_of_lost_samples_it_may_have_moved():
+    kept = np.r_[0:200, 240:500]  # 0.4 s were lost
+    values = 5.0 * TIME[kept] + NOISE[kept]
+    assert jumps_of(values, is_measured=True, times=TIME[kept]).lasting == []
+    assert jumps_of(values, is_measured=True).lasting == [200]
+
+
 @pytest.mark.parametrize(
     "values",
     [

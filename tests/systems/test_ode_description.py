@@ -532,3 +532,16 @@ def test_a_run_that_begins_after_its_rest_states_what_it_rested_at():
 def test_a_run_that_begins_after_its_rest_is_told_what_to_state():
     with pytest.raises(ValueError, match=r"no sample of height.*rest_height: \.\.\."):
         predicted(risen(None, 0.5))
+
+
+def test_a_run_that_begins_after_its_rest_has_that_of_the_fitted_runs():
+    """As where the last third of a record is judged by a model that was fitted to the first two."""
+    whole = risen(None, 0.0)
+    frame = setup_of(whole).model.frame
+    assert frame["rests"] == {"height": pytest.approx(0.25)}
+    late = replace(risen(None, 0.5), frame=frame)
+    np.testing.assert_allclose(predicted(late), predicted(whole)[-25:], rtol=0, atol=1e-12)
+    # a mean of its own is nearer to it, and runs that rest at several readings tell none
+    assert predicted(replace(risen(0.3, 0.5), frame=frame))[-1] == pytest.approx(0.4, abs=1e-12)
+    other = replace(whole.runs[0], name="other", measured=whole.runs[0].measured + 0.2)
+    assert setup_of(replace(whole, runs=(*whole.runs, other))).model.frame["rests"] == {}

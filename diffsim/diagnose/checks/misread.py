@@ -29,7 +29,7 @@ def without_misread(run: Run, commands: Sequence[Command]) -> tuple[Run, int]:
     mended, count = dict(run.command), 0
     for name in (c.name for c in commands if c.is_measured and c.name in run.command):
         values = run.command[name]
-        jumps = jumps_of(values, is_measured=True)
+        jumps = jumps_of(values, is_measured=True, times=run.time_s)
         if num := len(jumps.back) + len(jumps.lasting):
             mended[name] = without_jumps(values, run.time_s, jumps)
             count += num

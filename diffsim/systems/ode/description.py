@@ -40,7 +40,7 @@ from diffsim.systems.ode.law_effects import (
 )
 from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
-from diffsim.systems.ode.names import Reader, longest, where_of
+from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
@@ -162,6 +162,7 @@ class OdeDescription(FormulaKeys):
             PARTS: read.parts,
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
             SCALES: scales.saved(),
+            RESTS: rests_of(study, self.rest),
         }
         found = (*ode_effects(library), *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)

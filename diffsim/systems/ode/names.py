@@ -18,6 +18,8 @@ from diffsim.systems.ode.keys import FormulaKeys, Rest
 from diffsim.systems.ode.network import TIME
 
 RUN_ORDER = "run_order"
+RESTS = "rests"  # place in a study's frame
+ALIKE = 0.02  # of the range of a channel: means at rest that differ by less are one
 _RESERVED = (TIME, RUN_ORDER, "reading", "size", "pi", "e", *FUNCTIONS)
 
 
@@ -55,7 +57,8 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
     """First samples of the channels, and their means while the system rests.
 
     They are facts of the recording: those of the whole run also where a part of it is left out.
-    A mean that the run states among its facts is no longer taken from samples.
+    A mean that the run states among its facts is no longer taken from samples. A run that begins
+    after its rest has the mean of the runs that were fitted, if that is in the study's frame.
 
     Raises:
         ValueError: nothing was measured while it should rest.
@@ -69,14 +72,33 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
             low = -math.inf if rest.from_s is None else _evaluate_fact(rest.from_s, run)
             high = _evaluate_fact(rest.until_s, run)
             inside = column[(run.time_s >= low) & (run.time_s <= high) & np.isfinite(column)]
-            if not len(inside):
+            kept = study.frame.get(RESTS, {}).get(channel.name)
+            if not len(inside) and kept is None:
                 raise ValueError(
                     f"{where_of(study)}.rest: run {run.name} has no sample of {channel.name} "
                     f"from {low:g} to {high:g} s; where the run begins later, state it: "
                     f"`setup: {{rest_{channel.name}: ...}}`"
                 )
-            out[f"rest_{channel.name}"] = float(inside.mean())
+            out[f"rest_{channel.name}"] = float(inside.mean()) if len(inside) else float(kept)
     return out
+
+
+def rests_of(study: Study, rest: Rest | None) -> dict[str, float]:
+    """Means at rest of the channels in which all runs rest at the same reading, by name.
+
+    Those that the study's frame holds, if it has one.
+    """
+    if rest is None or RESTS in study.frame:
+        return dict(study.frame.get(RESTS, {}))
+    found = {}
+    for i, channel in enumerate(study.channels):
+        name = f"rest_{channel.name}"
+        means = [({**facts_of(r), **data_values(study, r, rest)})[name] for r in study.runs]
+        seen = [r.measured[np.isfinite(r.measured[:, i]), i] for r in study.runs]
+        width = max((float(np.ptp(values)) for values in seen if len(values)), default=0.0)
+        if np.ptp(means) <= ALIKE * width:
+            found[channel.name] = float(np.mean(means))
+    return found
 
 
 def _evaluate_fact(formula: str, run: Run) -> float:
