@@ -67,12 +67,31 @@ class Grid:
         """Time since the run's first sample; 0 before it, where a grid begins earlier [s]."""
         return (self.times - float(self.seconds[0])).clamp(min=0.0)
 
-    def resampled(self, values: NDArray[np.float64], *, held: bool) -> Tensor:
-        """Values at the samples, at the times of the integrator."""
+    def resampled(self, values: NDArray[np.float64] | Tensor, *, held: bool) -> Tensor:
+        """Values at the samples, (..., num_samples), at the times of the integrator.
+
+        Gradient: values, where they are a tensor.
+        """
+        if isinstance(values, Tensor):
+            return self._read_tensor(values, held)
         if held:
-            at = np.searchsorted(self.seconds, self.times.numpy(), side="right") - 1
-            return torch.from_numpy(np.ascontiguousarray(values[at]))
+            return torch.from_numpy(np.ascontiguousarray(values[self._last_sample()]))
         return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
+
+    def _last_sample(self) -> NDArray[np.int64]:
+        """Index of the sample at or before each time."""
+        return np.searchsorted(self.seconds, self.times.numpy(), side="right") - 1
+
+    def _read_tensor(self, values: Tensor, held: bool) -> Tensor:
+        left = torch.from_numpy(self._last_sample())
+        if held:
+            return values[..., left]
+        left = left.clamp(max=max(len(self.seconds) - 2, 0))
+        right = (left + 1).clamp(max=len(self.seconds) - 1)
+        seconds = torch.from_numpy(self.seconds)
+        gap = (seconds[right] - seconds[left]).clamp(min=torch.finfo(torch.float64).tiny)
+        share = (self.times - seconds[left]) / gap
+        return values[..., left] + share * (values[..., right] - values[..., left])
 
 
 @lru_cache(maxsize=64)

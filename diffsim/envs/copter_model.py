@@ -13,11 +13,10 @@ from torch import Tensor
 
 from diffsim.copter import Fleet, FlightEffects, Multicopter
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag, RotorDrag
-from diffsim.identify.model_file import SavedModel, read_extended
+from diffsim.identify.model_file import FARTHEST, SavedModel, read_extended
 from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
 
 SYSTEM = "multicopter"  # name of the plain model in the file
-_SIGMAS = 3.0  # widest draw of a size
 # What a fit knows by its logarithm: above zero in every draw.
 _LOGARITHMIC = (
     "mass",
@@ -49,19 +48,17 @@ class CopterSizes:
     """Sizes that change a copter, with their posterior.
 
     Attributes:
-        path: File that they are of.
+        saved: Content of the file that they are of.
         names: Parameters and components of causes, each in the unit of the file.
         values, sd: Of each, (num_sizes,).
-        correlation: Of the posterior, (num_sizes, num_sizes).
         set_aside: Names of what only the recording's instruments or single runs had.
         frames: That the recording is written in.
     """
 
-    path: Path
+    saved: SavedModel
     names: tuple[str, ...]
     values: Tensor
     sd: Tensor
-    correlation: Tensor
     set_aside: tuple[str, ...]
     frames: RecordingFrames
 
@@ -98,13 +95,10 @@ class CopterSizes:
                 "or state the number in the study)"
             )
         return cls(
-            path=saved.path,
+            saved=saved,
             names=tuple(names),
             values=torch.tensor([saved.values[n] for n in names], dtype=torch.float64),
             sd=torch.tensor([saved.sd[n] for n in names], dtype=torch.float64),
-            correlation=torch.tensor(
-                [[saved.correlation_of(a, b) for b in names] for a in names], dtype=torch.float64
-            ).reshape(len(names), len(names)),
             set_aside=tuple(aside),
             frames=_frames_of(saved, names),
         )
@@ -115,10 +109,7 @@ class CopterSizes:
         Numbers above zero are drawn by their logarithm, as they were fitted; no draw is farther
         than 3 sd from its value, and no drag, load or delay is negative.
         """
-        order, turns = torch.linalg.eigh(self.correlation)
-        unit = torch.from_numpy(rng.standard_normal((batch, len(self.names))))
-        spread = (unit * order.clamp(min=0.0).sqrt()) @ turns.mT
-        spread = spread.clamp(-_SIGMAS, _SIGMAS)
+        spread = self.saved.draw(self.names, batch, rng)
         columns = []
         for name, value, sd, z in zip(self.names, self.values, self.sd, spread.mT, strict=True):
             if name in _LOGARITHMIC:
@@ -134,7 +125,7 @@ class CopterSizes:
         if "delay" not in self.names:
             return 0.0
         k = self.names.index("delay")
-        return float(self.values[k] + _SIGMAS * self.sd[k])
+        return float(self.values[k] + FARTHEST * self.sd[k])
 
     def has_any(self, names: tuple[str, ...]) -> bool:
         """Whether the file holds one of some sizes."""

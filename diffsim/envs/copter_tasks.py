@@ -133,9 +133,9 @@ class CopterHover(Task):
         sizes = self.sizes
         if sizes is not None:
             if lag is not None and sizes.has_lag:
-                raise ValueError(f"motor_time_constant is that of {sizes.path}; leave it out")
+                raise ValueError(f"motor_time_constant is that of {sizes.saved.path}; leave it out")
             if drag is not None and sizes.has_drag:
-                raise ValueError(f"drag is that of {sizes.path}; leave it out")
+                raise ValueError(f"drag is that of {sizes.saved.path}; leave it out")
         usual = 0.1 if sizes is None else 0.0
         return 0.03 if lag is None else lag, usual if drag is None else drag
 

@@ -27,8 +27,10 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import yaml
+from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.files import to_plain, write_text_atomic
@@ -43,6 +45,7 @@ from diffsim.identify.setup import DiagnosisSetup
 
 MODEL_FILE = "extended_model.yaml"
 LEAST_CORRELATION = 0.01  # that is worth a place in the file
+FARTHEST = 3.0  # standard deviations that a draw may be off
 _ENTRY_KEYS = ("value", "sd", "unit")
 
 
@@ -90,6 +93,23 @@ class SavedModel:
             return 1.0
         rows = self.correlation
         return float(rows.get(a, {}).get(b, rows.get(b, {}).get(a, 0.0)))
+
+    def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
+        """Standardized deviations of sizes from their values, as the posterior has them.
+
+        Args:
+            names: Parameters and components, in the order wanted.
+            count: Number of draws.
+            rng: Source of chance.
+
+        Returns:
+            (count, len(names)), within 3 standard deviations, with the file's correlations.
+        """
+        rows = [[self.correlation_of(a, b) for b in names] for a in names]
+        correlation = torch.tensor(rows, dtype=torch.float64).reshape(len(names), len(names))
+        spread, turns = torch.linalg.eigh(correlation)
+        unit = torch.from_numpy(rng.standard_normal((count, len(names))))
+        return ((unit * spread.clamp(min=0.0).sqrt()) @ turns.mT).clamp(-FARTHEST, FARTHEST)
 
     def framed(self, study: Study) -> Study:
         """A study of new runs, its causes as they were where the model was fitted."""

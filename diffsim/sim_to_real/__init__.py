@@ -13,11 +13,13 @@ from diffsim.sim_to_real.measured import on_real_recording
 from diffsim.sim_to_real.model import CHANNELS, Starfish
 from diffsim.sim_to_real.records import Iteration, LoopResult, LoopSettings
 from diffsim.sim_to_real.rod_swimmer import Truth
+from diffsim.sim_to_real.tracking import BestCommand, Tracking, TrackingTask, best_command
 from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, speed, travel_loss
 
 __all__ = [
     "CHANNELS",
     "AwaitingRecordingError",
+    "BestCommand",
     "Command",
     "FileHardware",
     "FitSettings",
@@ -29,9 +31,12 @@ __all__ = [
     "LoopSettings",
     "Rig",
     "Starfish",
+    "Tracking",
+    "TrackingTask",
     "TrajectorySettings",
     "Truth",
     "VirtualLaboratory",
+    "best_command",
     "followed",
     "identify",
     "on_real_recording",

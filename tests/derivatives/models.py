@@ -10,6 +10,7 @@ import torch
 from diffsim import copter, envs, identify, sim_to_real, soft, stokes
 from diffsim.copter import codesign, simulator
 from diffsim.copter.airframe import Airframe
+from diffsim.data.study import Channel, Run, Study
 from diffsim.envs.soft_tasks import Advance
 from diffsim.stokes import devices
 from diffsim.systems import flow_network, robots
@@ -205,7 +206,28 @@ CALL |= {
     "SoftModel.simulate_many": lambda: {**SOFT, "q": SOFT["q"].expand(2, -1).clone(), "sizes": {}},
     "SoftModel.scene": lambda: SOFT,
 }
+
+# --- commands that are sought for a diagnosed system
+
+COURSE = sim_to_real.Tracking(
+    seconds=0.2,
+    every=0.05,
+    knots=3,
+    commands={"force": {"least": -1.0, "most": 2.0}},
+    wanted={"place": {"course": "0.3*t", "miss": 0.1}},
+)
+ONE_RUN = Run("run", np.arange(3.0), np.zeros((3, 1)), {"force": np.zeros(3)}, "run")
+FOLLOWED = COURSE.for_study(Study("cart", "ode", (Channel("place", "m", "position"),), (ONE_RUN,)))
+MAKE[sim_to_real.TrackingTask] = dict
+FACTORIES[sim_to_real.TrackingTask] = lambda: FOLLOWED
+CALL |= {
+    "TrackingTask.commands": lambda: {"knots": 0.5 + 0.1 * noise(3)},
+    "TrackingTask.calm": lambda: {"knots": 0.5 + 0.1 * noise(3)},
+    "TrackingTask.misses": lambda: {"channels": noise(2, 5, 1)},
+    "TrackingTask.score": lambda: {"channels": noise(2, 5, 1)},
+}
 LATER += [
+    r"systems\.Twin\.|sim_to_real\.best_command",  # of a file: tests/systems/test_twin.py
     r"shape_(at|of)$|prepared_at$|picture$|factor$",  # no tensors, or what others go through
     r"systems\.multicopter\.",  # initial states are fitted away, which leaves terms out
     r"systems\.(outside|balls)\.|sim_to_real\.(Starfish|travel_loss)",

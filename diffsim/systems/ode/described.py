@@ -381,7 +381,8 @@ class FormulaSystem:
             return {}
         formulas = repr((self.keys, self._given, self.motion, self.parts, self.input_held))
         model = self.model()
-        found = {run.name: pieces_of(run, model, formulas) for run in self.study.runs}
+        runs = [run for run in self.study.runs if np.isfinite(run.measured).any()]
+        found = {run.name: pieces_of(run, model, formulas) for run in runs}
         return {name: pieces for name, pieces in found.items() if pieces}
 
     def _list_starts_of_pieces(self) -> list[Parameter]:

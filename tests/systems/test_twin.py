@@ -1,0 +1,150 @@
+"""A diagnosed system under new commands: values, gradients, draws, mended causes."""
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.identify import fit
+from diffsim.identify.extended import extended_model
+from diffsim.identify.model_file import read_extended, save_extended
+from diffsim.sim_to_real.tracking import Tracking, best_command
+from diffsim.systems import Twin, setup_of
+
+T = 0.02 * np.arange(61.0)
+NEW = 0.02 * np.arange(51.0)
+MODEL = {
+    "system": "ode",
+    "states": {"x": "0 m", "v": "0 m/s"},
+    "rates": {"x": "v", "v": "(force - damping*v - spring*x)/mass"},
+    "inputs": [{"name": "force", "held": False}],
+    "parameters": {
+        "mass": {"value": 1.2, "percent": 7, "unit": "kg"},
+        "damping": {"value": 1.0, "percent": 50, "unit": "N s/m"},
+        "spring": {"value": 40.0, "percent": 15, "unit": "N/m"},
+    },
+    "readings": {"place": "x"},
+    "places": [{"name": "rail", "position": "x", "velocity": "v", "inertia": "mass"}],
+}
+TASK = Tracking(
+    seconds=1.0,
+    every=0.02,
+    knots=12,
+    wanted={"place": {"course": "0.05*sin(4*t)*t", "miss": 0.001}},
+)
+
+
+def _study(measured):
+    runs = [
+        Run(f"run_{k}", T, y, {"force": 3.0 * np.sin((4 + k) * T)}, f"run_{k}", k)
+        for k, y in enumerate(measured)
+    ]
+    return Study(
+        "cart",
+        "ode",
+        (Channel("place", "m", "position", sd=5e-4),),
+        tuple(runs),
+        model=MODEL,
+        commands=(Command("force", "N", -4.0, 4.0),),
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """Study of a cart with viscous drag by square and a late command, and its extended model."""
+    study = _study([np.zeros((len(T), 1))] * 3)
+    setup = setup_of(study)
+    causes = [e for e in setup.effects if e.name in ("square_drag", "delay")]
+    truth = {
+        e: torch.tensor([{"square_drag": 2.0, "delay": 0.03}[e.name]]).double() for e in causes
+    }
+    q = torch.zeros(len(setup.model.base), dtype=torch.float64)
+    rng = np.random.default_rng(3)
+    seen = [setup.model.predict(r, q, truth).detach().numpy() for r in study.runs]
+    study = _study([y + 5e-4 * rng.standard_normal(y.shape) for y in seen])
+    setup = setup_of(study)
+    causes = [e for e in setup.effects if e.name in ("square_drag", "delay")]
+    found = fit(setup.model, study.fit_runs, study.channels, effects=causes)
+    plain = fit(setup.model, study.fit_runs, study.channels)
+    path = tmp_path_factory.mktemp("twin") / "extended_model.yaml"
+    save_extended(found, path, study=study, verdict="named", plain=plain)
+    return study, path, found
+
+
+def test_says_of_a_recorded_command_what_the_fit_says(fitted):
+    study, path, found = fitted
+    twin, run = Twin.read(path, study, T), study.runs[1]
+    seen = twin.simulate({"force": torch.from_numpy(run.command["force"])})
+    assert twin.causes == tuple(e.name for e in found.problem.effects)
+    model = extended_model(found)
+    np.testing.assert_allclose(seen, model.predict(run, model.at_prior()), atol=1e-12)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("held", [False, True])
+def test_gradient_of_commands(fitted, held):
+    study, path, _ = fitted
+    model = {**MODEL, "inputs": [{"name": "force", "held": held}]}
+    frame = {k: v for k, v in read_extended(path).frame.items() if k != "held"}
+    saved = read_extended(path)
+    object.__setattr__(saved, "frame", frame)
+    twin = Twin.read(saved, study.__class__(**{**vars(study), "model": model}), NEW)
+    force = torch.from_numpy(2.0 * np.sin(5.0 * NEW + 0.3)).requires_grad_()
+    weights = torch.from_numpy(np.cos(9.0 * NEW))[:, None]
+    (slope,) = torch.autograd.grad((weights * twin.simulate({"force": force})).sum(), force)
+    way, h = torch.from_numpy(np.random.default_rng(1).standard_normal(len(NEW))), 1e-5
+    with torch.no_grad():
+        up, down = (
+            (weights * twin.simulate({"force": force + s * h * way})).sum() for s in (1, -1)
+        )
+    assert float(slope @ way) == pytest.approx(float((up - down) / (2 * h)), rel=1e-6)
+
+
+def test_a_mended_cause_and_the_plain_model(fitted):
+    study, path, _ = fitted
+    twin = Twin.read(path, study, NEW)
+    force = {"force": torch.from_numpy(2.0 * np.sin(5.0 * NEW))}
+    full, half, none = (twin.with_share(s).simulate(force) for s in (1.0, 0.5, 0.0))
+    assert torch.equal(full, twin.simulate(force))
+    assert (full - none).abs().max() > 1.5 * (half - none).abs().max() > 1e-3
+    only = twin.with_share(0.0, ["delay"]).simulate(force)
+    assert (only - full).abs().max() > 1e-3 < (only - none).abs().max()
+    assert twin.plain().causes == ()
+    with pytest.raises(ValueError, match="delay"):
+        twin.with_share(0.0, ["delays"])
+
+
+def test_draws_have_the_posteriors_spread_and_correlation(fitted):
+    study, path, _ = fitted
+    twin = Twin.read(path, study, NEW)
+    names = [p.name for p in twin.model.base]
+    q = twin.draw(4000, np.random.default_rng(0)).numpy()
+    mass, delay = names.index("mass"), names.index("delay")
+    assert np.abs(q).max() <= 3.0
+    np.testing.assert_allclose(q.std(0), 1.0, atol=0.06)
+    wanted = twin.saved.correlation_of("mass", "delay")
+    assert np.corrcoef(q[:, mass], q[:, delay])[0, 1] == pytest.approx(wanted, abs=0.06)
+
+
+def test_the_extended_models_command_serves_the_system_better_than_the_plain_ones(fitted):
+    study, path, _ = fitted
+    task, twin = TASK.for_study(study), Twin.read(path, study, TASK.time_s)
+    best, plain = best_command(twin, task), best_command(twin.plain(), task)
+    scores = [
+        float(task.score(twin.simulate(task.commands(torch.from_numpy(found.knots)))))
+        for found in (best, plain)
+    ]
+    assert scores[0] == pytest.approx(best.score, rel=1e-9)
+    assert scores[0] < 0.4 * scores[1]
+    robust = best_command(twin, task, at=twin.draw(4, np.random.default_rng(0)))
+    assert best.score < robust.score < scores[1]
+
+
+def test_refuses_other_systems_and_commands_without_bounds(fitted):
+    study, path, _ = fitted
+    with pytest.raises(ValueError, match=r"model\.system"):
+        Twin.read(path, study.__class__(**{**vars(study), "model": {"system": "rod"}}), NEW)
+    with pytest.raises(ValueError, match="force has no bounds"):
+        TASK.for_study(study.__class__(**{**vars(study), "commands": ()}))
+    with pytest.raises(ValueError, match="command of the study"):
+        Twin.read(path, study, NEW).simulate({"moment": torch.zeros(len(NEW)).double()})
