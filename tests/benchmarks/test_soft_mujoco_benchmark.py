@@ -1,0 +1,37 @@
+"""Errors along a path: doing nothing is no method, and halved steps come nearer."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from benchmarks import soft_mujoco
+
+
+@pytest.fixture
+def ours(monkeypatch):
+    """Our methods alone, on a motion that a coarse beam has soon."""
+    mine = {name: m for name, m in soft_mujoco.METHODS.items() if m.integrator is not None}
+    monkeypatch.setattr(soft_mujoco, "METHODS", mine)
+    monkeypatch.setattr(soft_mujoco, "AT", (1, 2))
+    return soft_mujoco.measure((4, 1, 1), 30.0, 1, 1)
+
+
+def test_halved_steps_are_nearer_and_nothing_is_far(ours):
+    rows = {(row.method, row.dt): row.mean for row in ours}
+    idle = [row.mean for row in ours if math.isnan(row.dt)]
+    assert len(idle) == 2 and min(idle) > 0.2
+    assert next(row.mean for row in ours if row.method.startswith("exact")) < 1e-3
+    assert min(row.mean for row in ours if row.dt < 1e-3) < 0.1 * min(idle)
+    for name in soft_mujoco.METHODS:
+        long, short = (mean for (method, _), mean in rows.items() if method == name)
+        assert short < long
+
+
+def test_table_and_figure(ours):
+    text = soft_mujoco.table(ours)
+    assert "| stays twisted |" in text and "nan" not in text
+    (ax,) = soft_mujoco.draw(ours, "a beam").axes
+    labels = [line.get_label() for line in ax.get_lines()]
+    assert labels[: len(soft_mujoco.METHODS)] == list(soft_mujoco.METHODS)
