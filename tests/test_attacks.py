@@ -69,6 +69,6 @@ def test_a_body_stays_what_it_is_and_says_so(change):
 def test_another_default_device_is_refused_in_a_sentence():
     with (
         torch.device("meta"),
-        pytest.raises(TypeError, match="computes on the CPU, but torch.set_"),
+        pytest.raises(TypeError, match="computes on the CPU"),
     ):
         make_body()
