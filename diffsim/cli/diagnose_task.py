@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from diffsim.sim_to_real.tracking import TrackingTask
     from diffsim.systems.twin import Twin
 
+UNSETTLED = ("ambiguous", "unknown", "unrepeatable")  # verdicts that leave a cause open
 COMMAND_FILE, WORTH_FILE = "command.csv", "worth.json"
 
 
@@ -62,6 +63,12 @@ def _read_inputs(args: argparse.Namespace) -> tuple[Twin, TrackingTask, Path]:
     study, given = read_study(args.study), Tracking.read(args.task)
     out: Path = args.out or Path(DIAGNOSES) / study.name
     twin = Twin.read(args.saved or out, study, given.time_s, given.setup)
+    if twin.saved.verdict in UNSETTLED:
+        print(
+            f"{twin.saved.path}: verdict {twin.saved.verdict}, so its causes may be the wrong ones "
+            f"and its commands worse than the plain model's; `diffsim diagnose next {args.study}` "
+            "says which run settles it"
+        )
     return twin, given.for_study(study), out
 
 
