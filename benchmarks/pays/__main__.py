@@ -67,7 +67,8 @@ def table(by_rig: Mapping[str, Sequence[Row]]) -> str:
     ]
     for rig, rows in by_rig.items():
         means = " | ".join(f"{scores(rows, m).mean():.3g}" for m in METHODS)
-        shares = " | ".join(_percent(*closed(rows, m)) for m in ("extended", "posterior"))
+        found = (closed(rows, m) for m in ("extended", "posterior"))
+        shares = " | ".join(_percent(*share, spread=len(rows) > 1) for share in found)
         lines.append(f"| {rig} | {len(rows)} | {means} | {shares} |")
     lines += ["", "| rig | miss less by | plain | randomized | residual |", "|---|---|---|---|---|"]
     for rig, rows in by_rig.items():
@@ -76,7 +77,10 @@ def table(by_rig: Mapping[str, Sequence[Row]]) -> str:
                 interval(scores(rows, m) - scores(rows, mine))
                 for m in ("plain", "randomized", "residual")
             )
-            cells = " | ".join(f"{m:.2f} ({a:.2f} to {b:.2f})" for m, a, b in gains)
+            cells = " | ".join(
+                f"{m:.2f}" + (f" ({a:.2f} to {b:.2f})" if len(rows) > 1 else "")
+                for m, a, b in gains
+            )
             lines.append(f"| {rig} | {mine} | {cells} |")
     lines += ["", "| rig | seed | verdict | named | CPU s: diagnosis | all |", "|---" * 6 + "|"]
     for rig, rows in by_rig.items():
@@ -91,8 +95,9 @@ def table(by_rig: Mapping[str, Sequence[Row]]) -> str:
     return "\n".join(lines)
 
 
-def _percent(share: float, low: float, high: float) -> str:
-    return f"{100 * share:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+def _percent(share: float, low: float, high: float, *, spread: bool) -> str:
+    """Without an interval where there is one seed only."""
+    return f"{100 * share:.0f} %" + (f" ({100 * low:.0f} to {100 * high:.0f})" if spread else "")
 
 
 def draw(row: Row, out: Path) -> Path:
