@@ -19,6 +19,8 @@ STEPS = {
     "export": "constants of a saved model in the words of other programs",
     "next": "which run to record next to settle what is open",
     "schema": "JSON Schema of study.yaml, for editors that complete keys",
+    "command": "the commands with which a saved model follows a task's courses best",
+    "worth": "what it would buy a task to mend a cause, in half or as a whole",
 }
 
 
@@ -41,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         step.add_argument(
             "study", metavar="STUDY", help="study.yaml, its folder, or a published data set's name"
         )
-        if name not in ("check", "export"):
+        if name not in ("check", "export", "command", "worth"):
             _judging(step)
     _choosing(made["explain"])
     made["explain"].add_argument(
@@ -53,10 +55,23 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
     made["next"].add_argument(
         "--csv", action="store_true", help="write the commands of the best run to OUT/next.csv"
     )
-    made["export"].add_argument(
-        "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
+    for name in ("export", "command", "worth"):
+        made[name].add_argument(
+            "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
+        )
+    for name in ("command", "worth"):
+        made[name].add_argument(
+            "--task", type=Path, required=True, metavar="FILE", help="task.yaml: what is wanted"
+        )
+    made["command"].add_argument(
+        "--draws",
+        type=int,
+        default=0,
+        metavar="N",
+        help="good in the mean of N draws from the posterior (default: at the file's values)",
     )
-    for name in ("extend", "judge", "export", "next"):
+    made["command"].add_argument("--seed", type=int, default=0, help="of the draws (default: 0)")
+    for name in ("extend", "judge", "export", "next", "command", "worth"):
         made[name].add_argument(
             "--report" if name == "next" else "--model",
             dest="saved",

@@ -26,6 +26,7 @@ from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.cli.diagnose_judged import write_judged
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
+from diffsim.cli.diagnose_task import command, worth
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -437,4 +438,6 @@ STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
     "faults": _faults,
     "export": _export,
     "next": _next,
+    "command": command,
+    "worth": worth,
 }

@@ -15,6 +15,7 @@ from diffsim.sim_to_real.records import Iteration, LoopResult, LoopSettings
 from diffsim.sim_to_real.rod_swimmer import Truth
 from diffsim.sim_to_real.tracking import BestCommand, Tracking, TrackingTask, best_command
 from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, speed, travel_loss
+from diffsim.sim_to_real.worth import Worth, worth
 
 __all__ = [
     "CHANNELS",
@@ -36,6 +37,7 @@ __all__ = [
     "TrajectorySettings",
     "Truth",
     "VirtualLaboratory",
+    "Worth",
     "best_command",
     "followed",
     "identify",
@@ -46,4 +48,5 @@ __all__ = [
     "sinusoid",
     "speed",
     "travel_loss",
+    "worth",
 ]

@@ -36,6 +36,8 @@ from diffsim.systems.twin import Twin
 
 Array = NDArray[np.float64]
 TIME = "t"
+EVALUATIONS = 300  # of each search
+NUDGE = 0.02  # of a command's range: how far the first commands are from rest
 _WALL = optim.Wall(failures=(DiffsimError, ValueError))
 
 
@@ -134,9 +136,14 @@ class TrackingTask:
         return self.given.knots * len(self.bounds)
 
     def commands(self, knots: Tensor) -> dict[str, Tensor]:
-        """Commands by name, (num_samples,) each, from knots within 0 and 1, (num_knots,)."""
+        """Commands by name, (num_samples,) each, from knots within 0 and 1, (num_knots,).
+
+        The first knot of each command is at rest, as lags and delays have it before.
+        """
         rows = torch.from_numpy(_lines(self.given.knots, len(self.given.time_s)))
-        shares = knots.reshape(len(self.bounds), -1) @ rows.mT
+        own = knots.reshape(len(self.bounds), -1)
+        begin = torch.tensor(self._rest, dtype=torch.float64)[:, None]
+        shares = torch.cat([begin, own[:, 1:]], 1) @ rows.mT
         return {
             name: low + (high - low) * share
             for (name, (low, high)), share in zip(self.bounds.items(), shares, strict=True)
@@ -156,12 +163,20 @@ class TrackingTask:
         return math.sqrt(self.given.calm / steps.numel()) * steps.flatten()
 
     @property
-    def at_rest(self) -> Array:
-        """Knots of commands that are zero, or in the middle of bounds that leave zero out."""
-        shares = [
+    def _rest(self) -> list[float]:
+        """Share of each command's range at which it is zero; 0.5 where it is never."""
+        return [
             -low / (high - low) if low <= 0.0 <= high else 0.5 for low, high in self.bounds.values()
         ]
-        return np.repeat(shares, self.given.knots)
+
+    @property
+    def near_rest(self) -> Array:
+        """Knots of commands about zero, or about the middle of bounds that leave zero out.
+
+        They move a little: at rest in a play, or in dry friction, a command has no slope.
+        """
+        middle = np.repeat(self._rest, self.given.knots)
+        return np.clip(middle + NUDGE * np.sin(np.arange(1.0, len(middle) + 1.0)), 0.0, 1.0)
 
 
 def _lines(num_knots: int, num_samples: int) -> Array:
@@ -190,17 +205,24 @@ def best_command(
     task: TrackingTask,
     *,
     at: Tensor | None = None,
-    starts: Sequence[Array] = (),
-    evaluations: int = 150,
+    starts: Sequence[Array] | None = None,
+    evaluations: int = EVALUATIONS,
 ) -> BestCommand:
     """The commands with the least mean square of misses, by L-BFGS-B from each start.
+
+    Causes such as play and friction leave commands without a slope here and there; the plain
+    model's best commands are a start beyond that.
 
     Args:
         twin: Model, planned for the task's time and set-up.
         task: What is wanted.
         at: Standardized parameters to be good at in the mean, (K, num_base); None: the file's.
-        starts: Knots to start at beside commands at rest.
+        starts: Knots to start at beside commands near rest; None: those that are best for the
+            plain model.
         evaluations: Of each search.
+
+    Raises:
+        ArithmeticError: no start has a finite miss and slope.
     """
 
     def cost(x: Array) -> optim.Sample:
@@ -211,10 +233,22 @@ def best_command(
         (slope,) = torch.autograd.grad(loss, knots)
         return optim.Sample(loss.item(), slope.numpy(), {"score": math.sqrt(squares.item())})
 
+    if starts is None:
+        plain = twin.plain() if twin.causes else None
+        starts = [] if plain is None else [best_command(plain, task, evaluations=evaluations).knots]
     lower, upper = np.zeros(task.num_knots), np.ones(task.num_knots)
     options = optim.Options(budget=optim.Budget(evaluations), wall=_WALL)
-    found = [
-        optim.minimize(cost, start, (lower, upper), options) for start in (task.at_rest, *starts)
-    ]
+    found: list[optim.Result] = []
+    failures: list[Exception] = []
+    for start in (task.near_rest, *starts):
+        try:
+            found.append(optim.minimize(cost, start, (lower, upper), options))
+        except (
+            DiffsimError,
+            ArithmeticError,
+        ) as error:  # where dry friction holds all still, slopes are no numbers
+            failures.append(error)
+    if not found:
+        raise failures[-1]
     best = min(found, key=lambda result: result.value)
     return BestCommand(best.x, best.best.notes["score"], sum(r.num_evaluations for r in found))

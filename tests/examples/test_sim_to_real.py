@@ -24,3 +24,9 @@ def test_a_rig_is_told_what_to_execute(tmp_path, capsys):
     assert story.main(str(tmp_path / "loop"), quick=True, real=False, rig=str(rig)) is None
     assert (rig / "command_0.csv").is_file()
     assert "resume the loop" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_diagnosed_delay_makes_a_better_command(tmp_path):
+    misses = load_story("sim_to_real/command_from_csv.py").main(tmp_path)
+    assert misses["diagnosed"] < 0.25 * misses["plain"]

@@ -4,71 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.identify import fit
 from diffsim.identify.extended import extended_model
-from diffsim.identify.model_file import read_extended, save_extended
-from diffsim.sim_to_real.tracking import Tracking, best_command
-from diffsim.systems import Twin, setup_of
-
-T = 0.02 * np.arange(61.0)
-NEW = 0.02 * np.arange(51.0)
-MODEL = {
-    "system": "ode",
-    "states": {"x": "0 m", "v": "0 m/s"},
-    "rates": {"x": "v", "v": "(force - damping*v - spring*x)/mass"},
-    "inputs": [{"name": "force", "held": False}],
-    "parameters": {
-        "mass": {"value": 1.2, "percent": 7, "unit": "kg"},
-        "damping": {"value": 1.0, "percent": 50, "unit": "N s/m"},
-        "spring": {"value": 40.0, "percent": 15, "unit": "N/m"},
-    },
-    "readings": {"place": "x"},
-    "places": [{"name": "rail", "position": "x", "velocity": "v", "inertia": "mass"}],
-}
-TASK = Tracking(
-    seconds=1.0,
-    every=0.02,
-    knots=12,
-    wanted={"place": {"course": "0.05*sin(4*t)*t", "miss": 0.001}},
-)
-
-
-def _study(measured):
-    runs = [
-        Run(f"run_{k}", T, y, {"force": 3.0 * np.sin((4 + k) * T)}, f"run_{k}", k)
-        for k, y in enumerate(measured)
-    ]
-    return Study(
-        "cart",
-        "ode",
-        (Channel("place", "m", "position", sd=5e-4),),
-        tuple(runs),
-        model=MODEL,
-        commands=(Command("force", "N", -4.0, 4.0),),
-    )
+from diffsim.identify.model_file import read_extended
+from diffsim.sim_to_real import Tracking, best_command, worth
+from diffsim.systems import Twin
+from tests.systems.late_cart import MODEL, NEW, TASK, T, fitted_cart
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
-    """Study of a cart with viscous drag by square and a late command, and its extended model."""
-    study = _study([np.zeros((len(T), 1))] * 3)
-    setup = setup_of(study)
-    causes = [e for e in setup.effects if e.name in ("square_drag", "delay")]
-    truth = {
-        e: torch.tensor([{"square_drag": 2.0, "delay": 0.03}[e.name]]).double() for e in causes
-    }
-    q = torch.zeros(len(setup.model.base), dtype=torch.float64)
-    rng = np.random.default_rng(3)
-    seen = [setup.model.predict(r, q, truth).detach().numpy() for r in study.runs]
-    study = _study([y + 5e-4 * rng.standard_normal(y.shape) for y in seen])
-    setup = setup_of(study)
-    causes = [e for e in setup.effects if e.name in ("square_drag", "delay")]
-    found = fit(setup.model, study.fit_runs, study.channels, effects=causes)
-    plain = fit(setup.model, study.fit_runs, study.channels)
-    path = tmp_path_factory.mktemp("twin") / "extended_model.yaml"
-    save_extended(found, path, study=study, verdict="named", plain=plain)
-    return study, path, found
+    return fitted_cart(tmp_path_factory.mktemp("twin"))
 
 
 def test_says_of_a_recorded_command_what_the_fit_says(fitted):
@@ -138,6 +83,22 @@ def test_the_extended_models_command_serves_the_system_better_than_the_plain_one
     assert scores[0] < 0.4 * scores[1]
     robust = best_command(twin, task, at=twin.draw(4, np.random.default_rng(0)))
     assert best.score < robust.score < scores[1]
+
+
+def test_what_it_buys_to_mend_a_cause(fitted):
+    study, path, _ = fitted
+    given = Tracking(
+        seconds=0.6,
+        every=0.02,
+        knots=8,
+        wanted={"place": {"course": "0.02", "miss": 0.001}},  # at once: late is late
+    )
+    twin = Twin.read(path, study, given.time_s)
+    found = {row.cause: row for row in worth(twin, given.for_study(study), evaluations=80)}
+    assert set(found) == {"square_drag", "delay", "all"}
+    late = found["delay"]
+    assert 0.97 * late.whole > late.half > 1.03 * late.none and late.unaware > late.whole
+    assert "best miss" in late.words and late.words.startswith("delay: ")
 
 
 def test_refuses_other_systems_and_commands_without_bounds(fitted):

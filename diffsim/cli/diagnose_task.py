@@ -1,0 +1,76 @@
+"""``diffsim diagnose command|worth STUDY --task FILE``: what a diagnosed model is used for."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from diffsim.cli.arguments import DIAGNOSES
+from diffsim.cli.diagnose_inputs import read_study
+from diffsim.core.files import write_json_atomic, write_text_atomic
+
+if TYPE_CHECKING:
+    from diffsim.sim_to_real.tracking import TrackingTask
+    from diffsim.systems.twin import Twin
+
+UNSETTLED = ("ambiguous", "unknown", "unrepeatable")  # verdicts that leave a cause open
+COMMAND_FILE, WORTH_FILE = "command.csv", "worth.json"
+
+
+def command(args: argparse.Namespace) -> None:
+    """Write the commands with which the diagnosed model follows a task's courses best."""
+    from diffsim.sim_to_real.tracking import best_command
+
+    twin, task, out = _read_inputs(args)
+    best = best_command(twin, task)
+    if args.draws:
+        drawn = twin.draw(args.draws, np.random.default_rng(args.seed))
+        best = best_command(twin, task, at=drawn, starts=[best.knots])
+    with torch.no_grad():
+        commands = task.commands(torch.from_numpy(best.knots))
+        seen = twin.simulate(commands)
+    names = ["time_s", *commands, *(f"{c} predicted" for c in twin.channels)]
+    columns = [task.given.time_s, *commands.values(), *seen.unbind(-1)]
+    rows = (",".join(f"{float(v):.9g}" for v in row) for row in zip(*columns, strict=True))
+    print(f"expected miss: {best.score:.3g} (root mean square, in units of `miss`)")
+    print(f"wrote {write_text_atomic(out / COMMAND_FILE, _lines([','.join(names), *rows]))}")
+
+
+def worth(args: argparse.Namespace) -> None:
+    """Say what it would buy to mend each cause."""
+    from diffsim.sim_to_real.worth import worth as worth_of
+
+    twin, task, out = _read_inputs(args)
+    if not twin.causes:
+        print(f"{twin.saved.path} names no cause: there is nothing to mend")
+        return
+    found = worth_of(twin, task)
+    for row in found:
+        print(row.words)
+    print(f"wrote {write_json_atomic(out / WORTH_FILE, [asdict(row) for row in found])}")
+
+
+def _read_inputs(args: argparse.Namespace) -> tuple[Twin, TrackingTask, Path]:
+    """Model planned for the task, task, folder of the results."""
+    from diffsim.sim_to_real.tracking import Tracking
+    from diffsim.systems.twin import Twin
+
+    study, given = read_study(args.study), Tracking.read(args.task)
+    out: Path = args.out or Path(DIAGNOSES) / study.name
+    twin = Twin.read(args.saved or out, study, given.time_s, given.setup)
+    if twin.saved.verdict in UNSETTLED:
+        print(
+            f"{twin.saved.path}: verdict {twin.saved.verdict}, so its causes may be the wrong ones "
+            f"and its commands worse than the plain model's; `diffsim diagnose next {args.study}` "
+            "says which run settles it"
+        )
+    return twin, given.for_study(study), out
+
+
+def _lines(rows: list[str]) -> str:
+    return "\n".join(rows) + "\n"
