@@ -167,7 +167,7 @@ def _options(
     return options
 
 
-def _kept(steps: int, end_alone: bool) -> int:
+def _num_records(steps: int, end_alone: bool) -> int:
     """Records that are kept of every vehicle."""
     return 1 if end_alone else steps + 1
 
@@ -191,7 +191,7 @@ def flight(
 ) -> Tensor:
     """Records of ``FlightInputs`` under ``FlightSettings``; see :func:`rollout`."""
     inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
-    records = start.new_empty(batch, _kept(steps, end_alone), BODY + inputs.num_rotors)
+    records = start.new_empty(batch, _num_records(steps, end_alone), BODY + inputs.num_rotors)
     core.flight_rollout(
         num_rotors=inputs.num_rotors,
         batch=batch,
@@ -206,7 +206,7 @@ def flight(
 
 @flight.register_fake
 def _(start, feed_forward, gain, reference, wind, parameters, batch, steps, end_alone, *args):
-    return start.new_empty(batch, _kept(steps, end_alone), BODY + feed_forward.shape[-1])
+    return start.new_empty(batch, _num_records(steps, end_alone), BODY + feed_forward.shape[-1])
 
 
 @custom_op("diffsim::flight_vjp")
@@ -230,7 +230,7 @@ def flight_vjp(
     inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
     batch, steps = records.shape[0], records.shape[1] - 1
     width = BODY + inputs.num_rotors
-    wanted = (batch, _kept(steps, end_alone), width)
+    wanted = (batch, _num_records(steps, end_alone), width)
     if grad_records.shape != wanted or records.shape[2] != width:
         raise ValueError(
             f"records must have shape ({batch}, {steps + 1}, {width}), grad_records {wanted}, got "
@@ -319,7 +319,7 @@ def flight_jvp(
     inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
     given = d_start, d_feed_forward, d_gain, d_reference, d_wind, d_parameters
     directions = FlightInputs(*(direction.contiguous() for direction in given))
-    rates = start.new_empty(batch, _kept(steps, end_alone), BODY + inputs.num_rotors)
+    rates = start.new_empty(batch, _num_records(steps, end_alone), BODY + inputs.num_rotors)
     core.flight_rollout_tangent(
         num_rotors=inputs.num_rotors,
         batch=batch,
@@ -336,7 +336,7 @@ def flight_jvp(
 @flight_jvp.register_fake
 def _(start, feed_forward, *args):
     batch, steps, end_alone = args[10:13]
-    return start.new_empty(batch, _kept(steps, end_alone), BODY + feed_forward.shape[-1])
+    return start.new_empty(batch, _num_records(steps, end_alone), BODY + feed_forward.shape[-1])
 
 
 def _tangent(ctx, *moved):

@@ -325,7 +325,9 @@ class OdeLaws:
             parts = {"before": total, "factor": named(factor), "term": term}
             total = filled(parse_expression("before + factor*term"), parts)
         if variable.times is not None:
-            total = product(total, parse_expression(variable.times.formula, self._known(variable)))
+            total = product(
+                total, parse_expression(variable.times.formula, self._names_in(variable))
+            )
         apply = partial(
             _apply_terms,
             change=self._enter(entry, total, change),
@@ -344,7 +346,7 @@ class OdeLaws:
         """The change that hidden states make, and the variable's formula beside it."""
         states = {s: f"{s} of {name}" for s in variable.states}
         own = states | {n: f"{n} of {name}" for n in variable.numbers}
-        known = (*self._known(variable), *own)
+        known = (*self._names_in(variable), *own)
         parts = {short: named(full) for short, full in own.items()}
         rates = {
             states[s]: filled(parse_expression(h.rate, known), parts)
@@ -357,7 +359,7 @@ class OdeLaws:
         change = Change(states=rates, starts=starts, inputs=variable.columns)
         return change, filled(parse_expression(variable.formula, known), parts)
 
-    def _known(self, variable: Variable) -> tuple[str, ...]:
+    def _names_in(self, variable: Variable) -> tuple[str, ...]:
         return (*self.system.known, *variable.columns)
 
     def _start(self, formula: Expression, parts: Mapping[str, Expression]) -> Expression:
