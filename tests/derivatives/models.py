@@ -227,7 +227,7 @@ CALL |= {
     "TrackingTask.score": lambda: {"channels": noise(2, 5, 1)},
 }
 LATER += [
-    r"systems\.Twin\.|sim_to_real\.best_command",  # of a file: tests/systems/test_twin.py
+    r"systems\.Twin\.|sim_to_real\.(best_command|worth)",  # of a file: tests/systems/test_twin.py
     r"shape_(at|of)$|prepared_at$|picture$|factor$",  # no tensors, or what others go through
     r"systems\.multicopter\.",  # initial states are fitted away, which leaves terms out
     r"systems\.(outside|balls)\.|sim_to_real\.(Starfish|travel_loss)",
