@@ -25,7 +25,6 @@ from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
 from diffsim.diagnose.discover.answer import with_laws_said
-from diffsim.diagnose.discover.follow import MOST_KNOTS
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
@@ -107,7 +106,7 @@ def diagnose(
     begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
-    is_led = laws is not None and any(laws.drives(run, MOST_KNOTS) for run in study.fit_runs[:1])
+    is_led = laws is not None and any(laws.drives(run, 2) for run in study.fit_runs[:1])
     budget = _budget_of_laws(answer, begun, is_led=is_led)
     if laws is not None and answer.leaves_room_within(budget, is_led=is_led):
         fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
@@ -217,22 +216,24 @@ def _with_laws(
 def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> bool:
     """Whether an answer with a law may stand for one without.
 
-    Where only one names what acts, that one stands. Else the law gains more on unseen runs for
-    sure; or, where both name something, one search has weighed causes and laws: no set without a
-    law is within the odds there, and unseen runs do not prefer what was named before.
+    It must gain for sure on unseen runs. Where both name what acts, causes and laws were weighed in
+    one search: then no set without a law is within the odds there, and unseen runs do not prefer
+    what was named before. Where neither names anything, it gains more for sure.
 
     Args:
         again: The answer whose search had laws among its causes.
         before: The answer without.
         laws: Names of the laws.
     """
-    if (again.verdict in NAMES) != (before.verdict in NAMES):
+    if again.verdict not in NAMES and before.verdict in NAMES:
+        return False
+    if again.gain is None or before.gain is None:
         return again.verdict in NAMES
-    if again.gain is None:
-        return before.gain is None and again.verdict in NAMES
-    if before.gain is None or again.gain.low > before.gain.value:
-        return True
-    is_alone = again.verdict in NAMES and all(laws & set(rival) for rival in again.rivals)
+    if again.verdict not in NAMES:
+        return again.gain.low > before.gain.value
+    if before.verdict not in NAMES:
+        return again.gain.has_fallen
+    is_alone = all(laws & set(rival) for rival in again.rivals)
     return is_alone and again.gain.value >= before.gain.value
 
 
