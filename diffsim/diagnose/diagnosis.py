@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from diffsim.diagnose.discover.answer import with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
-from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
+from diffsim.diagnose.say.assemble import Checks, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
 from diffsim.diagnose.search.evidence import Hypothesis, screen
@@ -59,9 +58,7 @@ from diffsim.identify.unknown import Unknown, drifts
 Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 LAW_SHARE = 0.1  # of what a first answer has cost, that laws may cost where its budget is spent
-LED_SHARE = 0.5  # the same, where slopes weigh laws
 ROOM_SHARE = 0.5  # of a budget that a first answer may spend before laws are looked for sparingly
-AS_GOOD = "a law that nobody listed explains as much"
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -106,9 +103,8 @@ def diagnose(
     begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
-    is_led = laws is not None and any(laws.drives(run, 2) for run in study.fit_runs[:1])
-    budget = _budget_of_laws(answer, begun, is_led=is_led)
-    if laws is not None and answer.leaves_room_within(budget, is_led=is_led):
+    budget = _budget_of_laws(answer, begun, laws)
+    if laws is not None and answer.leaves_room_within(budget):
         fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
         found = find_laws(fits, laws, progress or silent, budget.steps)
         answer = _with_laws(asked, answer, laws, found, budget)
@@ -156,11 +152,10 @@ class _Answer:
         assert self.found is not None
         return self.found
 
-    def leaves_room_within(self, budget: _LawBudget, *, is_led: bool) -> bool:
-        """Whether something is missing: whatever its name may be, or, where a budget is spent and
-        laws must be simulated, without a name."""
-        is_dear = budget.is_short and not is_led
-        open_verdicts = ("unknown",) if is_dear else (*NAMES, "unknown")
+    def leaves_room_within(self, budget: _LawBudget) -> bool:
+        """Whether something is missing: whatever its name may be, or, where a budget is spent,
+        without a name."""
+        open_verdicts = ("unknown",) if budget.is_short else ("named", "ambiguous", "unknown")
         return self.found is not None and self.frozen.verdict in open_verdicts
 
 
@@ -170,22 +165,20 @@ class _LawBudget:
 
     Attributes:
         steps: Weighted steps of the stage, and again of the search with its laws.
-        is_short: Whether the first answer has spent much of the budget: then the search with laws
-            is among causes of its best sets.
+        is_short: Whether the first answer has spent much of the budget: then laws are looked for
+            where nothing is named, and that search is among causes of its best sets.
     """
 
     steps: float
     is_short: bool
 
 
-def _budget_of_laws(answer: _Answer, begun: int, *, is_led: bool) -> _LawBudget:
-    """What is left of that of the search, or a share of what the first answer has cost; more where
-    simulations can be led along the recordings, so that slopes weigh laws."""
-    if answer.found is None:
+def _budget_of_laws(answer: _Answer, begun: int, port: LawPort | None) -> _LawBudget:
+    """What is left of that of the search, or a share of what the first answer has cost."""
+    if answer.found is None or port is None:
         return _LawBudget(0.0, True)
     spent, given = answer.search.steps - begun, answer.search.settings.refit_steps
-    share = LED_SHARE if is_led else LAW_SHARE
-    return _LawBudget(max(given - spent, share * spent), spent > ROOM_SHARE * given)
+    return _LawBudget(max(given - spent, LAW_SHARE * spent), spent > ROOM_SHARE * given)
 
 
 def _with_laws(
@@ -206,35 +199,17 @@ def _with_laws(
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
-    if names & set(held) and _may_take_over(frozen, answer.frozen, names):
-        return again
-    if any(names & set(rival) for rival in (held, *frozen.rivals)):
-        return replace(answer, frozen=doubted(answer.frozen, AS_GOOD))
-    return answer
+    return again if names & set(held) and _may_take_over(frozen, answer.frozen) else answer
 
 
-def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> bool:
-    """Whether an answer with a law may stand for one without.
-
-    It must gain for sure on unseen runs. Where both name what acts, causes and laws were weighed in
-    one search: then no set without a law is within the odds there, and unseen runs do not prefer
-    what was named before. Where neither names anything, it gains more for sure.
-
-    Args:
-        again: The answer whose search had laws among its causes.
-        before: The answer without.
-        laws: Names of the laws.
-    """
-    if again.verdict not in NAMES and before.verdict in NAMES:
-        return False
-    if again.gain is None or before.gain is None:
+def _may_take_over(again: Report, before: Report) -> bool:
+    """Whether an answer with a law may stand for one without: where both name what acts, or neither
+    does, it gains more on unseen runs for sure."""
+    if (again.verdict in NAMES) != (before.verdict in NAMES):
         return again.verdict in NAMES
-    if again.verdict not in NAMES:
-        return again.gain.low > before.gain.value
-    if before.verdict not in NAMES:
-        return again.gain.has_fallen
-    is_alone = all(laws & set(rival) for rival in again.rivals)
-    return is_alone and again.gain.value >= before.gain.value
+    if again.gain is None:
+        return before.gain is None and again.verdict in NAMES
+    return before.gain is None or again.gain.low > before.gain.value
 
 
 def _names_near_best(answer: _Answer) -> set[str]:

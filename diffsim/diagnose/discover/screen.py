@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from itertools import permutations
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from scipy import linalg, special
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord, Reach
 from diffsim.diagnose.discover.forms import ToldLaw
-from diffsim.diagnose.search.evidence import AMPLITUDES, KEEP_NATS
+from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
 from diffsim.identify.law import VALUE, Entry, Variable
@@ -40,8 +39,6 @@ TOLD = 1e-9  # of what the record tells best, below which it tells nothing
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
 SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
-MOST_PAIRS = 8  # products of two variables that are weighed with bumps
-WITH_PAIRS = ("force", "rate", "input", "reading")  # entries; a number multiplies as it is
 PARTS = 4  # of a recording of less runs, that are left out one after the other
 
 
@@ -140,7 +137,6 @@ class Screen:
         courses: Each variable along the recordings, by its words and numbers.
         reaches: What terms at each entry do; None where they are simulated.
         simulated: Whitened response to bumps over a variable at such an entry, (num_valid, k).
-        num_pairs: Products of two variables that were weighed before the best of them were.
     """
 
     followed: FollowedRecord
@@ -149,7 +145,6 @@ class Screen:
     courses: Mapping[int, Sequence[Array]]
     reaches: Mapping[Entry, Reach | None]
     simulated: Mapping[tuple[Entry, int], Array]
-    num_pairs: int = 0
 
     def values(self, candidate: Candidate) -> Sequence[Array]:
         """A law's variable along the recordings, (num_samples,) for each run."""
@@ -159,7 +154,7 @@ class Screen:
         """Whitened response to terms of a law's variable at its entry, (num_valid, num_terms)."""
         reach = self.reaches[candidate.entry]
         if reach is not None:
-            return reach.columns(_terms_of(candidate.variable, self.courses, terms))
+            return reach.columns([terms(u) for u in self.values(candidate)])
         return self.simulated[candidate.entry, id(candidate.variable)] @ _made_of_bumps(
             candidate.basis.reach, terms
         )
@@ -196,21 +191,6 @@ class Screen:
         return _together(made)
 
 
-def _terms_of(
-    variable: Variable, courses: Mapping[int, Sequence[Array]], terms: Callable[[Array], Array]
-) -> list[Array]:
-    """Terms of a variable along the recordings, (num_samples, num_terms) for each run."""
-    out = [terms(u) for u in courses[id(variable)]]
-    if variable.times is None:
-        return out
-    return [t * w[:, None] for t, w in zip(out, courses[id(variable.times)], strict=True)]
-
-
-def _parabola(over: tuple[float, float], u: Array) -> Array:
-    """Any parabola over a range, (len(u), 3)."""
-    return np.column_stack([np.ones(len(u)), trend(*over).values(u)])
-
-
 def _made_of_bumps(reach: tuple[float, float], terms: Callable[[Array], Array]) -> Array:
     """Factors of bumps over a range that come nearest to terms, (NUM_BUMPS, num_terms)."""
     points = np.linspace(*reach, NUM_POINTS)
@@ -233,28 +213,19 @@ def screen_laws(
     weigher = Weigher.of(followed)
     variables = port.variables()
     along = followed.courses(port, variables)
-    courses: dict[int, Sequence[Array]] = {
-        id(v): [course[:, i] for course in along] for i, v in enumerate(variables)
-    }
+    courses = {id(v): [course[:, i] for course in along] for i, v in enumerate(variables)}
     most_work = MOST_WORK / max(len(entries) * sum(v.is_turn for v in variables), 1)
     reaches: dict[Entry, Reach | None] = {}
     dear: list[tuple[Variable, _AtEntry]] = []
-    pairs: list[tuple[float, Variable, _AtEntry]] = []
     for k, entry in enumerate(entries):
         progress("laws", k / len(entries), f"laws at {entry.words}")
         reaches[entry] = followed.reach(port, entry)
         at = _AtEntry(followed, weigher, port, entry, reaches[entry], most_work)
-        there = [v for v in variables if v.may_be_at(entry)]
-        if at.reach is None:
-            dear += [(variable, at) for variable in there]
-            continue
-        out += [c for variable in there for c in at.weigh(variable, courses)]
-        if entry.kind in WITH_PAIRS:
-            pairs += [(nats, pair, at) for nats, pair in at.pairs(there, courses)]
-    # two variables must explain more than the best single one anywhere, the choice among them paid
-    least = max((c.nats for c in out), default=0.0) + KEEP_NATS + float(np.log(max(len(pairs), 1)))
-    better = sorted((p for p in pairs if p[0] > least), key=lambda p: -p[0])
-    out += [c for _, pair, at in better[:MOST_PAIRS] for c in at.weigh(pair, courses)]
+        for variable in (v for v in variables if v.may_be_at(entry)):
+            if at.reach is None:
+                dear.append((variable, at))
+            else:
+                out += at.weigh(variable, courses[id(variable)])
     # what is there at once is tried before what lasts, its own past before that of others
     dear.sort(key=lambda d: (bool(d[0].memory), d[0].of not in ("", d[1].entry.target)))
     simulated: dict[tuple[Entry, int], Array] = {}
@@ -270,7 +241,7 @@ def screen_laws(
             simulated[at.entry, id(variable)] = block
             out += at.weigh_simulated(variable, reach, block)
     found = tuple(sorted(out, key=lambda c: c.rank))
-    return Screen(followed, weigher, found, courses, reaches, simulated, len(pairs))
+    return Screen(followed, weigher, found, courses, reaches, simulated)
 
 
 def _weigh(weigher: Weigher, of: AskedLaw, basis: Basis, columns: Array) -> Candidate:
@@ -304,12 +275,9 @@ class _AtEntry:
     reach: Reach | None
     most_work: float
 
-    def weigh(
-        self, variable: Variable, courses: Mapping[int, Sequence[Array]]
-    ) -> Iterator[Candidate]:
+    def weigh(self, variable: Variable, u: Sequence[Array]) -> Iterator[Candidate]:
         """Laws of one variable with bumps, and with the waves that repeat best."""
-        u = courses[id(variable)]
-        found = _range_of(np.concatenate(list(u)))
+        found = _range_of(np.concatenate(u))
         if found is None:
             return
         reach = self.reach
@@ -320,34 +288,8 @@ class _AtEntry:
             laws += [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in waves]
         for law in laws:
             yield from self._weigh(
-                variable,
-                law,
-                lambda basis: reach.columns(_terms_of(variable, courses, basis.values)),
+                variable, law, lambda basis: reach.columns([basis.values(v) for v in u])
             )
-
-    def pairs(
-        self, variables: Sequence[Variable], courses: dict[int, Sequence[Array]]
-    ) -> Iterator[tuple[float, Variable]]:
-        """Variables times others, each with the nats of a parabola times the other; the courses
-        get theirs.
-
-        Args:
-            variables: Of laws at this entry.
-            courses: Each variable along the recordings.
-        """
-        reach = self.reach
-        assert reach is not None
-        ranges = {id(v): _range_of(np.concatenate(list(courses[id(v)]))) for v in variables}
-        plain = [v for v in variables if not v.memory and ranges[id(v)] is not None]
-        for u, w in permutations(plain, 2):
-            over = ranges[id(u)]
-            assert over is not None
-            pair = u.with_factor(w)
-            courses[id(pair)] = courses[id(u)]
-            block = reach.columns(_terms_of(pair, courses, partial(_parabola, over)))
-            power = float(np.sqrt(np.sum(block**2) / len(block)))
-            if power > 0.0 and np.isfinite(power):
-                yield self.weigher.gain(block / power)[0], pair
 
     def simulate(self, variable: Variable, reach: tuple[float, float]) -> Array | None:
         """Whitened response to bumps of a variable, a tangent for each; None where there is none

@@ -131,9 +131,7 @@ def find_laws(
     for most, fitted in zip(MOST_LAWS, rounds, strict=False):
         # of several fits: what is said of the record with all that stands beside the law
         fitted.sort(key=lambda f: -f.reach)
-        # slopes promise, fits decide: what explains most in the simulator is weighed in any case
-        first = max((f.nats for f in fitted), default=0.0)
-        near = [f for f in fitted if f.nats == first or f.reach > fitted[0].reach - BEHIND_NATS]
+        near = [f for f in fitted if f.reach > fitted[0].reach - BEHIND_NATS]
         before = len(laws)
         laws = _without_twins([*laws, *(law for f in near for law in _laws_of(f, price))])
         laws = laws[: before + most]
@@ -187,7 +185,7 @@ def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _ScreenWithFit
 
 
 def _count_tried(screen: Screen) -> int:
-    return sum(len(c.basis.tried) for c in screen.found) + screen.num_pairs
+    return sum(len(c.basis.tried) for c in screen.found)
 
 
 def _rounds(
