@@ -13,6 +13,8 @@ from diffsim.core.version import __version__
 from diffsim.data.study_schema import StudyFile
 from diffsim.systems.registry import DESCRIPTIONS
 
+LIKE = "_like"  # of definitions that another study completes
+
 
 def study_schema() -> dict[str, Any]:
     """Schema of a study: its keys, and those of ``model`` by the kind of system."""
@@ -26,7 +28,7 @@ def study_schema() -> dict[str, Any]:
         defs |= definitions(description)
         cases.append(
             {
-                "if": {"properties": {"system": {"const": system}}},
+                "if": {"properties": {"system": {"const": system}}, "required": ["system"]},
                 "then": {"$ref": f"#/$defs/{name_of(description)}"},
             }
         )
@@ -40,8 +42,23 @@ def study_schema() -> dict[str, Any]:
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": f"study.yaml of diffsim {__version__}",
-        "$ref": f"#/$defs/{name_of(StudyFile)}",
-        "$defs": defs,
+        "if": {"required": ["like"]},
+        "then": {"$ref": f"#/$defs/{name_of(StudyFile)}{LIKE}"},
+        "else": {"$ref": f"#/$defs/{name_of(StudyFile)}"},
+        "$defs": defs | {name + LIKE: _lacking(one) for name, one in defs.items()},
+    }
+
+
+def _lacking(schema: Any) -> Any:
+    """The same schema of a study that is like another one, which has what this one lacks."""
+    if isinstance(schema, list):
+        return [_lacking(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    return {
+        key: part if key == "if" else f"{part}{LIKE}" if key == "$ref" else _lacking(part)
+        for key, part in schema.items()
+        if not (key == "required" and isinstance(part, list))
     }
 
 

@@ -1,54 +1,40 @@
-"""Nodes that infinite friction would hold although they are pulled off: they slide."""
+"""Nodes that infinite friction holds although they are pulled off."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import torch
 from torch import Tensor
 
 from diffsim.core.errors import ContactWarning
 from diffsim.core.record import warn
-from diffsim.soft._arrays import ContactArrays
-
-SLIDING_FRICTION = 5.0
-"""Coefficient of a node that infinite friction would have to pull [-]; see docs/contact.md."""
-_SLIP = 2
 
 
-def let_slide(planes: ContactArrays, force: Tensor, tolerance: Tensor) -> ContactArrays | None:
-    """Half spaces to solve a step with once more, because an obstacle pulls; None: none does.
+def report_pulling(normal: Tensor, friction: Tensor, force: Tensor, tolerance: Tensor) -> None:
+    """Warn where an obstacle pulls.
 
-    With infinite friction a touching node may have no answer: it is pulled off where it sticks,
-    and slides into the obstacle where it is let go. A finite coefficient always has an answer.
+    With infinite friction a touching node has no answer if it is pulled off where it sticks, and
+    slides into the obstacle where it is let go (docs/contact.md). The solver holds it.
 
     Args:
-        planes: Half spaces that the step was solved with.
+        normal: Outward normals of the obstacles, (batch, num_contacts, 3) [-].
+        friction: Coefficients, (batch, num_contacts) [-].
         force: Forces on the nodes, (batch, num_contacts, 3) [N].
         tolerance: Norm of the residual that the step had to reach, (batch,) [N].
     """
-    endless = torch.isinf(planes.friction)
+    endless = torch.isinf(friction)
     if not bool(endless.any()):
-        return None
-    pressing = (planes.normal * force).sum(-1)
+        return
+    pressing = (normal * force).sum(-1)
     pulling = endless & (pressing < -tolerance[:, None])
     count = int(pulling.sum())
     if not count:
-        return None
+        return
+    largest = -float(pressing[pulling].min())
+    share = largest / max(float(pressing.max()), torch.finfo(torch.float64).tiny)
     warn(
-        f"friction=inf leaves {count} nodes without an answer: stuck they are pulled off, let go "
-        f"they slide into the obstacle; they have friction {SLIDING_FRICTION:g} in this step",
+        f"friction=inf holds {count} nodes that are pulled off, with up to {largest:.3g} N "
+        f"({100.0 * share:.2g} % of the largest force that presses): let go they would slide into "
+        "the obstacle; a finite friction, such as 2, has an answer",
         ContactWarning,
         stacklevel=3,
     )
-    friction = torch.where(pulling, SLIDING_FRICTION, planes.friction)
-    return dataclasses.replace(planes, friction=friction)
-
-
-def as_solved(planes: ContactArrays, status: Tensor) -> ContactArrays:
-    """Half spaces of a solved step: what slides has no infinite friction (:func:`let_slide`)."""
-    sliding = torch.isinf(planes.friction) & (status == _SLIP)
-    if not bool(sliding.any()):
-        return planes
-    friction = torch.where(sliding, SLIDING_FRICTION, planes.friction)
-    return dataclasses.replace(planes, friction=friction)

@@ -28,8 +28,12 @@ def schema(tmp_path_factory):
 def faults(schema, value, root, path="study"):
     """What does not fit, by the words of draft 7 that the schema has."""
     known = {"$ref", "anyOf", "allOf", "type", "enum", "items", "properties", "required"}
-    known |= {"additionalProperties", "description", "if", "then", "$schema", "title", "$defs"}
+    known |= {"additionalProperties", "description", "if", "then", "else"}
+    known |= {"$schema", "title", "$defs"}
     assert set(schema) <= known
+    if "else" in schema:
+        is_like = all(key in value for key in schema["if"]["required"])
+        yield from faults(schema["then" if is_like else "else"], value, root, path)
     if "$ref" in schema:
         yield from faults(root["$defs"][schema["$ref"].removeprefix("#/$defs/")], value, root, path)
     if "anyOf" in schema:
