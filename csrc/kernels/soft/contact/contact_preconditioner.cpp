@@ -25,9 +25,6 @@ constexpr double kRowsOfSlip = 1.5;
 constexpr double kLeastSlipStiffness = 0.1;
 // Normals lie along an axis up to rounding.
 constexpr double kAligned = 1.0 - 1e-14;
-// Seconds that multigrid takes of those modeled, in contact and beside a factor of the tangent:
-// 0.60 s of 50 adjoints of a ball of 8,280 DoF where the factor takes 0.55 (Zen 5, AVX2).
-constexpr double kCycleOverhead = 1.4;
 // A solve streams the factor forwards and backwards.
 constexpr double kFactorStreams = 2.0;
 
@@ -219,11 +216,9 @@ void ContactPreconditioner::hold(const Vector* r, Vector& z) {
   space_.project(z);  // rounding
 }
 
-double ContactPreconditioner::base_cost(double setups, double iterations) const {
-  const SolverPlan& plan = system_.plan();
-  return problem_.by_multigrid()
-             ? kCycleOverhead * (setups * plan.setup_cost + iterations * plan.iteration_cost)
-             : constant_cost(iterations);
+double ContactPreconditioner::base_cost(double iterations) const {
+  return problem_.by_multigrid() ? iterations * system_.plan().iteration_cost
+                                 : constant_cost(iterations);
 }
 
 double ContactPreconditioner::constant_cost(double iterations) const {

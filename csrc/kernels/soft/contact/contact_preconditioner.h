@@ -39,8 +39,8 @@ class ContactPreconditioner {
 
   bool on_tangent() const { return kind_ == Kind::kTangent; }
 
-  /// Modeled seconds of setups and so many iterations, and of a step on factors (solver_plan.h).
-  double base_cost(double setups, double iterations) const;
+  /// Modeled seconds of so many iterations, and of a step on factors (see solver_plan.h).
+  double base_cost(double iterations) const;
   double tangent_cost() const;
 
  private:

@@ -19,8 +19,8 @@ void ContactSolve::choose() {
   if (method_ == StepMethod::kNewtonCholesky) kind_ = Kind::kTangent;
   if (method_ != StepMethod::kAuto || kind_ == Kind::kTangent) return;
   const SolverPlan& plan = system_.plan();
-  const double base = preconditioner_.base_cost(at_answer_ ? 1.0 : kSetupsPerStep,
-                                                iterations(plan.contact_iterations));
+  const double setup = (at_answer_ ? 1.0 : kSetupsPerStep) * plan.setup_cost;
+  const double base = setup + preconditioner_.base_cost(iterations(plan.contact_iterations));
   // Diagonal blocks know nothing of the stiffness that friction adds across the slip.
   const double jacobi = space_.any_sliding_friction()
                             ? std::numeric_limits<double>::infinity()
