@@ -19,8 +19,9 @@ def slope(angle: float) -> torch.Tensor:
     return torch.tensor([G * math.sin(angle), 0.0, -G * math.cos(angle)], dtype=torch.float64)
 
 
-# Open since 272f4c62 (stiffness in 3x3 blocks): on AVX-512 one step of this block, just at its angle
-# of friction, goes round among contacts that stick and slip and ends in an error; on AVX2 it does not.
+# Open since 272f4c62 (stiffness in 3x3 blocks): on AVX-512 one step of this block, just at its
+# angle of friction, goes round among contacts that stick and slip and ends in an error; on AVX2 it
+# does not.
 CYCLES = pytest.param(
     1.0, "hex", marks=pytest.mark.xfail(raises=ConvergenceError, reason="contacts go round, open")
 )
