@@ -145,7 +145,7 @@ def crane(rng: np.random.Generator) -> Rig:
              frictionloss="{_about(rng, 1.5)}" {SHARP}/>
       <body><inertial mass="{_off(rng, 0.8, 5.0)}" pos="0 0 -0.5" diaginertia="1e-4 1e-4 1e-4"/>
         <joint name="rod" axis="0 -1 0" damping="{_off(rng, 0.01, 30.0)}"/></body></body>"""
-    more = f"""<actuator><general joint="trolley" dyntype="filterexact" dynprm="{lag}"
+    more = f"""<actuator><general joint="trolley" dyntype="filter" dynprm="{lag}"
       gainprm="1"/></actuator><sensor>{_angles("trolley", "rod")}</sensor>"""
     return Rig(_world('integrator="RK4"', body, more), ("trolley", "rod"))
 
