@@ -13,9 +13,9 @@ import numpy as np
 from diffsim.causes.readings import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
-from diffsim.core.units import factor
 from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
+from diffsim.data.shown import shown, shown_change
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_like import read_whole
@@ -281,29 +281,24 @@ def _describe_uses(study: Study) -> Iterator[str]:
 
 def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:
     values = np.concatenate([r.measured[:, at] for r in study.runs] or [np.empty(0)])
-    unit, scale = _choose_shown_unit(channel)
-    sd = "from repeats" if channel.sd is None else f"{channel.sd * scale:.3g}"
+    sd = "from repeats"
+    if channel.sd is not None:  # of a scaled reading: that of small ones
+        sd = f"{shown_change(channel, np.zeros(()), np.array(channel.sd)):.3g}"
     missing = float(np.isnan(values).mean()) if len(values) else 0.0
     share = f"{100.0 * missing:.2g} %" if missing else "-"
-    return [channel.name, unit, channel.kind, sd, *_range(values * scale), share]
+    ends = _range(shown(channel, values))
+    return [channel.name, channel.shown_unit or channel.unit, channel.kind, sd, *ends, share]
 
 
 def _command_row(study: Study, name: str, command: Command) -> list[str]:
     values = np.concatenate([r.command[name] for r in study.runs if name in r.command])
-    unit, scale = _choose_shown_unit(command)
+    unit, scale = command.shown_unit or command.unit or "?", float(shown(command, np.ones(())))
     ends = [command.lower, command.upper]
     known = any(v is not None for v in ends)
     limits = " .. ".join("?" if v is None else f"{v * scale:.4g}" for v in ends) if known else "-"
     limits = "measured" if command.is_measured else limits
     rate = "-" if command.rate is None else f"{command.rate * scale:.4g}"
     return [name, unit, *_range(values * scale), limits, rate]
-
-
-def _choose_shown_unit(of: Channel | Command) -> tuple[str, float]:
-    """Unit in which a user reads a quantity, and how many of it are one of its own."""
-    if of.unit is None or of.shown_unit is None:
-        return of.unit or "?", 1.0
-    return of.shown_unit, factor(of.unit, of.shown_unit)
 
 
 def _range(values: np.ndarray) -> list[str]:

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.core.files import write_text_atomic
+from diffsim.data.shown import shown
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.judge.unseen import Array, Unseen, shown_unit
+from diffsim.diagnose.judge.unseen import Array, Unseen
 
 FOLDER = "judged"
 MODELS = ("measured", "before", "after")
@@ -38,10 +39,10 @@ def _table(run: Run, study: Study, before: Array, after: Array) -> str:
     """Header and rows; an empty cell was not measured."""
     header, columns = ["time_s"], [run.time_s]
     for c, channel in enumerate(study.channels):
-        unit, scale = shown_unit(channel)
+        unit = channel.shown_unit or channel.unit
         of_unit = "" if unit == "-" else f" ({unit})"
         header += [f"{channel.name} {what}{of_unit}" for what in MODELS]
-        columns += [scale * values[:, c] for values in (run.measured, before, after)]
+        columns += [shown(channel, values[:, c]) for values in (run.measured, before, after)]
     rows = [
         ",".join(f"{v:.9g}" if np.isfinite(v) else "" for v in row)
         for row in zip(*columns, strict=True)

@@ -35,7 +35,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.own_records import OwnRow, own_words
+from diffsim.diagnose.judge.own_values import OwnRow, own_words
 from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline

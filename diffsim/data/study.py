@@ -32,6 +32,8 @@ class Channel:
         sd: Standard deviation of the sensor's noise, in ``unit``; None: estimated from repeats.
         shown_unit: Unit in which a user reads errors, such as "mm"; None: ``unit``.
         sensor: Instrument that shows it, such as "camera"; None: not stated.
+        shown_formula: The value that a user reads, in ``shown_unit``, as a formula of the channel's
+            own name, where the channel is a scaled reading; None: only units differ.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Channel:
     sd: float | None = None
     shown_unit: str | None = None
     sensor: str | None = None
+    shown_formula: str | None = None
 
 
 @dataclass(frozen=True)

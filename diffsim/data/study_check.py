@@ -11,6 +11,7 @@ import numpy as np
 
 from diffsim.core.units import factor, to_si
 from diffsim.data.command_jumps import Array, jumps_of
+from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
 from diffsim.data.steps import step_of
 from diffsim.data.study import SYSTEMS, USES, Channel, Command, Run, Study
@@ -154,12 +155,10 @@ def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
     columns = [r.measured[:, at] for r in study.runs if r.measured.shape[1] > at]
     step = step_of(np.concatenate(columns)) if columns else None
     if step is not None and step / np.sqrt(12.0) > channel.sd:
-        unit = channel.shown_unit or channel.unit
-        size = step * factor(channel.unit, unit)
         yield Problem(
             "note",
             f"channel {channel.name}",
-            f"it shows steps of {size:.4g} {unit}; their rounding is taken for noise",
+            f"it shows steps of {shown_step(channel, step)}; their rounding is taken for noise",
         )
 
 
@@ -173,9 +172,8 @@ def _jitter(study: Study, channel: Channel) -> str:
             levels.append(float(scatter(steps, 2)))
     if not levels or not max(levels) > 0.0:
         return ""
-    unit = channel.shown_unit or channel.unit
-    size = float(np.median(levels)) * factor(channel.unit, unit)
-    return f" (from sample to sample it scatters by {size:.2g} {unit})"
+    size = shown_step(channel, float(np.median(levels)))
+    return f" (from sample to sample it scatters by {size})"
 
 
 def _said_unit(channel: Channel) -> str | None:
@@ -256,14 +254,12 @@ def _find_misread(run: Run, channel: Channel, values: Array) -> Iterator[Problem
     jumps = jumps_of(values, is_measured=False, noise=channel.sd or 0.0)
     if not jumps.back:
         return
-    unit = channel.shown_unit or channel.unit
-    size = factor(channel.unit, unit) * jumps.size
     at = "sample" if len(jumps.back) == 1 else "samples"
     yield Problem(
         "note",
         f"run {run.name}",
-        f"channel {channel.name} is misread at {len(jumps.back)} {at}, off by up to {size:.3g}"
-        f"{'' if unit == '-' else f' {unit}'}, first at {run.time_s[jumps.back[0]]:g} s: the "
+        f"channel {channel.name} is misread at {len(jumps.back)} {at}, off by up to "
+        f"{shown_step(channel, jumps.size)}, first at {run.time_s[jumps.back[0]]:g} s: the "
         "diagnosis leaves such samples out where the model does not jump, too",
     )
 

@@ -151,7 +151,7 @@ def _channel(entry: ChannelEntry) -> Channel:
     shown = _choose_shown_unit(entry)
     kind = entry.kind or _KINDS.get(si.unit, "quantity")
     sd = None if entry.sd is None else si.factor * entry.sd
-    return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor)
+    return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor, entry.shown_formula)
 
 
 def _choose_shown_unit(entry: ChannelEntry | CommandEntry) -> str | None:

@@ -81,6 +81,9 @@ def _put_in_place(new: Path, folder: Path) -> None:
     shutil.rmtree(old)
 
 
+_CHANNEL_KEYS = ("sd", "shown_unit", "sensor", "shown_formula")  # where they are stated
+
+
 def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
     known = {c.name: c for c in study.commands}
     described = study.model is not None
@@ -89,7 +92,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
         **({"model": to_plain(dict(study.model or {}))} if described else {"system": study.system}),
         **({"model_folder": str(study.folder.resolve())} if described and study.folder else {}),
         "channels": [
-            _collect_given(c, "sd", "shown_unit", "sensor", name=c.name, unit=c.unit, kind=c.kind)
+            _collect_given(c, *_CHANNEL_KEYS, name=c.name, unit=c.unit, kind=c.kind)
             for c in study.channels
         ],
         "commands": [_command(known[name]) if name in known else name for name in commands],

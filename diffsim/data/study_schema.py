@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.expression import parse_expression
 from diffsim.core.inside import require_file_name
 from diffsim.core.schema import KindWords, Part
 from diffsim.core.units import to_si
@@ -149,10 +150,19 @@ class ChannelEntry(Source):
         None,
         description="Unit in which reports show errors; default: `unit`, for degC kelvins",
     )
+    shown_formula: Formula | None = Field(
+        None,
+        description="Of a scaled reading: what reports show, in `shown_unit`, as a formula of the "
+        "channel's name, such as 0.2*sinh(0.01*scaled)/0.01 in kPa",
+    )
 
     @model_validator(mode="before")
     @classmethod
     def _with_units(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("shown_formula") is not None:
+            if given.get("shown_unit") is None:
+                raise ValueError("shown_formula needs shown_unit, the unit of what it gives")
+            parse_expression(given["shown_formula"], [str(given.get("name"))])
         return in_own_unit(given, {"sd": "difference", "offset": "difference"})
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from diffsim.core.units import factor
+from diffsim.data.shown import shown, shown_change
 from diffsim.data.study import Channel
 from diffsim.viz import charts
 from diffsim.viz.charts import EXTENDED, NULL
@@ -91,42 +92,45 @@ def _label(run: PredictedRun) -> str:
     return f"{run.name} ({run.use})"
 
 
-def _scale(channel: Channel) -> float:
-    """Number of the shown unit in one of the channel's."""
-    return factor(channel.unit, channel.shown_unit) if channel.shown_unit else 1.0
-
-
 def _signals(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
     """Lines of one channel in one run, in the unit of the recordings' files."""
-    t, scale = run.time_s, _scale(channel)
+    t, read = run.time_s, partial(shown, channel)
     last = run.null if run.extended is None else run.extended
-    lines = _draw_band(run, i, scale * last[:, i], scale, most)
+    lines = _draw_band(run, i, channel, most, around=last[:, i])
     before = {"color": NULL, "width": 1.4, "dash": "dash"}
-    lines.append(
-        charts.line(t, scale * run.null[:, i], "model before", NULL, line=before, most=most)
-    )
+    lines.append(charts.line(t, read(run.null[:, i]), "model before", NULL, line=before, most=most))
     if run.extended is not None:
-        after = scale * run.extended[:, i]
+        after = read(run.extended[:, i])
         lines.append(charts.line(t, after, "extended model", EXTENDED, most=most))
-    error = None
+    error: dict[str, Any] | None = None
     if channel.sd is not None and run.band is None:  # which holds the noise
-        error = {"type": "constant", "value": scale * channel.sd, "thickness": 0.7, "width": 0}
-    measured = scale * run.measured[:, i]
+        bars = shown_change(channel, run.measured[:, i], np.full(len(t), channel.sd))
+        error = {"array": charts.rounded(bars[charts.thinned(len(t), most)])}
+        error = {**error, "thickness": 0.7, "width": 0}
+    measured = read(run.measured[:, i])
     look = {"error_y": error, **charts.dots(INK, 3.5)}
     name = "measured" if error is None else "measured ± noise"
     lines.append(charts.line(t, measured, name, INK, most=most, **look))
     return lines
 
 
-def _draw_band(run: PredictedRun, i: int, middle: Array, scale: float, most: int) -> list[Any]:
-    """Where readings of one channel are expected in one run; nothing where it has no band."""
-    if run.band is None or not np.isfinite(half := scale * run.band[:, i]).any():
+def _draw_band(
+    run: PredictedRun, i: int, channel: Channel, most: int, *, around: Array | None = None
+) -> list[Any]:
+    """Where readings of one channel are expected in one run, or how far off; nothing where it has
+    no band."""
+    if run.band is None or not np.isfinite(half := run.band[:, i]).any():
         return []
+    if around is None:
+        above = shown_change(channel, run.measured[:, i], half)
+        edges = above, -above
+    else:
+        edges = shown(channel, around + half), shown(channel, around - half)
     keep = charts.thinned(len(run.time_s), most)
-    around = np.concatenate([keep, keep[::-1]])
-    edge = np.concatenate([(middle + half)[keep], (middle - half)[keep[::-1]]])
+    both = np.concatenate([keep, keep[::-1]])
+    edge = np.concatenate([edges[0][keep], edges[1][keep[::-1]]])
     look = {"fill": "toself", "fillcolor": LINE, "line": {"width": 0}, "hoverinfo": "skip"}
-    area = charts.line(run.time_s[around], edge, BAND_LABEL, LINE, most=2 * most, **look)
+    area = charts.line(run.time_s[both], edge, BAND_LABEL, LINE, most=2 * most, **look)
     return [area]
 
 
@@ -135,11 +139,11 @@ def _draw_misfits(run: PredictedRun, i: int, channel: Channel, most: int) -> lis
     kinds = [("model before", NULL, run.null)]
     if run.extended is not None:
         kinds.append(("extended model", EXTENDED, run.extended))
-    band = _draw_band(run, i, np.zeros(len(run.time_s)), _scale(channel), most)
+    band = _draw_band(run, i, channel, most)
     return band + [
         charts.line(
             run.time_s,
-            _scale(channel) * (run.measured[:, i] - predicted[:, i]),
+            shown_change(channel, run.measured[:, i], run.measured[:, i] - predicted[:, i]),
             name,
             color,
             most=most,
@@ -244,7 +248,7 @@ def over_position(
     for name, color, left in _kinds(runs, channels):
         stacked = np.concatenate([left[r.name] for r in runs])
         for panel, i in enumerate(places):
-            x = _scale(channels[i]) * np.concatenate([r.null[:, i] for r in runs])
+            x = shown(channels[i], np.concatenate([r.null[:, i] for r in runs]))
             wide = np.repeat(x[:, None], stacked.shape[1], 1)
             cloud = charts.line(
                 wide.ravel(), stacked.ravel(), name, color, showlegend=False,

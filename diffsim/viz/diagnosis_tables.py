@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_records import FAR_OFF, OwnRow
+from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow
 from diffsim.diagnose.judge.records import (
     HIDDEN,
     REFUTED,

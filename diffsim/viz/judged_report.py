@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffsim.data.study import Channel, Study
-from diffsim.diagnose.judge.own_records import own_words
+from diffsim.diagnose.judge.own_values import own_words
 from diffsim.diagnose.judge.records import no_skill_words
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.say.headline import judged_headline

@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_records import UNTOLD_PULL
+from diffsim.diagnose.judge.own_values import UNTOLD_PULL
 
 CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"

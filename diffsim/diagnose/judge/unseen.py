@@ -21,14 +21,13 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
-from diffsim.core.units import factor
+from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.checks.misread import settled
 from diffsim.diagnose.checks.noise import without_spikes
 from diffsim.diagnose.judge.band import no_band
 from diffsim.diagnose.judge.gain import Gain, compared
-from diffsim.diagnose.judge.own_records import OwnRow
-from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names, own_rows
+from diffsim.diagnose.judge.own_values import Frozen, OwnRow, held_out_point, own_names, own_rows
 from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words
 
 Array = NDArray[np.float64]
@@ -345,12 +344,6 @@ class At:
     x: Array
 
 
-def shown_unit(channel: Channel) -> tuple[str, float]:
-    """Unit of the recordings' file, and what one SI unit is in it."""
-    unit = channel.shown_unit or channel.unit
-    return (unit, 1.0) if unit == channel.unit else (unit, factor(channel.unit, unit))
-
-
 def _predict_run(frozen: Frozen, run: Run) -> Array:
     """What a model says of a run, (num_samples, num_channels) [unit of the channel]."""
     with torch.no_grad():
@@ -409,16 +402,19 @@ def _error_rows(
     """
     members: dict[tuple[str, str], list[int]] = {}
     for c, channel in enumerate(channels):
-        members.setdefault((channel.kind, shown_unit(channel)[0]), []).append(c)
-    rows = []
+        members.setdefault((channel.kind, channel.shown_unit or channel.unit), []).append(c)
+    rows, seen = [], run.measured
     for (kind, unit), own in members.items():
-        scale = np.array([shown_unit(channels[c])[1] for c in own])
-        valid = np.isfinite(run.measured[:, own])
+        valid = np.isfinite(seen[:, own])
         count = int(valid.sum())
         if not count:
             continue
-        before, after, constant, held, bare = (_rms((x[:, own] * scale)[valid]) for x in left)
-        noise = _rms(np.broadcast_to(sd[own] * scale, valid.shape)[valid])
+        noises = np.broadcast_to(sd, run.measured.shape)
+        halves = np.full_like(run.measured, np.nan) if half is None else half
+        before, after, constant, held, bare, noise, band = (
+            _rms(np.stack([shown_change(channels[c], seen[:, c], x[:, c]) for c in own], 1)[valid])
+            for x in (*left, noises, halves)
+        )
         row = ErrorRow(run.name, kind, unit, before, after, noise, count, num_fitted, use)
         row = replace(
             row,
@@ -426,9 +422,9 @@ def _error_rows(
             held=held if len(run.time_s) >= FEW else None,
             without=bare if num_fitted and np.isfinite(bare) else None,
         )
-        if half is not None and np.isfinite(wide := half[:, own][valid]).all():
+        if np.isfinite(wide := halves[:, own][valid]).all():
             inside = int((np.abs(left[1][:, own][valid]) <= wide).sum())
-            row = replace(row, band=_rms((half[:, own] * scale)[valid]), num_inside=inside)
+            row = replace(row, band=band, num_inside=inside)
         rows.append(row)
     return rows
 

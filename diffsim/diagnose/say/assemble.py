@@ -24,8 +24,7 @@ from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
-from diffsim.diagnose.judge.own_records import own_words
-from diffsim.diagnose.judge.own_values import unmet_by
+from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
     Grounds,
     doubts_of,

@@ -16,7 +16,7 @@ from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_records import OwnRow
+from diffsim.diagnose.judge.own_values import OwnRow
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import LawAnswer

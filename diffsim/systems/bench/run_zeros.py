@@ -43,7 +43,7 @@ def _run_zero(study: Study, at: int, channel: Channel, scales: Scales) -> Effect
         form=row.form.format(channel=channel.name),
         family=f"{row.family}_of_{channel.name}",
         unit=channel.unit,
-        shown_unit=channel.shown_unit,
+        shown_unit=None if channel.shown_formula else channel.shown_unit,
         components=tuple(f"@{name}" for name in names) or ("size",),
         needs=partial(_need_runs, at=at),
     )

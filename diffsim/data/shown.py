@@ -1,0 +1,49 @@
+"""Readings as a user reads them: in the unit of the recordings, scaled readings turned back."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim.core.expression import parse_expression
+from diffsim.core.units import factor
+from diffsim.data.study import Channel, Command
+
+Array = NDArray[np.float64]
+
+
+def shown(of: Channel | Command, values: Array) -> Array:
+    """Values in the unit in which a user reads them.
+
+    Args:
+        of: What was measured or commanded.
+        values: In its ``unit``, any shape.
+    """
+    formula = of.shown_formula if isinstance(of, Channel) else None
+    if formula is None:
+        times = factor(of.unit, of.shown_unit) if of.unit and of.shown_unit else 1.0
+        return times * np.asarray(values)
+    given = {of.name: torch.from_numpy(np.array(values, dtype=np.float64))}
+    return np.asarray(parse_expression(formula, [of.name])(given).numpy())
+
+
+def shown_change(of: Channel, at: Array, change: Array) -> Array:
+    """How far values shown lie above those of ``at - change``.
+
+    Args:
+        of: What was measured.
+        at: Values in its ``unit``, any shape.
+        change: What they have more than others, in its ``unit``, of the same shape.
+    """
+    if of.shown_unit is None:
+        return np.asarray(change)
+    if of.shown_formula is None:
+        return shown(of, change)  # a factor
+    return shown(of, at) - shown(of, at - change)
+
+
+def shown_step(of: Channel, size: float) -> str:
+    """A step of a reading with its unit, where no value is known at which it was taken."""
+    unit = of.unit if of.shown_formula else of.shown_unit or of.unit
+    return f"{size * factor(of.unit, unit):.3g}{'' if unit == '-' else f' {unit}'}"
