@@ -94,16 +94,21 @@ def _trees() -> dict[str, ast.Module]:
 
 
 @cache
-def _importers(module: str, name: str) -> tuple[tuple[str, str], ...]:
+def _imports() -> dict[tuple[str, str], list[tuple[str, str]]]:
+    """Modules that import a name, and what they call it, by its module and the name."""
+    out: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for other, tree in _trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    place = (other.removesuffix(".__init__"), alias.asname or alias.name)
+                    out.setdefault((f"{node.module}", alias.name), []).append(place)
+    return out
+
+
+def _importers(module: str, name: str) -> list[tuple[str, str]]:
     """Modules that import a constant by name, and what they call it."""
-    return tuple(
-        (other.removesuffix(".__init__"), alias.asname or alias.name)
-        for other, tree in _trees().items()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module == f"diffsim.{module}"
-        for alias in node.names
-        if alias.name == name
-    )
+    return _imports().get((f"diffsim.{module}", name), [])
 
 
 def bound_early(threshold: Threshold) -> list[str]:
