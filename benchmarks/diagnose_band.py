@@ -4,8 +4,10 @@
 
 Every published data set, or those that are named: of the parts of a first answer that stand for
 unseen runs (left out one after the other, or with use: select), 2, 3, ... tell the band, and the
-share of the readings of the other parts inside it is taken. The last column is that of the test
-runs, by the band that all parts tell; it chooses nothing. Below the means over the sets.
+share of the readings of the other parts inside it is taken. Then come the least and the most of a
+single part, told by all others: so far do single runs of this set lie from what is promised. The
+last column is the share of the test runs, by the band that all parts tell, and their number; it
+chooses nothing. Below the means over the sets.
 """
 
 from __future__ import annotations
@@ -28,12 +30,13 @@ from diffsim.diagnose.judge.records import band_share
 Array = NDArray[np.float64]
 COUNTS = (2, 3, 4, 5, 7)
 MOST_CHOICES = 40  # of parts that tell the band
-HEAD = f"| data set | parts | {' | '.join(f'told by {k}' for k in COUNTS)} | test runs |"
+COLUMNS = ("data set", "parts", *(f"told by {k}" for k in COUNTS), "single parts", "test runs")
+HEAD = f"| {' | '.join(COLUMNS)} |"
 
 
-def parts_of(name: str) -> tuple[list[Part], Array, float | None]:
-    """Parts of a data set that stand for unseen runs, the noise, and the share of the readings of
-    test runs inside the band; None without test runs.
+def parts_of(name: str) -> tuple[list[Part], Array, float | None, int]:
+    """Parts of a data set that stand for unseen runs, the noise, the share of the readings of test
+    runs inside the band, None without test runs, and how many these are.
 
     Raises:
         ValueError: groups with faults, which have an answer each.
@@ -52,7 +55,8 @@ def parts_of(name: str) -> tuple[list[Part], Array, float | None]:
         settings=setup.settings,
     )
     parts = unfitted_parts(report.best, report.study.select_runs)
-    return like_unseen(parts, report.floor.sd), report.floor.sd, band_share(report.errors)
+    known, tests = like_unseen(parts, report.floor.sd), len(report.study.test_runs)
+    return known, report.floor.sd, band_share(report.errors), tests
 
 
 def shares(parts: Sequence[Part], noise: Array, count: int) -> Iterator[float]:
@@ -74,24 +78,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("studies", nargs="*", metavar="STUDY", default=NAMES)
     args = parser.parse_args(arguments)
-    print(f"{HEAD}\n{'|---' * (len(COUNTS) + 3)}|")
+    print(f"{HEAD}\n{'|---' * len(COLUMNS)}|")
     means: dict[int | None, list[float]] = {count: [] for count in (*COUNTS, None)}
     for name in args.studies:
         try:
-            parts, noise, tested = parts_of(name)
+            parts, noise, tested, tests = parts_of(name)
         except (DiffsimError, ValueError, FileNotFoundError) as error:
             print(f"| {name} | left out: {' '.join(str(error).split())} |", flush=True)
             continue
-        told: dict[int | None, float | None] = {
+        told: dict[int, float | None] = {
             count: float(np.mean(list(shares(parts, noise, count)))) if count < len(parts) else None
             for count in COUNTS
         }
-        told[None] = tested
-        for count, share in told.items():
+        for count, share in (*told.items(), (None, tested)):
             means[count] += [] if share is None else [share]
-        print(f"| {name} | {len(parts)} | {_cells(told.values())} |", flush=True)
-    every = (float(np.mean(m)) if m else None for m in means.values())
-    print(f"| mean | | {_cells(every)} |")
+        ends = f"{_single(parts, noise)} | {_cells([tested])} of {tests}"
+        print(f"| {name} | {len(parts)} | {_cells(told.values())} | {ends} |", flush=True)
+    every = [float(np.mean(m)) if m else None for m in means.values()]
+    print(f"| mean | | {_cells(every[:-1])} | | {_cells(every[-1:])} |")
+
+
+def _single(parts: Sequence[Part], noise: Array) -> str:
+    """The least and the most share of a part inside the band that all others tell."""
+    if len(parts) < 3:
+        return "–"
+    every = list(shares(parts, noise, len(parts) - 1))
+    return f"{min(every):.0%} to {max(every):.0%}"
 
 
 def _cells(shares: Iterable[float | None]) -> str:

@@ -13,9 +13,9 @@ from diffsim.cli.arguments import add_executor, names, positive
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
-from labs.calibration.answers import judged, searched, variant
+from labs.calibration.answers import changed, followed
 from labs.calibration.table import page
-from labs.calibration.thresholds import FACTORS, SEARCH, listed
+from labs.calibration.thresholds import FACTORS, listed, variant
 from labs.command import ended
 from labs.rates.case import EFFORTS, QUICK
 from labs.rates.domains import DOMAINS
@@ -35,14 +35,22 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument(
         "--domain", type=names, default=CHEAP, metavar="A,B", help=f"default: {','.join(CHEAP)}"
     )
-    parser.add_argument("--n", type=positive, default=12, help="cases per domain (default: 12)")
+    parser.add_argument(
+        "--n",
+        type=counts,
+        default=(12,),
+        metavar="N[,N]",
+        help="cases per domain: one number for all, or one for each (default: 12)",
+    )
+    parser.add_argument(
+        "--again", type=positive, default=6, metavar="N",
+        help="cases that are answered again with a changed threshold, of those that it may change "
+        "(default: 6)",
+    )  # fmt: skip
     parser.add_argument("--master", type=int, default=1, help="of the cases (default: 1)")
     parser.add_argument("--effort", choices=EFFORTS, default=QUICK, help="default: %(default)s")
     parser.add_argument(
         "--only", type=names, default=(), metavar="A,B", help="thresholds with these names alone"
-    )
-    parser.add_argument(
-        "--most", type=positive, help="whole answers that this call makes; the rest next time"
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes there")
     parser.add_argument("--page", type=Path, help="write the page there, too")
@@ -64,55 +72,74 @@ def main(argv: Sequence[str] | None = None) -> int:
     return ended(lambda: work(args), f"python -m labs.calibration {shlex.join(given)}")
 
 
+def counts(text: str) -> tuple[int, ...]:
+    """Parse whole numbers from 1, parted by commas."""
+    return tuple(map(positive, names(text)))
+
+
 def work(args: argparse.Namespace) -> None:
-    """Answer cases again, and write the page."""
+    """Answer cases again, and write the page.
+
+    Raises:
+        ValueError: an unknown domain, or more or fewer numbers of cases than domains.
+    """
     for domain in args.domain:
         require_choice("--domain", domain, DOMAINS)
-    found, cases = answers(args)
-    text = page(found, cases, vars(args), head()[0])
+    if len(args.n) not in (1, len(args.domain)):
+        raise ValueError(f"--n has {len(args.n)} numbers for {len(args.domain)} domains: one each")
+    first, again = answers(args)
+    text = page(first, again, vars(args), head()[0])
     for path in filter(None, (args.out / "thresholds.md", args.page)):
         print(f"wrote {write_text_atomic(path, text)}")
 
 
-def answers(args: argparse.Namespace) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """Answers by variant and case, "plain" among the variants; and the cases by name."""
-    same = {"master": args.master, "effort": args.effort, "commit": head()[0]}
-    cases = {
-        f"{domain}_{index:04d}": {**same, "domain": domain, "index": index,
-                                  "studies": str(args.out / "studies")}
-        for domain in args.domain
-        for index in recordable(args.master, domain, args.n)
-    }  # fmt: skip
+def answers(args: argparse.Namespace) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """What was followed, by case; and answers with a changed threshold, by variant and case."""
+    cases = drawn(args)
     with open_executor(args.executor) as executor:
-        first = run_kept(judged, cases, args.out / "judged", executor, done=say)
-        cases = {name: item for name, item in cases.items() if first[name]}
-        whole = whole_items(cases, args)
-        again = run_kept(searched, whole, args.out / "searched", executor, done=say)
-    found: dict[str, dict[str, Any]] = {}
-    for case, by_variant in first.items():
-        for name, answer in by_variant.items():
-            found.setdefault(name, {})[case] = answer
-    for name, answer in again.items():
+        every = run_kept(followed, cases, args.out / "followed", executor, done=say)
+        first = {name: result for name, result in every.items() if result}
+        wanted = asked({name: cases[name] for name in first}, first, args)
+        found = run_kept(changed, wanted, args.out / "changed", executor, done=say)
+    again: dict[str, dict[str, Any]] = {}
+    for name, answer in found.items():
         key, _, case = name.partition("__")
-        found.setdefault(key, {})[case] = answer
-    return found, cases
+        again.setdefault(key, {})[case] = answer
+    return first, again
 
 
-def whole_items(
-    cases: Mapping[str, Mapping[str, Any]], args: argparse.Namespace
+def drawn(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Cases by name: those of domains with most of them first, domains in turn."""
+    same = {"master": args.master, "effort": args.effort, "commit": head()[0]}
+    same |= {"studies": str(args.out / "studies")}
+    each = args.n if len(args.n) > 1 else args.n * len(args.domain)
+    cases = [
+        (-count, k, {**same, "domain": domain, "index": index})
+        for domain, count in zip(args.domain, each, strict=True)
+        for k, index in enumerate(recordable(args.master, domain, count))
+    ]
+    ordered = [item for *_, item in sorted(cases, key=lambda case: case[:2])]
+    return {f"{item['domain']}_{item['index']:04d}": item for item in ordered}
+
+
+def asked(
+    cases: Mapping[str, Mapping[str, Any]], first: Mapping[str, Any], args: argparse.Namespace
 ) -> dict[str, dict[str, Any]]:
-    """Whole answers that are asked for, as many new ones as this call may make."""
-    items = {
-        f"{variant(threshold, factor)}__{name}": {**item, "key": threshold.key, "factor": factor}
+    """Answers with a changed threshold that are asked for: of each variant the first cases that it
+    may change, as many as ``--again``."""
+    return {
+        f"{variant(threshold, factor)}__{name}": {
+            **cases[name],
+            "key": threshold.key,
+            "factor": factor,
+        }
         for threshold in listed()
-        if threshold.acts == SEARCH and (not args.only or threshold.name in args.only)
+        if not args.only or threshold.name in args.only
         for factor in FACTORS
-        for name, item in cases.items()
+        for name in [n for n in cases if variant(threshold, factor) in first[n]["asked"]][
+            : args.again
+        ]
     }
-    made = [name for name in items if (args.out / "searched" / f"{name}.json").is_file()]
-    new = [name for name in items if name not in set(made)][: args.most]
-    kept = {*made, *new}
-    return {name: item for name, item in items.items() if name in kept}
 
 
 def say(name: str, _: Mapping[str, Any]) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from labs.calibration.answers import BRIEF, variant
-from labs.calibration.thresholds import FACTORS, Threshold, listed
+from labs.calibration.answers import BRIEF
+from labs.calibration.thresholds import FACTORS, Threshold, listed, variant
 from labs.rates.score import ALARM, CERTAIN_WRONG, HELD, RIGHT
 
 Answers = Mapping[str, Mapping[str, Any]]
@@ -32,64 +33,85 @@ def moved(plain: Answers, other: Answers) -> dict[str, int]:
 
 
 def page(
-    found: Mapping[str, Answers],
-    cases: Mapping[str, Any],
+    first: Mapping[str, Any],
+    again: Mapping[str, Answers],
     options: Mapping[str, Any],
     commit: str,
 ) -> str:
     """The table with how it was made, in Markdown.
 
     Args:
-        found: Answers by variant and case, "plain" among the variants.
-        cases: Cases by name.
+        first: What was followed, by case: the ``plain`` answer, and variants ``asked`` for.
+        again: Answers by variant and case.
         options: Of the command.
         commit: Of the code.
     """
-    command = f"python -m labs.calibration --domain {','.join(options['domain'])}"
-    command += f" --n {options['n']} --master {options['master']} --effort {options['effort']}"
-    rows = [(t, [_moved(found, t, factor) for factor in FACTORS]) for t in listed()]
-    done = [(t, moves) for t, moves in rows if all(moves)]
-    still = [t for t, moves in done if not any(m["words"] for m in moves if m)]
+    rows = [(t, [_count(first, again, variant(t, f)) for f in FACTORS]) for t in listed()]
+    silent = [t for t, counts in rows if not any(c["asked"] for c in counts)]
+    still = [t for t, counts in rows if t not in silent and not any(c["words"] for c in counts)]
+    whole = sum(result["followed"] for result in first.values())
     lines = [
         "# Thresholds, halved and doubled",
         "",
-        f"{len(cases)} cases of [`labs.rates`](rates.md), commit {commit[:10]}: each threshold "
-        "that decides verdicts is halved and doubled in turn, and all cases are answered again. A "
-        "share close to one is moved by what is left to one. *Changed* is how many verdicts "
-        "differ, in brackets how many answers differ at all; then come the changes of the numbers "
-        "of right (alone or in the set), certain wrong, and false alarms.",
+        f"{len(first)} cases of [`labs.rates`](rates.md) ({_domains(first)}), commit "
+        f"{commit[:10]}. Each threshold that decides verdicts is followed through the first answer "
+        "to each case, at half its value, at its value and at double. Where it is not read, or "
+        "every comparison falls on one side at all three, it cannot change the answer. Where it "
+        f"may, the first {options['again']} cases are answered again with it. {whole} cases could "
+        "be followed; the others count as asked by all.",
+        "",
+        "A share close to one is moved by what is left to one. *May change* is in how many cases "
+        "it is asked so; *changed* how many verdicts differ of those answered again, in brackets "
+        "how many answers differ at all; then come the changes of the numbers of right (alone or "
+        "in the set), certain wrong, and false alarms.",
         "",
         "```sh",
-        f"{command} --out FOLDER --page docs/measured/thresholds.md",
+        _command(options),
         "```",
         "",
-        f"{len(done)} of {len(rows)} thresholds are counted; {len(still)} of these change no "
-        "answer at all.",
+        f"All {len(rows)} thresholds are counted. {len(silent)} are asked by no case, {len(still)} "
+        f"change no answer of those that ask, {len(rows) - len(silent) - len(still)} change some.",
         "",
-        "| threshold | is | decides | chosen by | halved: changed, right, wrong, alarms "
-        "| doubled: changed, right, wrong, alarms |",
-        "|---|---|---|---|---|---|",
-        *(_line(t, moves) for t, moves in rows),
+        "| threshold | is | decides | chosen by | may change, halved "
+        "| changed, right, wrong, alarms | may change, doubled | changed, right, wrong, alarms |",
+        "|---|---|---|---|---|---|---|---|",
+        *(_line(t, counts) for t, counts in rows),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _moved(
-    found: Mapping[str, Answers], threshold: Threshold, factor: float
-) -> dict[str, int] | None:
-    answers = found.get(variant(threshold, factor))
-    return moved(found["plain"], answers) if answers else None
+def _command(options: Mapping[str, Any]) -> str:
+    n = ",".join(map(str, options["n"]))
+    return (
+        f"python -m labs.calibration --domain {','.join(options['domain'])} --n {n} "
+        f"--again {options['again']} --master {options['master']} --effort {options['effort']} "
+        "--out FOLDER --page docs/measured/thresholds.md"
+    )
 
 
-def _line(threshold: Threshold, moves: list[dict[str, int] | None]) -> str:
-    value = threshold.value
-    shown = f"{value:g}" if isinstance(value, (int, float)) else str(value)
-    cells = [f"`{threshold.key}`", shown, threshold.decides, threshold.chosen or "not recorded"]
-    return "| " + " | ".join([*cells, *map(_cell, moves)]) + " |"
+def _domains(first: Mapping[str, Any]) -> str:
+    counts = Counter(name.rpartition("_")[0] for name in first)
+    return ", ".join(f"{count} {domain}" for domain, count in counts.items())
 
 
-def _cell(move: dict[str, int] | None) -> str:
-    if move is None:
-        return "–"
-    counts = ", ".join(f"{move[name]:+d}" if move[name] else "0" for name in COUNTED)
-    return f"{move['verdicts']} ({move['words']}) of {move['answered']}, {counts}"
+def _count(first: Mapping[str, Any], again: Mapping[str, Answers], name: str) -> dict[str, int]:
+    """What a variant changes, and by how many cases it is ``asked``."""
+    plain = {case: result["plain"] for case, result in first.items()}
+    may = sum(name in result["asked"] for result in first.values())
+    return {**moved(plain, again.get(name, {})), "asked": may}
+
+
+def _line(threshold: Threshold, counts: list[dict[str, int]]) -> str:
+    cells = [f"`{threshold.key}`", f"{threshold.value:g}", threshold.decides]
+    cells.append(threshold.chosen or "not recorded")
+    return "| " + " | ".join([*cells, *(cell for c in counts for cell in _cells(c))]) + " |"
+
+
+def _cells(count: Mapping[str, int]) -> tuple[str, str]:
+    if not count["answered"]:
+        return f"{count['asked']}", "–"
+    right = ", ".join(f"{count[name]:+d}" if count[name] else "0" for name in COUNTED)
+    return (
+        f"{count['asked']}",
+        f"{count['verdicts']} ({count['words']}) of {count['answered']}, {right}",
+    )

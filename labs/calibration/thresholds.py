@@ -17,7 +17,6 @@ import diffsim
 
 LIST = Path(__file__).with_name("thresholds.yaml")
 FACTORS = (0.5, 2.0)
-SEARCH, JUDGE = "search", "judge"
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,6 @@ class Threshold:
     Attributes:
         module: Its module, below ``diffsim``.
         name: Of the constant.
-        acts: "judge": after the search alone, so that one search is judged many times; "search".
         decides: What it decides.
         chosen: Cases that chose it, as far as comments and history say.
         of_rest: Whether what lies between it and one is halved and doubled, as of a probability.
@@ -35,7 +33,6 @@ class Threshold:
 
     module: str
     name: str
-    acts: str
     decides: str
     chosen: str = ""
     of_rest: bool = False
@@ -65,10 +62,15 @@ def listed() -> list[Threshold]:
     return [Threshold(**row) for row in yaml.safe_load(LIST.read_text(encoding="utf-8"))]
 
 
+def variant(threshold: Threshold, factor: float) -> str:
+    """Name of a threshold at a factor."""
+    return f"{threshold.key}_x{factor:g}"
+
+
 @contextmanager
-def changed(threshold: Threshold, factor: float) -> Iterator[None]:
-    """The threshold times a factor, in its module and in all that import it by name."""
-    value, before = threshold.times(factor), threshold.value
+def put(threshold: Threshold, value: Any) -> Iterator[None]:
+    """The threshold at a value, in its module and in all that import it by name."""
+    before = threshold.value
     places = [(threshold.module, threshold.name), *_importers(threshold.module, threshold.name)]
     modules = [(importlib.import_module(f"diffsim.{module}"), name) for module, name in places]
     try:
@@ -92,16 +94,21 @@ def _trees() -> dict[str, ast.Module]:
 
 
 @cache
-def _importers(module: str, name: str) -> tuple[tuple[str, str], ...]:
+def _imports() -> dict[tuple[str, str], list[tuple[str, str]]]:
+    """Modules that import a name, and what they call it, by its module and the name."""
+    out: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for other, tree in _trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    place = (other.removesuffix(".__init__"), alias.asname or alias.name)
+                    out.setdefault((f"{node.module}", alias.name), []).append(place)
+    return out
+
+
+def _importers(module: str, name: str) -> list[tuple[str, str]]:
     """Modules that import a constant by name, and what they call it."""
-    return tuple(
-        (other.removesuffix(".__init__"), alias.asname or alias.name)
-        for other, tree in _trees().items()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module == f"diffsim.{module}"
-        for alias in node.names
-        if alias.name == name
-    )
+    return _imports().get((f"diffsim.{module}", name), [])
 
 
 def bound_early(threshold: Threshold) -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from diffsim.data.signal import noise_std
+from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import SPIKE, UNREPEATABLE
 from diffsim.identify import Fit
@@ -28,7 +28,6 @@ Place = tuple[int, int]  # run and sample
 SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains them
 COMMON = 50  # places of a row from which it says nothing, such as a sensor at rest
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
-FEWEST = 12  # steps of a channel, from which its noise can be told
 STRETCH = 8  # rows of a stretch that is remembered of a fitted run
 REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 
@@ -213,10 +212,10 @@ def _goes_on(first: Run, second: Run) -> bool:
     if first.measured.shape[1] != second.measured.shape[1]:
         return False
     for values, start in zip(first.measured.T, second.measured[0], strict=True):
-        usual = np.abs(np.diff(values[np.isfinite(values)]))
-        if len(usual) < FEWEST or not (np.isfinite(values[-1]) and np.isfinite(start)):
+        usual, bends = np.abs(np.diff(values[np.isfinite(values)])), np.diff(values, n=2)
+        if not (np.isfinite(bends).any() and np.isfinite(values[-1]) and np.isfinite(start)):
             continue
-        if abs(start - values[-1]) > SPIKE * (noise_std(values) + float(np.median(usual))):
+        if abs(start - values[-1]) > SPIKE * float(scatter(bends, 2) + np.median(usual)):
             return False
     return True
 

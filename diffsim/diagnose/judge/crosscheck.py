@@ -23,7 +23,6 @@ from diffsim.identify.bandwidth import band_nats, octaves_of
 
 Array = NDArray[np.float64]
 BLOCK_S = 0.3
-MIN_BLOCKS = 6  # with fewer, one draw in 2^5 or more swaps nothing, and no cause could be confirmed
 DRAWS = 200
 LOUDEST = 3.0  # rms of a block, in noise sd: louder ones count as if they were as loud as that
 SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
@@ -56,8 +55,8 @@ def swap_probability(problem: Problem, residual: Array, *, seed: int) -> float |
     """
     pairs = _pairs(problem.runs)
     labels = [_blocks(problem.runs[a]) for a, _ in pairs]
-    if sum(int(label.max()) + 1 for label in labels) < MIN_BLOCKS:
-        return None
+    if 0.5 ** sum(int(label.max()) + 1 for label in labels) > SWAP_LIMIT:
+        return None  # so many draws swap nothing: no cause could be confirmed
     rows = zip(problem.runs, problem.by_run(residual), strict=True)
     grids = [problem.on_grid(run, own) for run, own in rows]
     # of two repeats, scaled to the noise of one

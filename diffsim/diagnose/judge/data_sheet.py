@@ -13,13 +13,12 @@ from scipy.special import ndtri
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.gain import MIN_BLOCKS
-from diffsim.diagnose.judge.records import HALF_LEVEL, BaseRow
+from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, BaseRow
 from diffsim.diagnose.search.search import FAR
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
-FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
 WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
 
 
@@ -33,7 +32,7 @@ def pull_limit(parameters: Sequence[Parameter]) -> float:
         parameters: All base parameters; those that each run has of its own count once.
     """
     num = len({p.name.partition("@")[0] for p in parameters})
-    return -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num))))
+    return -float(ndtri((1.0 - SURE) / (2.0 * max(1, num))))
 
 
 def words_of(name: str) -> str:
@@ -59,7 +58,7 @@ def far_off(rows: Sequence[BaseRow], *, unknown_acts: bool) -> dict[str, float]:
     Returns:
         Distance from the data sheet by the parameter's words [prior sd].
     """
-    widest = -WIDE * float(ndtri(FALSE_FINDINGS / 2.0))
+    widest = -WIDE * float(ndtri((1.0 - SURE) / 2.0))
     found = {row.name for row in rows if row.finding}
 
     def limit(row: BaseRow) -> float:

@@ -24,7 +24,7 @@ from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off, words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Judgment
-from diffsim.diagnose.judge.records import BaseRow, ErrorRow
+from diffsim.diagnose.judge.records import SURE, BaseRow, ErrorRow
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
     KEEP_NATS,
@@ -37,7 +37,6 @@ from diffsim.diagnose.search.gauss_newton import has_exact_slopes
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
-SURE = 0.99  # probability over all sets
 MUCH_LEFT = 3.0  # noise sd, root mean square, that a fit leaves or unseen runs show
 FIRST_ANSWER = "this is a first answer"
 

@@ -23,6 +23,7 @@ EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
 WRONG_DATA_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
+SURE = 0.99  # probability from which a cause is certain; that no right data sheet passes for wrong
 LEVEL = 0.9  # of every interval, and share of the readings that the band of an unseen run holds
 HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike

@@ -10,7 +10,6 @@ import numpy as np
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
 from diffsim.diagnose.judge.judge import Decision, Judgment
-from diffsim.diagnose.judge.preconditions import SURE
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -19,6 +18,7 @@ from diffsim.diagnose.judge.records import (
     HIDDEN,
     LIKELY,
     REFUTED,
+    SURE,
     UNJUDGED,
     UNKNOWN,
     UNTOLD,
@@ -32,7 +32,7 @@ from diffsim.diagnose.search.simulations import NONE
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 
-PROBABLE, POSSIBLE = 0.8, 0.2  # probabilities over all sets
+PROBABLE = 0.8  # probability over all sets; what is left to one is possible
 SEEN = 1.5  # of the usual size: a smallest visible size up to which a cause would be seen
 NOISE = "noise"
 REST = "what else is missing"
@@ -214,7 +214,7 @@ def _status(
         return REFUTED, (decision.forms[i],)
     if i in judgment.as_good:
         return UNTOLD, tuple(known.effects[k].name for k in sorted(judgment.as_good[i]))
-    if p >= POSSIBLE:
+    if p >= 1.0 - PROBABLE:
         return UNTOLD, (NOISE,)
     added = about.added(decision.best | known.members, i)
     if added >= KEEP_NATS:  # sets of so many causes were not fitted

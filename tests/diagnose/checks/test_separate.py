@@ -60,6 +60,18 @@ def test_a_recording_cut_in_two_is_told():
     assert gates(early, away)["separate_runs"].passed
 
 
+@pytest.mark.parametrize(("missing", "is_told"), [((), True), ((2, 5), False)])
+def test_few_samples_tell_that_another_run_begins_elsewhere(missing, is_told):
+    """Eight are enough; without three in a row nothing tells the noise."""
+    whole = recorded(1)
+    early = part(whole, slice(0, 8), name="early")
+    early.measured[list(missing)] = np.nan
+    late = part(whole, slice(8, None), name="late", use="test")
+    away = replace(late, measured=late.measured + 1.0)
+    assert cut_in_two(study(early, late))
+    assert bool(cut_in_two(study(early, away))) is not is_told
+
+
 def test_equal_samples_by_chance_are_no_double():
     coarse = [replace(r, measured=np.round(r.measured)) for r in (recorded(1), recorded(2))]
     assert np.mean(coarse[0].measured == coarse[1].measured) > 0.9

@@ -1,18 +1,23 @@
-"""Thresholds that are listed, set, judged with, and counted."""
+"""Thresholds that are listed, set, followed, answered with, and counted."""
 
 from __future__ import annotations
 
 import json
+import math
+import operator
 
+import numpy as np
 import pytest
+import torch
 
 from diffsim.diagnose.judge import judge as judge_module
 from diffsim.diagnose.search import evidence
 from labs.calibration import __main__ as command
 from labs.calibration import answers
-from labs.calibration.answers import judge_again, judged, store, variant
+from labs.calibration.answers import changed, followed, store
+from labs.calibration.probe import Probe, probed
 from labs.calibration.table import moved, page
-from labs.calibration.thresholds import FACTORS, JUDGE, Threshold, bound_early, changed, listed
+from labs.calibration.thresholds import FACTORS, Threshold, bound_early, listed, put, variant
 from labs.rates.case import case_inputs
 
 ADVICE = "diagnose.say.next_run"  # which run to record next is no verdict
@@ -20,7 +25,7 @@ ADVICE = "diagnose.say.next_run"  # which run to record next is no verdict
 
 @pytest.mark.parametrize("threshold", listed(), ids=lambda t: t.key)
 def test_every_threshold_is_there_and_can_be_set(threshold):
-    assert threshold.acts in ("search", JUDGE) and threshold.decides and threshold.chosen
+    assert threshold.decides and threshold.chosen
     assert isinstance(threshold.value, (int, float))
     half, double = (threshold.times(f) for f in FACTORS)
     assert half != threshold.value or threshold.value == 1
@@ -36,14 +41,14 @@ def test_no_threshold_is_listed_twice():
 
 
 def test_a_value_that_is_taken_at_import_is_told():
-    assert bound_early(Threshold("diagnose.checks.noise", "MAX_ORDER", JUDGE, "x"))
-    assert not bound_early(Threshold("diagnose.judge.gain", "MIN_BLOCKS", JUDGE, "x"))
+    assert bound_early(Threshold("diagnose.checks.noise", "MAX_ORDER", "x"))
+    assert not bound_early(Threshold("diagnose.judge.gain", "MIN_BLOCKS", "x"))
 
 
 def test_a_changed_threshold_reaches_all_that_import_it_and_comes_back():
     (threshold,) = (t for t in listed() if t.name == "KEEP_NATS")
     before = evidence.KEEP_NATS
-    with pytest.raises(RuntimeError, match="stop"), changed(threshold, 2.0):
+    with pytest.raises(RuntimeError, match="stop"), put(threshold, threshold.times(2.0)):
         assert 2.0 * before == evidence.KEEP_NATS == judge_module.KEEP_NATS
         raise RuntimeError("stop")
     assert before == evidence.KEEP_NATS == judge_module.KEEP_NATS
@@ -56,22 +61,75 @@ def case(tmp_path_factory):
     return {"master": 2, "domain": "bench", "index": 4, "effort": "quick", "studies": str(studies)}
 
 
-def test_one_search_is_judged_with_every_threshold(case, monkeypatch):
-    """Judged again as it was, the answer is the same; a surer "certain" changes its words."""
-    seen = {}
+def test_what_is_not_asked_cannot_change_the_answer(case):
+    found = followed(case)
+    assert found["followed"] and found["plain"]["outcome"] != "no answer"
+    spared = [t for t in listed() if not {variant(t, f) for f in FACTORS} & {*found["asked"]}]
+    assert 10 < len(spared) < len(listed()) - 10
+    for threshold in spared[:4]:
+        same = {**case, "key": threshold.key, "factor": 2.0}
+        assert changed(same) == found["plain"]
 
-    def spy(kept, inputs):
-        seen.setdefault("same", answers._brief(seen["made"], lambda: judge_again(kept, inputs)))
-        return judge_again(kept, inputs)
 
-    seen["made"] = store(case)
-    monkeypatch.setattr(answers, "judge_again", spy)
-    chosen = [t for t in listed() if t.name in ("MEMORY", "EXPLAINED", "SURE")]
-    monkeypatch.setattr(answers, "listed", lambda: chosen)
-    found = judged(case)
-    assert set(found) == {"plain", *(variant(t, f) for t in chosen for f in FACTORS)}
-    assert found["plain"]["outcome"] != "no answer"
-    assert seen["same"] == found["plain"]
+def test_an_answer_that_cannot_be_followed_is_asked_by_all(case, monkeypatch):
+    def fail(item, made):
+        if isinstance(evidence.KEEP_NATS, Probe):
+            raise TypeError("must be real number, not Probe")
+        return {"verdict": "none"}
+
+    monkeypatch.setattr(answers, "brief", fail)
+    found = followed(case)
+    assert not found["followed"] and len(found["asked"]) == 2 * len(listed())
+
+
+def probe(value, **ways):
+    noted = set()
+    return Probe(value, ways, noted), noted
+
+
+FOLLOWED = {
+    "compared": (lambda p: p > 3.5, {"double"}),
+    "compared from the left": (lambda p: operator.lt(1.5, p), {"half"}),
+    "far from both": (lambda p: p < 100.0, set()),
+    "a product": (lambda p: 1.0 + 2.0 * p > 6.5, {"double"}),
+    "the larger": (lambda p: max(p, 5.0) > 4.5, set()),
+    "an array": (lambda p: np.array([1.5, 10.0]) < p, {"half"}),
+    "an array's ufunc": (lambda p: np.maximum(np.array([9.0]), p) > 8.0, set()),
+    "a number of NumPy": (lambda p: np.float64(3.0) < p, {"double"}),
+    "left to the C library": (lambda p: math.sqrt(p), {"half", "double"}),
+    "left to an array": (lambda p: np.where([True], p, 1.0), {"half", "double"}),
+    "left to torch": (lambda p: torch.ones(2) * p, {"half", "double"}),
+    "a slice": (lambda p: [1, 2, 3][: Probe(2, p._ways, p._noted)], {"half", "double"}),
+    "a condition": (lambda p: bool(p - 1.0), {"half"}),
+    "a key": (lambda p: {p: 1}, {"half", "double"}),
+}
+
+
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_a_number_is_followed_at_all_its_values(name):
+    work, asked = FOLLOWED[name]
+    number, noted = probe(2.0, half=1.0, double=4.0)
+    plain = work(number)
+    if name not in ("a slice", "a key"):
+        assert np.array_equal(np.asarray(plain), np.asarray(work(probe(2.0)[0])))
+    assert noted == asked
+
+
+def test_two_thresholds_are_followed_together():
+    noted = set()
+    first, second = Probe(2.0, {"a": 1.0}, noted), Probe(3.0, {"b": 9.0}, noted)
+    assert first * second < 10.0 and noted == {"b"}
+    assert float(first + 1.0) == 3.0 and noted == {"a", "b"}
+
+
+def test_thresholds_are_plain_again_afterwards():
+    with probed() as noted:
+        assert isinstance(judge_module.KEEP_NATS, Probe)
+        assert evidence.KEEP_NATS < 1e9 and not noted
+        assert not evidence.KEEP_NATS >= 5.0
+        assert noted == {"diagnose.search.evidence.KEEP_NATS_x2"}
+    assert judge_module.KEEP_NATS == evidence.KEEP_NATS == 4.0
+    assert isinstance(evidence.KEEP_NATS, float)
 
 
 def test_a_stored_case_is_made_once(case, monkeypatch):
@@ -86,7 +144,7 @@ def test_a_case_that_cannot_be_recorded_has_no_answers(case, monkeypatch):
         raise RuntimeError("step size is less than spacing between numbers")
 
     monkeypatch.setattr(answers, "make", fail)
-    assert judged({**case, "index": 5}) == {}
+    assert followed({**case, "index": 5}) == {}
 
 
 def brief(outcome, verdict="named", named=("lag",)):
@@ -102,34 +160,42 @@ def test_changes_are_counted_by_hand():
         "answered": 3, "verdicts": 1, "words": 2, "right": 0, "certain wrong": -1, "false alarm": 1
     }  # fmt: skip
     (threshold,) = (t for t in listed() if t.name == "SURE")
-    found = {"plain": plain, **{variant(threshold, f): other for f in FACTORS}}
-    options = {"domain": ("bench",), "n": 3, "master": 1, "effort": "quick"}
-    text = page(found, dict.fromkeys("abc"), options, "0123456789ab")
+    names = [variant(threshold, f) for f in FACTORS]
+    first = {f"bench_{k}": {"plain": p, "asked": names[1:], "followed": k != "a"}
+             for k, p in plain.items()}  # fmt: skip
+    again = {names[1]: {f"bench_{k}": other[k] for k in "ab"}}
+    options = {"domain": ("bench",), "n": (3,), "master": 1, "effort": "quick", "again": 2}
+    text = page(first, again, options, "0123456789ab")
     (line,) = (row for row in text.splitlines() if row.startswith(f"| `{threshold.key}`"))
-    assert line.endswith("| 1 (2) of 3, 0, -1, +1 | 1 (2) of 3, 0, -1, +1 |")
-    assert f"1 of {len(listed())} thresholds are counted; 0 of these change no" in text
+    assert line.endswith("| 0 | – | 3 | 0 (1) of 2, +1, -1, 0 |")
+    assert f"{len(listed()) - 1} are asked by no case, 0 change no answer" in text
+    assert "(3 bench)" in text and "2 cases could be followed" in text
 
 
-def test_the_command_makes_so_many_answers_and_goes_on(tmp_path, monkeypatch):
-    asked = []
+def test_the_command_answers_again_what_may_change_and_goes_on(tmp_path, monkeypatch):
+    seen = []
+    name = next(variant(t, FACTORS[0]) for t in listed() if t.name == "KEEP_NATS")
 
-    def plain(item):
-        return {"plain": brief("right")} if item["index"] < 2 else {}  # the third is not recorded
+    def follow(item):  # the third is not recorded
+        asked = {"plain": brief("right"), "asked": [name], "followed": True}
+        return asked if item["index"] < 2 else {}
 
-    def fake(item):
-        asked.append((item["key"], item["factor"], item["index"]))
+    def change(item):
+        seen.append((item["key"], item["factor"], item["domain"], item["index"]))
+        if len(seen) == 2:
+            raise KeyboardInterrupt
         return brief("right")
 
     monkeypatch.setattr(command, "head", lambda: ("c" * 40, ""))
-    monkeypatch.setattr(command, "judged", plain)
-    monkeypatch.setattr(command, "searched", fake)
-    call = ["--domain", "bench", "--n", "3", "--only", "KEEP_NATS", "--out", str(tmp_path)]
-    assert command.main([*call, "--most", "3"]) == 0
-    assert len(asked) == 3
-    assert command.main([*call, "--most", "3"]) == 0
-    assert len(asked) == len(set(asked)) == 4
-    text = (tmp_path / "thresholds.md").read_text()
-    assert "| 0 (0) of 2, 0, 0, 0 | 0 (0) of 2, 0, 0, 0 |" in text
-    kept = json.loads(next((tmp_path / "searched").glob("*.json")).read_text())
+    monkeypatch.setattr(command, "followed", follow)
+    monkeypatch.setattr(command, "changed", change)
+    call = ["--domain", "toy,bench", "--n", "1,3", "--again", "2", "--out", str(tmp_path)]
+    assert command.main(call) == 130
+    assert command.main(call) == 0
+    # the domain with more cases first; what was kept is not answered again
+    assert [one[2:] for one in seen] == [("bench", 0), ("bench", 1), ("bench", 1)]
+    assert "| 3 | 0 (0) of 2, 0, 0, 0 | 0 | – |" in (tmp_path / "thresholds.md").read_text()
+    kept = json.loads(next((tmp_path / "changed").glob("*.json")).read_text())
     assert kept["result"]["outcome"] == "right"
     assert command.main(["--domain", "tyo", "--out", str(tmp_path)]) == 2
+    assert command.main(["--domain", "toy", "--n", "1,2", "--out", str(tmp_path)]) == 2
