@@ -26,6 +26,7 @@ from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
 from diffsim.diagnose.discover.answer import with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
+from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.say.assemble import Checks, report_of, tested
@@ -113,6 +114,31 @@ def diagnose(
     # only now test runs are looked at, once
     report = tested(frozen, study, seed)
     return report if found is None else with_laws_said(report, found)
+
+
+def diagnosed(
+    inputs: Inputs, *, progress: Progress | None = None, cache: str | Path | None = None
+) -> Report:
+    """The answer to all inputs of a diagnosis: what ``diffsim diagnose explain`` says.
+
+    Args:
+        inputs: Study, setup and seed.
+        progress: Receives stage, share done and message.
+        cache: Folder for what was simulated, as of ``diagnose``.
+    """
+    setup = inputs.setup
+    return diagnose(
+        inputs.study,
+        setup.model,
+        setup.effects,
+        seed=inputs.seed,
+        unknowns=setup.unknowns,
+        bank=setup.bank,
+        settings=setup.settings,
+        progress=progress,
+        cache=cache,
+        laws=setup.laws,
+    )
 
 
 @dataclass(frozen=True, eq=False)
