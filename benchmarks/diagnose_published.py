@@ -19,7 +19,7 @@ from diffsim.core import interruptible, open_executor, run_each
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from diffsim.data.study import Study
-from diffsim.diagnose import diagnose
+from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.faults import judge_faults
 from diffsim.diagnose.faults.groups import groups_of
 from diffsim.systems.registry import setup_of
@@ -62,16 +62,7 @@ def row(name: str, *, quick: bool = False) -> str:
         if study.faults is not None:
             return _row_of_faults(study, start)
         inputs = inputs_of(study, seed=0, budget="quick" if quick else "full")
-        setup = inputs.setup
-        report = diagnose(
-            inputs.study,
-            setup.model,
-            setup.effects,
-            seed=inputs.seed,
-            unknowns=setup.unknowns,
-            settings=setup.settings,
-            progress=clock,
-        )
+        report = diagnosed(inputs, progress=clock)
     except (DiffsimError, ValueError) as error:
         cpu = time.process_time() - start
         return f"| {name} | failed | {' '.join(str(error).split())} | – | {cpu:.0f} | – |"

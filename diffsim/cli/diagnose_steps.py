@@ -32,7 +32,7 @@ from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
-from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words
@@ -149,25 +149,13 @@ def _explain(args: argparse.Namespace) -> None:
         else:
             what = f"lacks {', '.join(lacks)}"
         print(f"{out} {what}: diagnosing again")
-    setup = inputs.setup
     cache = out / CACHE / inputs.key  # an interrupted diagnosis goes on from what is there
     if args.force:
         shutil.rmtree(out / CACHE, ignore_errors=True)
     elif cache.is_dir():
         print(f"going on with what an interrupted diagnosis left in {cache}")
     with progress_bar("diagnose") as progress:
-        report = diagnose(
-            inputs.study,
-            setup.model,
-            setup.effects,
-            seed=inputs.seed,
-            unknowns=setup.unknowns,
-            bank=setup.bank,
-            settings=setup.settings,
-            progress=progress,
-            cache=cache,
-            laws=setup.laws,
-        )
+        report = diagnosed(inputs, progress=progress, cache=cache)
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
 
