@@ -25,14 +25,15 @@ from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
 from diffsim.diagnose.discover.answer import with_laws_said
+from diffsim.diagnose.discover.follow import MOST_KNOTS
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
-from diffsim.diagnose.say.assemble import Checks, report_of, tested
+from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
-from diffsim.diagnose.search.evidence import Hypothesis, screen
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, screen
 from diffsim.diagnose.search.fit import (
     MAX_RENEWALS,
     Case,
@@ -61,6 +62,7 @@ Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 LAW_SHARE = 0.1  # of what a first answer has cost, that laws may cost where its budget is spent
 ROOM_SHARE = 0.5  # of a budget that a first answer may spend before laws are looked for sparingly
+AS_GOOD = "a law that nobody listed explains as much"
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -105,8 +107,9 @@ def diagnose(
     begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
-    budget = _budget_of_laws(answer, begun, laws)
-    if laws is not None and answer.leaves_room_within(budget):
+    is_led = laws is not None and any(laws.drives(run, MOST_KNOTS) for run in study.fit_runs[:1])
+    budget = _budget_of_laws(answer, begun, is_led=is_led)
+    if laws is not None and answer.leaves_room_within(budget, is_led=is_led):
         fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
         found = find_laws(fits, laws, progress or silent, budget.steps)
         answer = _with_laws(asked, answer, laws, found, budget)
@@ -179,11 +182,24 @@ class _Answer:
         assert self.found is not None
         return self.found
 
-    def leaves_room_within(self, budget: _LawBudget) -> bool:
-        """Whether something is missing: whatever its name may be, or, where a budget is spent,
-        without a name."""
-        open_verdicts = ("unknown",) if budget.is_short else ("named", "ambiguous", "unknown")
+    def leaves_room_within(self, budget: _LawBudget, *, is_led: bool) -> bool:
+        """Whether something is missing: whatever its name may be, or, where a budget is spent and
+        laws must be simulated, without a name."""
+        is_dear = budget.is_short and not is_led
+        open_verdicts = ("unknown",) if is_dear else (*NAMES, "unknown")
         return self.found is not None and self.frozen.verdict in open_verdicts
+
+    def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:
+        """Evidence of the best set without a law, and with one.
+
+        Args:
+            laws: Names of the laws.
+        """
+        effects, most = self.search.wide.effects, [-np.inf, -np.inf]
+        for members in self.search.fits:
+            has_law = any(effects[i].name in laws for i in members)
+            most[has_law] = max(most[has_law], self.search.nats(Hypothesis(members)))
+        return most[0], most[1]
 
 
 @dataclass(frozen=True)
@@ -192,26 +208,29 @@ class _LawBudget:
 
     Attributes:
         steps: Weighted steps of the stage, and again of the search with its laws.
-        is_short: Whether the first answer has spent much of the budget: then laws are looked for
-            where nothing is named, and that search is among causes of its best sets.
+        is_short: Whether the first answer has spent much of the budget: then the search with laws
+            is among causes of its best sets.
     """
 
     steps: float
     is_short: bool
 
 
-def _budget_of_laws(answer: _Answer, begun: int, port: LawPort | None) -> _LawBudget:
-    """What is left of that of the search, or a share of what the first answer has cost."""
-    if answer.found is None or port is None:
+def _budget_of_laws(answer: _Answer, begun: int, *, is_led: bool) -> _LawBudget:
+    """What is left of that of the search, or a share of what the first answer has cost; all of it
+    again where simulations are led along the recordings, so that slopes weigh laws."""
+    if answer.found is None:
         return _LawBudget(0.0, True)
     spent, given = answer.search.steps - begun, answer.search.settings.refit_steps
-    return _LawBudget(max(given - spent, LAW_SHARE * spent), spent > ROOM_SHARE * given)
+    least = given if is_led else LAW_SHARE * spent
+    return _LawBudget(max(given - spent, least), spent > ROOM_SHARE * given)
 
 
 def _with_laws(
     asked: _Question, answer: _Answer, port: LawPort, found: FoundLaws, budget: _LawBudget
 ) -> _Answer:
     """The answer of a search in which laws stand among the causes, if one of them is named."""
+    answer = _doubted_beside(answer, answer.search.nats(Hypothesis(answer.best)), found.most_nats)
     if not found.laws:
         return answer
     setup = port.setup_with([port.block(law) for law in found.laws])
@@ -226,16 +245,33 @@ def _with_laws(
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
-    takes_over = names & set(held) and _may_take_over(frozen, answer.frozen, names)
-    return again if takes_over else answer
+    if names & set(held) and _may_take_over(frozen, answer.frozen, names):
+        return again
+    return answer if again.found is None else _doubted_beside(answer, *again.nats_with(names))
+
+
+def _doubted_beside(answer: _Answer, nats: float, of_law: float) -> _Answer:
+    """The answer, none of its causes being certain where a law has evidence within the odds.
+
+    A law pays for the choice among all that was tried: one that says the same as a cause of the
+    library is behind it.
+
+    Args:
+        answer: Without laws.
+        nats: Evidence of the best set of causes.
+        of_law: Evidence of the best law.
+    """
+    is_clear = nats - of_law >= ALONE_NATS
+    return answer if is_clear else replace(answer, frozen=doubted(answer.frozen, AS_GOOD))
 
 
 def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> bool:
-    """Whether an answer with laws may stand for one without.
+    """Whether an answer with a law may stand for one without.
 
     Each law must lower the error of unseen runs for sure, over the same set without it: a law is
-    chosen among hundreds, by the runs that it is fitted to. Where the answer before names what
-    acts as well, or neither does, the new one gains more for sure.
+    chosen among hundreds, by the runs that it is fitted to. Where both answers name something, one
+    search has weighed causes and laws: no set without a law may be within the odds there, and
+    unseen runs must not prefer what was named before. Else the new one gains more for sure.
 
     Args:
         again: The answer whose search had laws among its causes.
@@ -252,7 +288,10 @@ def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> boo
         return False
     if names_something and before.verdict not in NAMES:
         return True
-    return before.gain is None or again.gain.low > before.gain.value
+    if before.gain is None or again.gain.low > before.gain.value:
+        return True
+    is_alone = names_something and all(laws & set(rival) for rival in again.rivals)
+    return is_alone and again.gain.value >= before.gain.value
 
 
 def _names_near_best(answer: _Answer) -> set[str]:

@@ -72,10 +72,15 @@ class FittedLaw:
     by_run: tuple[tuple[str, Array, Array], ...] = ()
 
     @property
+    def evidence(self) -> float:
+        """Evidence of all that is fitted."""
+        return _nats(self.fit)
+
+    @property
     def reach(self) -> float:
-        """Evidence of all that is fitted, by the best form where that fits closer than bumps."""
+        """The same by the best form, where slopes promise that it fits closer than bumps."""
         closer = self.left - self.forms[0].nats if self.forms else 0.0
-        return _nats(self.fit) + max(closer, 0.0)
+        return self.evidence + max(closer, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +98,13 @@ class FoundLaws:
     fitted: tuple[FittedLaw, ...]
     laws: tuple[Law, ...]
     num_tried: int
+
+    @property
+    def most_nats(self) -> float:
+        """Evidence of the best laws without a form that need no cause of the library beside them,
+        less the price of their choice."""
+        alone = (f for f in self.fitted if all(e.family == "law" for e in f.fit.problem.effects))
+        return max((f.evidence for f in alone), default=-np.inf) - _price(self.num_tried)
 
 
 def find_laws(
@@ -126,18 +138,32 @@ def find_laws(
         for k, fitted in enumerate(_rounds(screened, fit, port, may_fit)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
-    price = float(np.log(max(num_tried, 1)))
+    price = _price(num_tried)
     laws: list[Law] = []
     for most, fitted in zip(MOST_LAWS, rounds, strict=False):
-        # of several fits: what is said of the record with all that stands beside the law
-        fitted.sort(key=lambda f: -f.reach)
-        near = [f for f in fitted if f.reach > fitted[0].reach - BEHIND_NATS]
+        near = _near_best(fitted)
         before = len(laws)
         laws = _without_twins([*laws, *(law for f in near for law in _laws_of(f, price))])
         laws = laws[: before + most]
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+
+
+def _price(num_tried: int) -> float:
+    """What the choice among all that was tried costs [nats]."""
+    return float(np.log(max(num_tried, 1)))
+
+
+def _near_best(fitted: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """Laws about as good as the best by what the simulator says, or by what slopes promise of a
+    form; those first that are first by either."""
+    by_fit = sorted(fitted, key=lambda f: -f.evidence)
+    by_form = sorted(fitted, key=lambda f: -f.reach)
+    near_by_fit = [f for f in by_fit if f.evidence > by_fit[0].evidence - BEHIND_NATS]
+    near_by_form = [f for f in by_form if f.reach > by_form[0].reach - BEHIND_NATS]
+    near = {id(f): f for f in (*near_by_fit, *near_by_form)}
+    return sorted(near.values(), key=lambda f: (min(by_fit.index(f), by_form.index(f)), -f.reach))
 
 
 @dataclass(frozen=True, eq=False)

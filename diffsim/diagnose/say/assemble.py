@@ -284,6 +284,20 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
     )
 
 
+def doubted(frozen: Report, doubt: str) -> Report:
+    """The frozen answer, none of its effects being certain.
+
+    Args:
+        frozen: Report before test runs were looked at.
+        doubt: Why they are not.
+    """
+    causes = [
+        _after_test(row, (doubt,), is_withdrawn=False) if row.status == CERTAIN else row
+        for row in frozen.causes
+    ]
+    return replace(frozen, causes=ranked(causes))
+
+
 def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) -> Report:
     """The answer without what the test runs took from it.
 
