@@ -243,7 +243,7 @@ class PortLaws:
     ) -> Effect:
         """An effect whose components are the factors of terms of a variable."""
         factors = tuple(f"factor_{k}" for k in range(len(terms)))
-        written = [put_variable(term, variable.formula) for term in terms]
+        written = [put_variable(term, variable) for term in terms]
         total = " + ".join(f"{f}*{term}" for f, term in zip(factors, written, strict=True))
         text = f"u + {total}" if entry.kind in ("reading", "input") else total
         by = ByFormula(self._read(text, variable, factors), factors, num_sizes=0)
@@ -264,7 +264,7 @@ class PortLaws:
     def block(self, law: Law) -> Mapping[str, Any]:
         """A law as a row that a user could have written under ``effects.own``."""
         entry, variable = law.entry, law.variable
-        term = put_variable(law.term, variable.formula)
+        term = put_variable(law.term, variable)
         acts: dict[str, Any] = {
             "reading": {"at": "reading", "of": [entry.target], "map": f"u + {term}"},
             "input": {"at": "command", "of": [entry.target], "map": f"u + {term}"},

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -87,6 +87,7 @@ class Variable:
         number_units: Their units.
         is_turn: Whether laws that repeat are tried: states, readings and time, not what is hidden.
         at: Words of the entries at which a law of it may enter; (): all.
+        times: What all of a law of it is multiplied by; None: nothing.
     """
 
     name: str
@@ -100,10 +101,26 @@ class Variable:
     number_units: Mapping[str, str] = field(default_factory=dict)
     is_turn: bool = False
     at: tuple[str, ...] = ()
+    times: Variable | None = None
 
     def may_be_at(self, entry: Entry) -> bool:
         """Whether a law of it may enter somewhere."""
         return not self.at or entry.words in self.at
+
+    @property
+    def own_name(self) -> str:
+        """The name without what a law of it is multiplied by."""
+        return self.name if self.times is None else self.name.removesuffix(_times(self.times))
+
+    def with_factor(self, other: Variable) -> Variable:
+        """The same of laws that are multiplied by another variable, such as wind by an angle."""
+        columns = tuple(dict.fromkeys((*self.columns, *other.columns)))
+        name = self.name + _times(other)
+        return replace(self, name=name, columns=columns, is_turn=False, times=other)
+
+
+def _times(other: Variable) -> str:
+    return f", times {other.name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +183,10 @@ class Law:
     signed: bool = True
 
 
-def put_variable(term: str, formula: str) -> str:
-    """The formula of a term with that of its variable put in."""
-    return re.sub(rf"\b{VALUE}\b", lambda _: f"({formula})", term)
+def put_variable(term: str, variable: Variable) -> str:
+    """The formula of a term with that of its variable put in, and what it is multiplied by."""
+    text = re.sub(rf"\b{VALUE}\b", lambda _: f"({variable.formula})", term)
+    return text if variable.times is None else f"({text})*({variable.times.formula})"
 
 
 def numbers_of(shape: Shape) -> dict[str, float | str]:

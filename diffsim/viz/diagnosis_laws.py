@@ -204,7 +204,7 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
         ["where it enters", _enters(law.entry)],
         ["on what it depends", ", ".join(law.variables)],
         ["form", law.form],
-        ["formula", f"{law.formula}, {VALUE} being {_value_of(law)}"],
+        ["formula", f"{law.formula}, {VALUE} being {_value_of(law)}{_factor_of(law)}"],
         *_write_rows(r, law),
         *([name.replace("_", " "), _number(n)] for name, n in law.numbers.items()),
         ["looks like", " or ".join(law.looks_like) or "–"],
@@ -214,6 +214,10 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
         rows.insert(3, ["hidden state", law.memory])
     caption = "Numbers in SI units with 90 % intervals. The saved model holds the law in full."
     return page.Table(columns=[law.name.replace("_", " "), ""], rows=rows, caption=caption)
+
+
+def _factor_of(law: DescribedLaw) -> str:
+    return f", all of it times {law.variables[1]}" if len(law.variables) > 1 else ""
 
 
 def _write_rows(r: Report, law: DescribedLaw) -> list[list[str]]:

@@ -31,6 +31,7 @@ from diffsim.identify.law import VALUE, Law, Variable
 Array = NDArray[np.float64]
 MOST_ROWS = 40  # of the table
 POSSIBLE = "possible"  # of one of several laws
+PRODUCT = "product"  # form of a line in one variable times another
 
 PERIODS_SHOWN = 3.0  # of a law that repeats: more are a grey wall
 TURN = 2.0 * np.pi
@@ -133,7 +134,7 @@ def _row(c: Candidate) -> ScreenRow:
 def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
     """A missing term over its variable; of one that repeats a few periods in the middle."""
     c, curve = fitted.candidate, fitted.curve
-    place = (c.entry.kind, c.entry.target, (_word_of(c.variable),))
+    place = (c.entry.kind, c.entry.target, _words_of(c.variable))
     memory = c.variable.memory or None
     names = [law.name for law in laws if _place_of(law) == place and law.memory == memory]
     u = curve.u
@@ -152,9 +153,10 @@ def _run_curve(run: str, u: Array, value: Array, low: float, high: float) -> Run
     return RunCurve(run, tuple(u[kept].tolist()), tuple(value[kept].tolist()))
 
 
-def _word_of(variable: Variable) -> str:
-    """A variable, or what drives the hidden state that it is."""
-    return variable.of if variable.memory else variable.name
+def _words_of(variable: Variable) -> tuple[str, ...]:
+    """A variable, or what drives the hidden state that it is; then what multiplies the law."""
+    own = variable.of if variable.memory else variable.own_name
+    return (own,) if variable.times is None else (own, variable.times.name)
 
 
 def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
@@ -180,9 +182,9 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     return DescribedLaw(
         law.name,
         entry,
-        (_word_of(law.variable),),
+        _words_of(law.variable),
         law.variable.memory or None,
-        law.form,
+        _form_of(law),
         law.term,
         numbers,
         _sentence(law, numbers, looks, fit),
@@ -208,7 +210,9 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: F
     memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
     lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
     formula = (
-        "a curve without a formula" if law.form == TABLE else f"{law.form}: {_write_term(law, fit)}"
+        "a curve without a formula"
+        if law.form == TABLE
+        else f"{_form_of(law)}: {_write_term(law, fit)}"
     )
     return f"{what} that depends on {on}{lasts}, {formula}{like}"
 
@@ -221,7 +225,12 @@ def _write_term(law: Law, fit: Fit) -> str:
         if name in fit.values:
             text = re.sub(rf"\b{short}\b", f"{fit.values[name]:.3g}", text)
     text = re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", text)
-    return re.sub(rf"\b{VALUE}\b", law.variable.name, text)
+    text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, text)
+    return text if law.variable.times is None else f"{law.variable.times.name}*{text}"
+
+
+def _form_of(law: Law) -> str:
+    return PRODUCT if law.form == "line" and law.variable.times is not None else law.form
 
 
 def _what(law: Law) -> str:

@@ -8,9 +8,10 @@ whether it holds for more than what it was fitted to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ TOLD = 1e-9  # of what the record tells best, below which it tells nothing
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
 SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
+MOST_PAIRS = 8  # laws of two variables that are weighed by what was left out, too
+WITH_PAIRS = ("force", "rate", "input", "reading")  # a number multiplies as it is
 PARTS = 4  # of a recording of less runs, that are left out one after the other
 
 
@@ -102,6 +105,11 @@ class Candidate(AskedLaw):
     typical: float
 
     @property
+    def is_plain(self) -> bool:
+        """Whether it is of one variable without a memory, and does not repeat."""
+        return not (self.variable.memory or self.variable.times or self.basis.wave)
+
+    @property
     def score(self) -> float:
         """Nats that hold for what it was fitted to and for what was left out."""
         return min(self.nats, self.gained)
@@ -154,10 +162,47 @@ class Screen:
         """Whitened response to terms of a law's variable at its entry, (num_valid, num_terms)."""
         reach = self.reaches[candidate.entry]
         if reach is not None:
-            return reach.columns([terms(u) for u in self.values(candidate)])
+            return reach.columns(self._terms_along(candidate.variable, terms))
         return self.simulated[candidate.entry, id(candidate.variable)] @ _made_of_bumps(
             candidate.basis.reach, terms
         )
+
+    def _terms_along(self, variable: Variable, terms: Callable[[Array], Array]) -> list[Array]:
+        """Terms of a variable along the recordings, (num_samples, num_terms) for each run."""
+        out = [terms(u) for u in self.courses[id(variable)]]
+        if variable.times is None:
+            return out
+        by = self.courses[id(variable.times)]
+        return [t * w[:, None] for t, w in zip(out, by, strict=True)]
+
+    def with_pairs(self, entries: Iterable[Entry]) -> tuple[Screen, list[Candidate], int]:
+        """The same with laws of one variable multiplied by another one.
+
+        Args:
+            entries: Where they may enter; a number multiplies as it is.
+
+        Returns:
+            The screen, the best of these laws, the best first, and how many were weighed.
+        """
+        courses, asked = dict(self.courses), []
+        for entry in entries:
+            if entry.kind not in WITH_PAIRS or self.reaches[entry] is None:
+                continue
+            plain = {c.variable.name: c for c in self.found if c.entry == entry and c.is_plain}
+            for law, other in permutations(plain.values(), 2):
+                pair = law.variable.with_factor(other.variable)
+                courses[id(pair)] = courses[id(law.variable)]
+                asked.append(replace(law, variable=pair))
+        screen = replace(self, courses=courses)
+        best = sorted(asked, key=lambda c: -screen.nats_of(c))[:MOST_PAIRS]
+        weighed = sorted((screen.reweighed(c) for c in best), key=lambda c: c.rank)
+        return screen, weighed, len(asked)
+
+    def nats_of(self, law: Candidate) -> float:
+        """Evidence of a law by its basis."""
+        columns = self.columns_of(law, law.basis.values)
+        power = float(np.sqrt(np.sum(columns**2) / len(columns)))
+        return self.weigher.gain(columns / power)[0] if 0.0 < power < np.inf else -np.inf
 
     def told(self, candidate: Candidate) -> ToldLaw:
         """What the record tells of a law over its variable, by straight lines between points."""

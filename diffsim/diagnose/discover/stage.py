@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
+NUM_PAIRS = 2  # laws of two variables of each round that are fitted in the simulator
 TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
 SCREEN_SHARE = 0.5  # of what laws may cost, for terms that a screen must simulate
@@ -61,6 +62,7 @@ class FittedLaw:
         forms: Forms that it may have, the best first.
         left: Nats that the law without a form leaves.
         by_run: Name, variable and law of each run, as this run alone tells it.
+        num_pairs: Laws of two variables that it was chosen from; 0: it is of one.
     """
 
     candidate: Candidate
@@ -70,6 +72,7 @@ class FittedLaw:
     forms: tuple[FittedForm, ...]
     left: float = 0.0
     by_run: tuple[tuple[str, Array, Array], ...] = ()
+    num_pairs: int = 0
 
     @property
     def evidence(self) -> float:
@@ -138,12 +141,12 @@ def find_laws(
         for k, fitted in enumerate(_rounds(screened, fit, port, may_fit)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
-    price = _price(num_tried)
     laws: list[Law] = []
     for most, fitted in zip(MOST_LAWS, rounds, strict=False):
         near = _near_best(fitted)
         before = len(laws)
-        laws = _without_twins([*laws, *(law for f in near for law in _laws_of(f, price))])
+        made = (_laws_of(f, _price(num_tried + f.num_pairs)) for f in near)
+        laws = _without_twins([*laws, *(law for of_one in made for law in of_one)])
         laws = laws[: before + most]
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
@@ -239,11 +242,32 @@ def _rounds(
                 fitted.append(law)
         if not fitted:
             return
+        screen, pairs = _fit_pairs(screen, fit, fitted, port, standing)
+        fitted += pairs
         yield fitted
         law = max(fitted, key=lambda f: f.nats)
         first = first or law.nats
         standing, fit = (*standing, law), law.fit
         screen = screen.beside(law.candidate)
+
+
+def _fit_pairs(
+    screen: Screen,
+    fit: Fit,
+    fitted: Sequence[FittedLaw],
+    port: LawPort,
+    standing: Sequence[FittedLaw],
+) -> tuple[Screen, list[FittedLaw]]:
+    """Laws multiplied by another variable, where fitted laws enter, if two explain more than any of
+    these by the price of the choice."""
+    entries = dict.fromkeys(f.candidate.entry for f in fitted)
+    screen, pairs, count = screen.with_pairs(entries)
+    least = max(f.nats for f in fitted) + KEEP_NATS + _price(count)
+    promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
+    better = [c for c in pairs if c.nats > promised and c.gained > KEEP_NATS]
+    made = [_fit_law(screen, fit, c, port, standing) for c in better[:NUM_PAIRS]]
+    kept = [law for law in made if law is not None and law.nats > least]
+    return screen, [replace(law, num_pairs=count) for law in kept]
 
 
 def _name(laws: Sequence[Law], k: int) -> str:

@@ -39,7 +39,7 @@ from diffsim.systems.ode.applying import symbol
 from diffsim.systems.ode.described import FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Place
 from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.network import READING, TIME, Change, filled, named
+from diffsim.systems.ode.network import READING, TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
 
 Array = NDArray[np.float64]
@@ -324,6 +324,9 @@ class OdeLaws:
             term = filled(parse_expression(text, (VALUE,)), {VALUE: value})
             parts = {"before": total, "factor": named(factor), "term": term}
             total = filled(parse_expression("before + factor*term"), parts)
+        if variable.times is not None:
+            factor_text = variable.times.formula
+            total = product(total, parse_expression(factor_text, self._names_for(variable)))
         apply = partial(
             _apply_terms,
             change=self._enter(entry, total, change),
@@ -342,7 +345,7 @@ class OdeLaws:
         """The change that hidden states make, and the variable's formula beside it."""
         states = {s: f"{s} of {name}" for s in variable.states}
         own = states | {n: f"{n} of {name}" for n in variable.numbers}
-        known = (*self.system.known, *variable.columns, *own)
+        known = (*self._names_for(variable), *own)
         parts = {short: named(full) for short, full in own.items()}
         rates = {
             states[s]: filled(parse_expression(h.rate, known), parts)
@@ -354,6 +357,9 @@ class OdeLaws:
         }
         change = Change(states=rates, starts=starts, inputs=variable.columns)
         return change, filled(parse_expression(variable.formula, known), parts)
+
+    def _names_for(self, variable: Variable) -> tuple[str, ...]:
+        return (*self.system.known, *variable.columns)
 
     def _start(self, formula: Expression, parts: Mapping[str, Expression]) -> Expression:
         begins = {s: named(at_start(s)) for s in self.system.motion.states}
@@ -383,7 +389,7 @@ class OdeLaws:
     def block(self, law: Law) -> Mapping[str, Any]:
         """A law as a cause of formulas, as ``effects.own`` takes it."""
         entry, variable = law.entry, law.variable
-        term = put_variable(law.term, variable.formula)
+        term = put_variable(law.term, variable)
         target = {"adds_to": entry.target}
         if entry.kind == "force":
             place = self._place(entry.target)

@@ -16,6 +16,7 @@ from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.search.fit import silent
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem, extended_model
+from diffsim.identify.law import Law, Shape
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.whitening import WhiteNoise
@@ -173,6 +174,45 @@ def test_damping_that_falls_with_a_recorded_temperature_is_found():
     curve = fitted.curve
     slope, level = np.polyfit(curve.u - 298.0, curve.values, 1, w=1.0 / curve.sd)
     assert slope / (1.0 + level) == pytest.approx(-0.024, rel=0.1)
+
+
+def stiffer_when_warm(angle, speed, temp):
+    return -5e-4 * (temp - 298.0) * angle
+
+
+@pytest.mark.cpu(12)  # every law of one variable, and pairs of them, fitted in the simulator
+def test_a_law_of_two_variables_is_found_where_none_of_them_explains_as_much():
+    """A spring that only warmth makes: it pulls by the angle times the temperature above a zero."""
+    study = turntable_study(stiffer_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
+    laws = fitted_laws(study)
+    best = max(laws.fitted, key=lambda f: f.nats)
+    pair = best.candidate.variable
+    assert best.candidate.entry.words == "force at shaft" and best.num_pairs > 0
+    assert {pair.own_name, pair.times.name} == {"temp", "angle"}
+    alone = max(f.nats for f in laws.fitted if f.candidate.variable.times is None)
+    assert best.nats > alone + 10.0
+    assert laws.laws[0].variable.times is not None
+    law = next(law for law in laws.laws if law.variable.own_name == "temp")
+    assert law.form == "line" and law.variable.times.name == "angle"
+    assert law.shapes["zero"].value == pytest.approx(298.0, abs=1.0)
+
+
+def test_one_variable_is_enough_where_it_explains_all():
+    """No law of two stands beside a cogging, whatever noise promises of one."""
+    laws = fitted_laws(turntable_study(cogging, uses=("fit", "fit"), noise=NOISE, count=160))
+    assert laws.fitted and all(f.candidate.variable.times is None for f in laws.fitted)
+
+
+def test_the_row_of_such_a_law_holds_both_variables():
+    study = turntable_study(uses=("fit", "fit"), noise=NOISE, count=20)
+    port = setup_of(study).laws
+    by_name = {v.name: v for v in port.variables()}
+    pair = by_name["temp"].with_factor(by_name["angle"])
+    assert pair.name == "temp, times angle" and pair.columns == ("temp",)
+    shaft = next(e for e in port.entries if e.words == "force at shaft")
+    law = Law("warm_spring", shaft, pair, "line", "size*(u - zero)", 2e-3, "N m",
+              {"zero": Shape(298.0, 1.0)})  # fmt: skip
+    assert port.block(law)["term"] == "((size*((temp) - zero))*(angle))/(J)"
 
 
 def test_a_saved_law_judges_another_study(cogs, tmp_path, capsys):
