@@ -367,14 +367,13 @@ def _repeating(
         waves = _waves(u, part, spacing)
         for entry, (there, known) in seen.items():
             scores[entry].append(known.scores(there.coordinates(waves)))
-    return {e: _tops(numbers, np.concatenate(parts)) for e, parts in scores.items()}
-
-
-def _tops(numbers: Array, scores: Array) -> list[float]:
-    """The best of the peaks of scores."""
-    inner = (scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])
-    tops = np.flatnonzero(np.concatenate([[True], inner, [True]]))
-    return [float(numbers[i]) for i in tops[np.argsort(-scores[tops])][:PEAKS]]
+    best: dict[Entry, list[float]] = {}
+    for entry, parts in scores.items():
+        score = np.concatenate(parts)
+        inner = (score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:])
+        tops = np.flatnonzero(np.concatenate([[True], inner, [True]]))
+        best[entry] = [float(numbers[i]) for i in tops[np.argsort(-score[tops])][:PEAKS]]
+    return best
 
 
 def _waves(u: Sequence[Array], numbers: Array, spacing: float) -> list[Array]:
@@ -485,15 +484,17 @@ class Weigher:
         Args:
             columns: Slopes by factors that are N(0, 1), (N, k).
         """
-        before = self._parts.before
-        after = self._parts.misfit(columns)
+        parts, before = self._parts
+        after = parts.misfit(columns)
         # where the stated noise is too large, what it takes away is all that was missing
         missing = max(before - len(self.missing), before - after, 1.0)
         return 0.5 * (before - after), (before - after) / missing
 
     @cached_property
-    def _parts(self) -> _Parts:
-        return _Parts.of(self.jacobian, self.missing, self.folds)
+    def _parts(self) -> tuple[_Parts, float]:
+        """The parts of the record, and their misfit without a law."""
+        parts = _Parts.of(self.jacobian, self.missing, self.folds)
+        return parts, parts.misfit(np.zeros((len(self.missing), 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -537,11 +538,6 @@ class _Parts:
         rest = (every.sum(0) - every)[:, :count, :count] + np.eye(count)
         return cls(begins, known, every, np.linalg.inv(np.linalg.cholesky(rest)))
 
-    @cached_property
-    def before(self) -> float:
-        """Misfit without a law."""
-        return self.misfit(np.zeros((self.begins[-1], 0)))
-
     def misfit(self, columns: Array) -> float:
         """Misfit of all parts, each with what the rest tells.
 
@@ -559,18 +555,13 @@ class _Parts:
         beside = mixed.sum(0) - mixed
         # block elimination of the model's own numbers, which are the same for every law
         u, right = self.roots @ beside[:, :n], self.roots @ rest[:, :n, n:]
-        inner = own.sum(0) - own + np.eye(k) - _turned(u) @ u
-        h = np.linalg.solve(inner, beside[:, n, :, None] - _turned(u) @ right)
-        d = _turned(self.roots) @ (right - u @ h)
-        linear = _turned(d) @ self.grams[:, :n, n:] + mixed[:, n : n + 1] @ h
-        square = _turned(d) @ (self.grams[:, :n, :n] @ d + 2.0 * mixed[:, :n] @ h)
-        square = square + _turned(h) @ own @ h
+        inner = own.sum(0) - own + np.eye(k) - u.transpose(0, 2, 1) @ u
+        h = np.linalg.solve(inner, beside[:, n, :, None] - u.transpose(0, 2, 1) @ right)
+        d = self.roots.transpose(0, 2, 1) @ (right - u @ h)
+        linear = d.transpose(0, 2, 1) @ self.grams[:, :n, n:] + mixed[:, n : n + 1] @ h
+        square = d.transpose(0, 2, 1) @ (self.grams[:, :n, :n] @ d + 2.0 * mixed[:, :n] @ h)
+        square = square + h.transpose(0, 2, 1) @ own @ h
         return float(np.sum(self.grams[:, n, n] + (square - 2.0 * linear)[:, 0, 0]))
-
-
-def _turned(stack: Array) -> Array:
-    """Transposed matrices of a stack."""
-    return np.swapaxes(stack, 1, 2)
 
 
 @dataclass(frozen=True, eq=False)
