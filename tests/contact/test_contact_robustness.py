@@ -124,12 +124,13 @@ def test_stiff_bodies_land_spinning(kind, youngs, spin):
 @pytest.mark.parametrize(
     ("mu", "share", "height", "youngs"),
     [
-        # the line search held slip directions: steps without end where rounding hid the energy
-        (0.7, 0.9353, 0.05, 44670908.80633092),
-        (2.0, 0.9429, 0.05, 23133386.611489225),
-        (1.4, 0.9987, 0.02, 312562849.35754925),
-        # sweeps over single contacts did not settle, and statuses went round
-        (2.0, 0.976, 0.02, 669880543.2841105),
+        # Without turning slip directions the line search made steps without end where rounding
+        # hid the energy; sweeps over single contacts did not settle in the last resort.
+        (1.0, 0.99, 0.02, 7e8),
+        (1.4, 0.98, 0.05, 7e8),
+        (2.0, 0.95, 0.05, 7e8),
+        (2.0, 0.96, 0.02, 7e8),
+        (2.0, 0.98, 0.02, 7e8),
     ],
 )
 def test_rounding_does_not_decide_whether_a_step_converges(mu, share, height, youngs):
@@ -151,7 +152,7 @@ def test_rounding_does_not_decide_whether_a_step_converges(mu, share, height, yo
         state = start._replace(x=moved)
         for _ in range(4):
             state = body(state, obstacles=floor)
-        assert float(state.v.abs().max()) < 1e-3  # it sticks; sliding it would gain 4 mm/s and more
+        assert float(state.v.abs().max()) < 1e-3  # sliding freely: 0.1 m/s
 
 
 @pytest.mark.parametrize("kind", ["hex", "tet"])
