@@ -65,10 +65,8 @@ double sweep(const ConeProblem& p, Eigen::VectorXd& force) {
   for (Eigen::Index j = 0; j < p.offset.size(); ++j) {
     const Mat3 own = p.W.block<3, 3>(3 * j, 3 * j);
     const Vec3 before = force.segment<3>(3 * j);
-    const Vec3 others =
-        p.free.segment<3>(3 * j) + p.W.middleRows<3>(3 * j) * force - own * before;
-    const Vec3 after =
-        solve_one(own, others, p.normal.col(j), p.offset(j), p.friction(j), before);
+    const Vec3 others = p.free.segment<3>(3 * j) + p.W.middleRows<3>(3 * j) * force - own * before;
+    const Vec3 after = solve_one(own, others, p.normal.col(j), p.offset(j), p.friction(j), before);
     change += (after - before).squaredNorm();
     force.segment<3>(3 * j) = after;
   }
@@ -86,15 +84,13 @@ Eigen::VectorXd residual(const ConeProblem& p, const Eigen::VectorXd& force,
     const Vec3 along = own - n.dot(own) * n;
     const double slip = along.norm(), friction = p.friction(j);
     const double rho = 1.0 / p.W.block<3, 3>(3 * j, 3 * j).trace();
-    const Vec3 trial =
-        force.segment<3>(3 * j) - rho * (own + (friction * slip - p.offset(j)) * n);
+    const Vec3 trial = force.segment<3>(3 * j) - rho * (own + (friction * slip - p.offset(j)) * n);
     const Projection projected = project_cone(trial, n, friction);
     out.segment<3>(3 * j) = force.segment<3>(3 * j) - projected.force;
     if (!slope) continue;
     Mat3 corrected = Mat3::Identity();
     if (slip > 0.0) corrected += friction * n * (along / slip).transpose();
-    slope->middleRows<3>(3 * j) +=
-        rho * (projected.slope * corrected) * p.W.middleRows<3>(3 * j);
+    slope->middleRows<3>(3 * j) += rho * (projected.slope * corrected) * p.W.middleRows<3>(3 * j);
     slope->block<3, 3>(3 * j, 3 * j) -= projected.slope;
   }
   return out;

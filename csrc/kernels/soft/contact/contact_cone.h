@@ -1,6 +1,7 @@
 // Coulomb contacts of a linear body in their forces alone, a few dense unknowns per contact.
 //
-// With relative displacements u = free + W f, each force f in its cone K, slip u_T and depth offset:
+// With relative displacements u = free + W f, each force f in its cone K, slip u_T and depth
+// offset:
 //   f = P_K(f - rho (u + (mu |u_T| - offset) n)),
 // the projection with de Saxce's correction of the displacement (de Saxce and Feng 1998). It is
 // solved by sweeps over single contacts, which do not cycle but are slow where a stiff body couples

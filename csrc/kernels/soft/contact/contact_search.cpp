@@ -56,9 +56,8 @@ bool backtrack(ContactProblem& p, const ContactDirection& d, const Vector& limit
     if (!std::isfinite(after)) continue;
     if (after <= before + kArmijo * step * std::min(slope, 0.0) + rounding) return true;
     p.statuses.update_slip(at.x, at.gradient);
-    if (after <= before + flat &&
-        std::abs(merit_slope(p.objective, p.space, limits, at.gradient, d.within)) <=
-            kWolfe * std::abs(slope))
+    if (after <= before + flat && std::abs(merit_slope(p.objective, p.space, limits, at.gradient,
+                                                       d.within)) <= kWolfe * std::abs(slope))
       return true;
   }
   return false;
