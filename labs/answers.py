@@ -16,6 +16,7 @@ def answer_of(report: Report) -> dict[str, Any]:
         "verdict": report.verdict,
         "sentences": list(report.sentences),
         "named": sorted(report.named),
+        "laws": [] if report.described is None else [law.name for law in report.described.laws],
         "rivals": [sorted(r) for r in report.rivals],
         "statuses": {row.name: row.status for row in report.causes if row.size},
         "stated": {

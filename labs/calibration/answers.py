@@ -12,10 +12,11 @@ from typing import Any
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.core.threads import one_thread
+from diffsim.diagnose.diagnosis import diagnosed
 from labs.answers import answer_of, failure
 from labs.calibration.probe import probed
 from labs.calibration.thresholds import FACTORS, listed, put, variant
-from labs.rates.case import case_inputs, diagnosed, make
+from labs.rates.case import case_inputs, make
 from labs.rates.score import scored
 
 MADE = "made.json"  # beside the study of a stored case: what is hidden in it

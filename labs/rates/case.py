@@ -14,9 +14,8 @@ from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
-from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.say.report import Report
 from diffsim.identify.effect import Effect
 from labs.answers import answer_of, failure
 from labs.rates.draw import DENIED, FAMILY, Draw, draw
@@ -118,20 +117,6 @@ def case_inputs(made: Mapping[str, Any], folder: Path, effort: str) -> Inputs:
         setup_file=None if made["setup_file"] is None else Path(made["setup_file"]),
         without=made["without"],
         budget=effort,
-    )
-
-
-def diagnosed(inputs: Inputs) -> Report:
-    """The public call with these inputs."""
-    setup = inputs.setup
-    return diagnose(
-        inputs.study,
-        setup.model,
-        setup.effects,
-        seed=inputs.seed,
-        unknowns=setup.unknowns,
-        bank=setup.bank,
-        settings=setup.settings,
     )
 
 

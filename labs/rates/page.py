@@ -122,7 +122,8 @@ def write_chart(rows: Sequence[Row], path: Path) -> None:
     ax.set_ylabel("share that acts (90 % bounds)", color=SOFT)
     ax.set_xlim(-0.02, 1.02)
     ax.set_ylim(-0.02, 1.02)
-    ax.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left")
+    # above the axes: bounds of few cases reach everywhere
+    ax.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="lower left", bbox_to_anchor=(0, 1))
     path.parent.mkdir(parents=True, exist_ok=True)
     FigureCanvasSVG(figure).print_svg(str(path), metadata={"Date": None})
 

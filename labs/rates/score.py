@@ -14,6 +14,7 @@ LIKELY_WRONG, CERTAIN_WRONG = "likely wrong", "certain wrong"
 ALARM, MISSED, NO_ANSWER = "false alarm", "missed", "no answer"
 OUTCOMES = (RIGHT, HELD, OPEN, LIKELY_WRONG, CERTAIN_WRONG, ALARM, MISSED, NO_ANSWER)
 SILENT = ("none", "data_sheet")
+SPEAKING = ("named", "ambiguous", "unknown", "described")
 ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen
 FAR_SHEET = 2.0  # half widths of its 90 % interval by which a data sheet's finding is surely wrong
 
@@ -39,14 +40,15 @@ def outcome(row: Mapping[str, Any], sheets: Mapping[str, Mapping[str, Any]]) -> 
 
     Where nothing is hidden, ``none`` is right, and so is a data sheet that is off and said to be
     what it truly is. Where the library lacks the cause, ``unknown`` is right, and a look-alike that
-    is not said to be certain stands as ambiguous. What no data could show is rightly not found.
+    is not said to be certain stands as ambiguous, and so does a law: whether it is the right one is
+    counted by ``labs.unlisted``. What no data could show is rightly not found.
 
     Args:
         row: What was hidden, and the answer.
         sheets: Findings on data sheets beside the truth.
     """
     verdict, kind = row["verdict"], row["kind"]
-    if verdict not in (*SILENT, "named", "ambiguous", "unknown"):
+    if verdict not in (*SILENT, *SPEAKING):
         return NO_ANSWER
     holds = all(sheet["inside"] for sheet in sheets.values())
     if kind == NULL:
@@ -54,7 +56,8 @@ def outcome(row: Mapping[str, Any], sheets: Mapping[str, Mapping[str, Any]]) -> 
             return RIGHT
         return HELD if verdict == "ambiguous" and [] in row.get("rivals", []) else ALARM
     own = {*row["truth"]["sizes"], *row["truth"]["also"]}
-    if is_wrong_sheet(row, sheets) or (certain_names(row) - (set() if kind == DENIED else own)):
+    free = set(row.get("laws", ())) if kind == DENIED else own
+    if is_wrong_sheet(row, sheets) or certain_names(row) - free:
         return CERTAIN_WRONG
     if verdict in SILENT:
         return RIGHT if row["lambda"] < ABSORBED else MISSED
@@ -77,7 +80,7 @@ def _outcome_of_known(row: Mapping[str, Any], own: set[str]) -> str:
 
 
 def certain_names(row: Mapping[str, Any]) -> set[str]:
-    """Effects of the library that are said to be certain."""
+    """Effects that are said to be certain."""
     causes = row.get("statuses", {})
     sheets = set(row.get("sheets", {}))
     stated = row.get("stated", {})

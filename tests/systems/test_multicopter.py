@@ -125,6 +125,20 @@ def test_initial_states_are_fitted_away(model, flown):
     assert float(((other - scene.simulate()) / SD).abs().max()) < 0.05
 
 
+def test_flights_of_a_search_for_starts_are_counted_once(model, flown):
+    """A new point flies windows from 25 starts or more side by side; a known one flies no more."""
+    run, _ = flown
+    q, tally = model.at_prior() + 0.03, model.simulations
+    steps = []
+    for _ in range(2):
+        before = tally.work
+        with torch.no_grad():
+            model.predict(run, q, {})
+        steps.append(tally.since(before).steps)
+    predicted = round(model.cost(run))
+    assert steps[0] >= predicted * 0.25 * 24 and steps[1] == predicted
+
+
 def test_gaps_do_not_count(model, flown):
     run, _ = flown
     holes = run.measured.copy()

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -263,14 +263,25 @@ def screen_laws(
     reaches: dict[Entry, Reach | None] = {}
     dear: list[tuple[Variable, _AtEntry]] = []
     for k, entry in enumerate(entries):
-        progress("laws", k / len(entries), f"laws at {entry.words}")
+        progress("laws", 0.5 * k / len(entries), f"laws at {entry.words}")
         reaches[entry] = followed.reach(port, entry)
-        at = _AtEntry(followed, weigher, port, entry, reaches[entry], most_work)
+    seen = {e: (r, weigher.seen_by(r)) for e, r in reaches.items() if r and e.kind != "input"}
+    waves = {
+        id(v): _repeating(
+            {e: s for e, s in seen.items() if v.may_be_at(e)}, courses[id(v)], most_work
+        )
+        for v in variables
+        if v.is_turn
+    }
+    for k, entry in enumerate(entries):
+        progress("laws", 0.5 + 0.5 * k / len(entries), f"laws at {entry.words}")
+        at = _AtEntry(followed, weigher, port, entry, reaches[entry])
         for variable in (v for v in variables if v.may_be_at(entry)):
             if at.reach is None:
                 dear.append((variable, at))
             else:
-                out += at.weigh(variable, courses[id(variable)])
+                numbers = waves.get(id(variable), {}).get(entry, [])
+                out += at.weigh(variable, courses[id(variable)], numbers)
     # what is there at once is tried before what lasts, its own past before that of others
     dear.sort(key=lambda d: (bool(d[0].memory), d[0].of not in ("", d[1].entry.target)))
     simulated: dict[tuple[Entry, int], Array] = {}
@@ -307,30 +318,31 @@ def _together(made: Sequence[Candidate]) -> Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _AtEntry:
-    """Laws at one entry.
-
-    Attributes:
-        most_work: Wave numbers by samples, for each variable.
-    """
+    """Laws at one entry."""
 
     followed: FollowedRecord
     weigher: Weigher
     port: LawPort
     entry: Entry
     reach: Reach | None
-    most_work: float
 
-    def weigh(self, variable: Variable, u: Sequence[Array]) -> Iterator[Candidate]:
-        """Laws of one variable with bumps, and with the waves that repeat best."""
+    def weigh(
+        self, variable: Variable, u: Sequence[Array], waves: Sequence[float]
+    ) -> Iterator[Candidate]:
+        """Laws of one variable with bumps, and with the waves that repeat best.
+
+        Args:
+            variable: On what they depend.
+            u: The variable along each run, (num_samples,).
+            waves: Wave numbers.
+        """
         found = _range_of(np.concatenate(u))
         if found is None:
             return
         reach = self.reach
         assert reach is not None
         laws = [bumps(*found)]
-        if variable.is_turn and self.entry.kind != "input":
-            waves = self._repeating(reach, u)
-            laws += [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in waves]
+        laws += [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in waves]
         for law in laws:
             yield from self._weigh(
                 variable, law, lambda basis: reach.columns([basis.values(v) for v in u])
@@ -368,29 +380,44 @@ class _AtEntry:
         if made:
             yield _together(made)
 
-    def _repeating(self, entry: Reach, u: Sequence[Array]) -> list[float]:
-        """Wave numbers with which a law of a variable would repeat, the best ones."""
-        every = np.concatenate(u)
-        reach = float(every.max() - every.min())
-        steps = np.concatenate([np.abs(np.diff(v)) for v in u])
-        fastest = float(np.quantile(steps, SLOW_QUANTILE)) if len(steps) else 0.0
-        if not fastest > 0.0:
-            return []
-        # a quarter of a period more over the range tells two numbers apart
-        spacing = 0.5 * np.pi / reach
-        most = min(MOST_NUMBERS, self.most_work / len(every))
-        highest = min(np.pi / fastest, spacing * most)
-        numbers = np.arange(2.0 * np.pi * FEWEST_PERIODS / reach, highest, spacing)
-        if len(numbers) < 3:
-            return []
-        seen = self.weigher.seen_by(entry)
-        parts = np.array_split(numbers, len(numbers) // CHUNK + 1)
-        scores = np.concatenate(
-            [seen.scores(entry.coordinates(_waves(u, k, spacing))) for k in parts]
-        )
-        inner = (scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])
+
+def _repeating(
+    seen: Mapping[Entry, tuple[Reach, SeenThere]], u: Sequence[Array], most_work: float
+) -> dict[Entry, list[float]]:
+    """Wave numbers with which laws of a variable would repeat, the best ones of each entry.
+
+    Args:
+        seen: What terms do at entries, and what matters of it.
+        u: The variable along each run, (num_samples,).
+        most_work: Wave numbers by samples.
+    """
+    every = np.concatenate(u)
+    if not seen or _range_of(every) is None:
+        return {}
+    reach = float(every.max() - every.min())
+    steps = np.concatenate([np.abs(np.diff(v)) for v in u])
+    fastest = float(np.quantile(steps, SLOW_QUANTILE)) if len(steps) else 0.0
+    if not fastest > 0.0:
+        return {}
+    # a quarter of a period more over the range tells two numbers apart
+    spacing = 0.5 * np.pi / reach
+    most = min(MOST_NUMBERS, most_work / len(every))
+    highest = min(np.pi / fastest, spacing * most)
+    numbers = np.arange(2.0 * np.pi * FEWEST_PERIODS / reach, highest, spacing)
+    if len(numbers) < 3:
+        return {}
+    scores: dict[Entry, list[Array]] = {entry: [] for entry in seen}
+    for part in np.array_split(numbers, len(numbers) // CHUNK + 1):
+        waves = _waves(u, part, spacing)
+        for entry, (there, known) in seen.items():
+            scores[entry].append(known.scores(there.coordinates(waves)))
+    best: dict[Entry, list[float]] = {}
+    for entry, parts in scores.items():
+        score = np.concatenate(parts)
+        inner = (score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:])
         tops = np.flatnonzero(np.concatenate([[True], inner, [True]]))
-        return [float(numbers[i]) for i in tops[np.argsort(-scores[tops])][:PEAKS]]
+        best[entry] = [float(numbers[i]) for i in tops[np.argsort(-score[tops])][:PEAKS]]
+    return best
 
 
 def _waves(u: Sequence[Array], numbers: Array, spacing: float) -> list[Array]:
@@ -502,50 +529,83 @@ class Weigher:
             columns: Slopes by factors that are N(0, 1), (N, k).
         """
         parts, before = self._parts
-        after = _misfit([part.gram(columns[part.rows]) for part in parts], self.jacobian.shape[1])
+        after = parts.misfit(columns)
         # where the stated noise is too large, what it takes away is all that was missing
         missing = max(before - len(self.missing), before - after, 1.0)
         return 0.5 * (before - after), (before - after) / missing
 
     @cached_property
-    def _parts(self) -> tuple[tuple[_Part, ...], float]:
+    def _parts(self) -> tuple[_Parts, float]:
         """The parts of the record, and their misfit without a law."""
-        j, parts = self.jacobian, []
-        for i in np.unique(self.folds):
-            rows = self.folds == i
-            own = np.flatnonzero(~(j[~rows] != 0.0).any(0) & (j[rows] != 0.0).any(0))
-            known = np.column_stack([j[rows], self.missing[rows]])
-            parts.append(_Part(rows, known, known.T @ known, own))
-        grams = [part.gram(np.zeros((len(part.known), 0))) for part in parts]
-        return tuple(parts), _misfit(grams, j.shape[1])
+        parts = _Parts.of(self.jacobian, self.missing, self.folds)
+        return parts, parts.misfit(np.zeros((len(self.missing), 0)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """A part of the record that is left out.
+class _Parts:
+    """Parts of the record, each left out in turn: all that is the same for every law.
+
+    Of a part p, G_p = [J, missing, H]' P_p [J, missing, H], where P_p takes out what the parameters
+    that only this part tells would follow; no other part fits them. What the rest tells of the
+    others and of a law's factors H solves (sum G - G_p + 1) d = (sum G - G_p)[:, missing].
 
     Attributes:
-        rows: Where it stands.
-        known: [J, missing] there.
-        inner: Gram matrix of these.
-        own: Parameters that only this part tells.
+    begins: First row of each part, and the end of the last, (P + 1,).
+        known: P_p [J, missing] of each part, then the root of what P_p takes out,
+            (n + 1 + num_own, num_rows) each.
+        grams: Of P_p [J, missing], (P, n + 1, n + 1).
+        roots: Inverse Cholesky factors of the rest's gram matrix of J and 1, (P, n, n).
     """
 
-    rows: NDArray[np.bool_]
-    known: Array
-    inner: Array
-    own: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    known: Sequence[Array]
+    grams: Array
+    roots: Array
 
-    def gram(self, columns: Array) -> Array:
-        """Gram matrix of [J, missing, H], the part's own parameters fitted."""
-        mixed = self.known.T @ columns
-        gram = np.block([[self.inner, mixed], [mixed.T, columns.T @ columns]])
-        own = self.own
-        if len(own):
-            inner = gram[np.ix_(own, own)] + np.eye(len(own))
-            gram = gram - gram[:, own] @ linalg.solve(inner, gram[own], assume_a="pos")
-            gram[own] = gram[:, own] = 0.0  # they are fitted: nobody fits them again
-        return np.asarray(gram)
+    @classmethod
+    def of(cls, jacobian: Array, missing: Array, folds: Array) -> _Parts:
+        """Parts of whitened slopes, (N, n), and of what is missing, (N,), by their number, (N,)."""
+        begins = np.append(np.flatnonzero(np.diff(folds, prepend=-1)), len(folds))
+        count = jacobian.shape[1]
+        known, grams = [], []
+        for low, high in pairwise(begins.tolist()):
+            j = jacobian[low:high]
+            others = np.concatenate([jacobian[:low], jacobian[high:]])
+            own = ~(others != 0.0).any(0) & (j != 0.0).any(0)
+            left = np.column_stack([np.where(own, 0.0, j), missing[low:high]])
+            root = linalg.cholesky(j[:, own].T @ j[:, own] + np.eye(int(own.sum())), lower=True)
+            out = linalg.solve_triangular(root, j[:, own].T, lower=True)
+            taken = out @ left
+            grams.append(left.T @ left - taken.T @ taken)
+            known.append(np.vstack([left.T - taken.T @ out, out]))
+        every = np.array(grams)
+        rest = (every.sum(0) - every)[:, :count, :count] + np.eye(count)
+        return cls(begins, known, every, np.linalg.inv(np.linalg.cholesky(rest)))
+
+    def misfit(self, columns: Array) -> float:
+        """Misfit of all parts, each with what the rest tells.
+
+        Args:
+            columns: Slopes by factors of a law, (N, k).
+        """
+        n, k, num_parts = self.roots.shape[1], columns.shape[1], len(self.known)
+        mixed, own = np.empty((num_parts, n + 1, k)), np.empty((num_parts, k, k))
+        for p, (low, high) in enumerate(pairwise(self.begins.tolist())):
+            part = columns[low:high]
+            seen = self.known[p] @ part
+            mixed[p] = seen[: n + 1]
+            own[p] = part.T @ part - seen[n + 1 :].T @ seen[n + 1 :]
+        rest = self.grams.sum(0) - self.grams
+        beside = mixed.sum(0) - mixed
+        # block elimination of the model's own numbers, which are the same for every law
+        u, right = self.roots @ beside[:, :n], self.roots @ rest[:, :n, n:]
+        inner = own.sum(0) - own + np.eye(k) - u.transpose(0, 2, 1) @ u
+        h = np.linalg.solve(inner, beside[:, n, :, None] - u.transpose(0, 2, 1) @ right)
+        d = self.roots.transpose(0, 2, 1) @ (right - u @ h)
+        linear = d.transpose(0, 2, 1) @ self.grams[:, :n, n:] + mixed[:, n : n + 1] @ h
+        square = d.transpose(0, 2, 1) @ (self.grams[:, :n, :n] @ d + 2.0 * mixed[:, :n] @ h)
+        square = square + h.transpose(0, 2, 1) @ own @ h
+        return float(np.sum(self.grams[:, n, n] + (square - 2.0 * linear)[:, 0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -586,22 +646,3 @@ def _folds(problem: Problem) -> Array:
         return np.repeat(np.arange(len(counts)), counts)
     parts = [np.arange(n) * PARTS // max(n, 1) + PARTS * k for k, n in enumerate(counts)]
     return np.concatenate(parts)
-
-
-def _misfit(grams: Sequence[Array], at: int) -> float:
-    """Misfit of all parts, each with what the rest tells of coordinates.
-
-    Args:
-        grams: Gram matrix of coordinates and of what is missing, by part.
-        at: Place of what is missing.
-    """
-    total = np.sum(grams, 0)
-    idx = np.delete(np.arange(len(total)), at)
-    square = np.ix_(idx, idx)
-    misfit = 0.0
-    for gram in grams:
-        rest = total - gram
-        inner = rest[square] + np.eye(len(idx))
-        d = linalg.solve(inner, rest[idx, at], assume_a="pos")
-        misfit += float(gram[at, at] - 2.0 * d @ gram[idx, at] + d @ gram[square] @ d)
-    return misfit

@@ -30,8 +30,9 @@ from diffsim.identify.linearization import (
 )
 
 Array = NDArray[np.float64]
-GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
-SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
+# relative error up to which the linear prediction counts as exact, and so does the distance in
+# nats from the best set
+SLOPE_RTOL = 0.05
 SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
 REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
 MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
@@ -168,9 +169,9 @@ def gauss_newton(
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
         promised = s.promised(step)
-        if promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit, GAP_RTOL * behind):
+        if promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit, SLOPE_RTOL * behind):
             # so far behind that nothing hangs on what separates two names
-            is_outranked = GAP_RTOL * behind > ALONE_NATS
+            is_outranked = SLOPE_RTOL * behind > ALONE_NATS
             if s.at.slope_error == 0.0 or s.has_exact_slopes or is_outranked:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break

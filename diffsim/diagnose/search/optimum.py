@@ -18,8 +18,6 @@ MAX_REWEIGHTS = 60
 SAFE_STEPS = 2  # before Newton's
 REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
 FREE = 1e-6  # precision of a size that is nearly without a prior
-CONVEX = 0.5  # scaled size below which the prior's penalty is convex
-SAME_VALLEY = 0.1
 ROUNDING = 1e-13
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _PANELS = np.linspace(-10.0, 10.0, 41)
@@ -73,10 +71,7 @@ def _sizes_optimum(gram: Array, b: Array, low: Array, high: Array, start: Array)
     every = np.ones(len(b), dtype=bool)
     near = _reweight_sizes(gram, b, low, high, every, precision_at(start))
     free = quadratic_optimum(gram + FREE * np.eye(len(b)), b, low, high)
-    if (np.abs(free) < CONVEX).all() or np.allclose(free, near, rtol=SAME_VALLEY, atol=SAME_VALLEY):
-        return near  # there is but one valley
     far = _reweight_sizes(gram, b, low, high, every, precision_at(free))
-
     return min(near, far, key=lambda u: _cost(u, gram, b, every))
 
 

@@ -20,7 +20,7 @@ from diffsim.core.layer import may_be_differentiated
 from diffsim.core.memo import Memo, memo_field
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Build, Scene, SimModel
+from diffsim.identify.model import TOGETHER, Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.multicopter.cutting import (
     FEWEST,
@@ -100,7 +100,12 @@ class CopterModel(SimModel):
         made = super().scene(run, q, there, numerics)
         assert isinstance(made, CopterScene)
         digits = ((e, s.numpy().tobytes()) for e, s in there.items())
-        return made.changed(point=(self, numerics or Numerics(), q.numpy().tobytes(), *digits))
+        point = (self, numerics or Numerics(), q.numpy().tobytes(), *digits)
+        return made.changed(point=point, note=partial(self._note_starts, run, numerics))
+
+    def _note_starts(self, run: Run, numerics: Numerics | None, number: int) -> None:
+        """Count a flight of a search for initial states; it is no prediction by itself."""
+        self.simulations.add(0, round(self.cost(run, numerics) * (1.0 + TOGETHER * (number - 1))))
 
     def shortened(self, runs: Sequence[Run]) -> SimModel | None:
         """The model with windows half as long as the longest one of some runs.

@@ -20,9 +20,12 @@ class CopterScene(CopterFlight):
 
     Attributes:
         point: Point of the parameters, by which its initial states are known again; None: unknown.
+        note: Told of every flight that a search for initial states takes, with the number of starts
+            that fly side by side; None: nobody counts.
     """
 
     point: Hashable | None = None
+    note: Callable[[int], None] | None = None
 
     def simulate(self) -> Tensor:
         """Predicted channels of one point, (num_samples, num_channels)."""
@@ -44,6 +47,8 @@ class CopterScene(CopterFlight):
         def predict(starts: Tensor) -> Tensor:
             # one for each number of starts: its last forces are the first guess of the next flight
             points = len(starts)
+            if self.note is not None:
+                self.note(points)
             if points not in flyers:
                 flyers[points] = Flyer(self, points, is_one=True)
             return flyers[points](starts)

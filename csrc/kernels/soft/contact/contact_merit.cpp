@@ -20,6 +20,12 @@ double merit(const ContactSpace& space, const Vector& limits, const Vector& x, d
   return value;
 }
 
+double dissipation_rounding(const ContactSpace& space, const Vector& limits, const Vector& x) {
+  double total = 0.0;
+  for (std::size_t k = 0; k < space.size(); ++k) total += limits[k] * space.rounding(k, x);
+  return total;
+}
+
 double merit_slope(StepProblem& objective, const ContactSpace& space, const Vector& limits,
                    const Vector& gradient, const Vector& q) {
   double slope = objective.ops().dot(gradient, q);

@@ -17,7 +17,10 @@ Vector friction_limits(StepProblem& objective, const ContactSpace& space, const 
 /// The merit at x, where g is `value` [J].
 double merit(const ContactSpace& space, const Vector& limits, const Vector& x, double value);
 
-/// Its slope along q, (num_nodes, 3) [m], slip directions held [J].
+/// What rounding of positions leaves undetermined of the merit's friction [J].
+double dissipation_rounding(const ContactSpace& space, const Vector& limits, const Vector& x);
+
+/// Its slope along q, (num_nodes, 3) [m], by the slip directions as they are [J].
 double merit_slope(StepProblem& objective, const ContactSpace& space, const Vector& limits,
                    const Vector& gradient, const Vector& q);
 

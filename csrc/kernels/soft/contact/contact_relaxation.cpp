@@ -1,19 +1,13 @@
 #include "kernels/soft/contact/contact_relaxation.h"
 
-#include <Eigen/Cholesky>
-
+#include "kernels/soft/contact/contact_cone.h"
 #include "kernels/soft/contact/contact_merit.h"
 
 namespace diffsim {
 namespace {
 
 using Vec3 = Eigen::Vector3d;
-using Mat3 = Eigen::Matrix3d;
 
-// Sweeps over all contacts, and iterations of one contact within a sweep.
-constexpr int kMaxSweeps = 2000, kMaxLocal = 100;
-// Change of the forces in a sweep, of the forces; and that of one contact, of a sweep's.
-constexpr double kTolerance = 1e-12, kLocalTolerance = 0.1 * kTolerance;
 // Friction from this share of Coulomb's limit on is that of slip.
 constexpr double kConeEdge = 1.0 - 1e-9;
 // The dense operator has (3 k)^2 entries: 160 MB for so many contacts.
@@ -23,39 +17,6 @@ constexpr std::size_t kMaxRelaxed = 1500;
 constexpr int kDoublingsEachTime = 2, kMaxDoublings = 5;
 // Shortest step towards a relaxed solution, of the whole: ten trials.
 constexpr double kLeastLength = 1e-3;
-
-/// Nearest force in Coulomb's cone about n.
-Vec3 project_cone(const Vec3& force, const Vec3& n, double friction) {
-  const double normal = n.dot(force);
-  const Vec3 along = force - normal * n;
-  const double size = along.norm();
-  if (size <= friction * normal) return force;
-  if (friction * size <= -normal) return Vec3::Zero();
-  const double onto = (normal + friction * size) / (1.0 + friction * friction);
-  return onto * n + (friction * onto / size) * along;
-}
-
-/// Force of one contact whose relative displacement is w + W force, all others held.
-/// Fixed point of the cone projection with de Saxce's correction of the displacement.
-Vec3 solve_one(const Mat3& W, const Vec3& w, const Vec3& n, double offset, double friction,
-               Vec3 force) {
-  if (std::isinf(friction)) {
-    const Vec3 stick = W.ldlt().solve(offset * n - w);
-    return n.dot(stick) > 0.0 ? stick : Vec3::Zero();
-  }
-  if (friction == 0.0) return std::max(0.0, (offset - n.dot(w)) / n.dot(W * n)) * n;
-  const double step = 1.0 / W.trace();
-  for (int iter = 0; iter < kMaxLocal; ++iter) {
-    const Vec3 u = w + W * force;
-    const double slip = (u - n.dot(u) * n).norm();
-    const Vec3 next =
-        project_cone(force - step * (u + (friction * slip - offset) * n), n, friction);
-    const double change = (next - force).norm();
-    force = next;
-    if (change <= kLocalTolerance * force.norm()) break;
-  }
-  return force;
-}
 
 /// Moves x along `step` as far as lowers the merit.
 /// @param lowers_merit  false: the step only has to reach where g is finite. The first step leads
@@ -121,37 +82,26 @@ bool relax_contacts(StepProblem& problem, ContactSpace& space,
   Vector free = x;
   problem.ops().add(-1.0, step, free);
 
-  Eigen::MatrixXd W(3 * m, 3 * m);
-  Eigen::VectorXd w(3 * m), force = Eigen::VectorXd::Zero(3 * m);
+  ConeProblem dense(m);
+  Eigen::VectorXd force = Eigen::VectorXd::Zero(3 * m);
   for (Eigen::Index j = 0; j < m; ++j) {
     const std::size_t k = contacts[static_cast<std::size_t>(j)];
+    dense.normal.col(j) = Eigen::Map<const Vec3>(space.normal(k));
+    dense.offset(j) = in.offset[k];
+    dense.friction(j) = in.friction[k];
     for (std::size_t a = 0; a < 3; ++a) {
       const std::size_t entry = 3 * space.node(k) + a;
-      w(3 * j + static_cast<Eigen::Index>(a)) = free[entry] - in.reference[3 * k + a];
+      dense.free(3 * j + static_cast<Eigen::Index>(a)) = free[entry] - in.reference[3 * k + a];
       unit[entry] = 1.0;
       problem.solve_factorized(unit, column);
       unit[entry] = 0.0;
       for (Eigen::Index i = 0; i < m; ++i)
         for (std::size_t b = 0; b < 3; ++b)
-          W(3 * i + static_cast<Eigen::Index>(b), 3 * j + static_cast<Eigen::Index>(a)) =
+          dense.W(3 * i + static_cast<Eigen::Index>(b), 3 * j + static_cast<Eigen::Index>(a)) =
               column[3 * space.node(contacts[static_cast<std::size_t>(i)]) + b];
     }
   }
-  bool settled = false;
-  for (int sweep = 0; sweep < kMaxSweeps && !settled; ++sweep) {
-    double change = 0.0;
-    for (Eigen::Index j = 0; j < m; ++j) {
-      const std::size_t k = contacts[static_cast<std::size_t>(j)];
-      const Mat3 own = W.block<3, 3>(3 * j, 3 * j);
-      const Vec3 before = force.segment<3>(3 * j);
-      const Vec3 others = w.segment<3>(3 * j) + W.middleRows<3>(3 * j) * force - own * before;
-      const Vec3 n = Eigen::Map<const Vec3>(space.normal(k));
-      const Vec3 after = solve_one(own, others, n, in.offset[k], in.friction[k], before);
-      change += (after - before).squaredNorm();
-      force.segment<3>(3 * j) = after;
-    }
-    settled = std::sqrt(change) <= kTolerance * force.norm();
-  }
+  const bool settled = solve_cones(dense, force);
   Vector load(problem.size(), 0.0);
   std::fill(space.status.begin(), space.status.end(), ContactStatus::kSeparate);
   limits.assign(space.size(), 0.0);

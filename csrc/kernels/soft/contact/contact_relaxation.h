@@ -1,5 +1,5 @@
-// Frictional contact on a linearized body by nonlinear Gauss-Seidel on the Delassus operator:
-// slower than the semismooth Newton iteration, but it does not cycle. Used where that one does.
+// Frictional contact on a linearized body, solved as a whole in its contact forces (contact_cone.h):
+// slower than the iteration on statuses, but it does not cycle. Used where that one does.
 #pragma once
 
 #include <vector>
@@ -12,7 +12,7 @@ namespace diffsim {
 /// @param[in] contacts  those that may touch; the others separate
 /// @param[in] gradient  grad g at x [N]
 /// @param[out] limits   (num_contacts,) friction force at which each contact slips [N]
-/// @return false where the clamped tangent cannot be factorized or the sweeps do not settle
+/// @return false where the clamped tangent cannot be factorized or the forces do not settle
 bool relax_contacts(StepProblem& problem, ContactSpace& space,
                     const std::vector<std::size_t>& contacts, const Vector& gradient, Vector& x,
                     Vector& limits);

@@ -40,20 +40,24 @@ bool lower_residual(ContactProblem& p, const ContactDirection& d, const Vector& 
   return false;
 }
 
-/// Halves the step until the merit falls; false where none does.
+/// Halves the step until the merit falls, or its slope where rounding hides that; false where none
+/// does. Slip directions turn along the step, and the slope with them: held, they would hide what
+/// friction resists a turn with, which is most of the slope where a stiff body all but sticks.
 /// @param start  on the constraints
 bool backtrack(ContactProblem& p, const ContactDirection& d, const Vector& limits,
                const Vector& start, double slope, ContactIterate& at) {
   const double before = merit(p.space, limits, start, at.value);
   const double rounding = kEnergyRounding * p.objective.magnitude();
+  const double flat =
+      kFlatEnergy * p.objective.magnitude() + dissipation_rounding(p.space, limits, start);
   for (double step = 1.0; step > kLeastStep; step *= 0.5) {
     at.move(p.objective, start, step, d.within);
     const double after = merit(p.space, limits, at.x, at.value);
     if (!std::isfinite(after)) continue;
     if (after <= before + kArmijo * step * std::min(slope, 0.0) + rounding) return true;
-    if (after <= before + kFlatEnergy * p.objective.magnitude() &&
-        std::abs(merit_slope(p.objective, p.space, limits, at.gradient, d.within)) <=
-            kWolfe * std::abs(slope))
+    p.statuses.update_slip(at.x, at.gradient);
+    if (after <= before + flat && std::abs(merit_slope(p.objective, p.space, limits, at.gradient,
+                                                       d.within)) <= kWolfe * std::abs(slope))
       return true;
   }
   return false;
