@@ -62,6 +62,7 @@ Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 LAW_SHARE = 0.1  # of what a first answer has cost, that laws may cost where its budget is spent
 ROOM_SHARE = 0.5  # of a budget that a first answer may spend before laws are looked for sparingly
+BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
@@ -184,10 +185,12 @@ class _Answer:
 
     def leaves_room_within(self, budget: _LawBudget, *, is_led: bool) -> bool:
         """Whether something is missing: whatever its name may be, or, where a budget is spent and
-        laws must be simulated, without a name."""
+        laws must be simulated, without a name. What is named and leaves far less than the noise is
+        all that may be asked: a law would tell what the study says to be noise."""
+        if self.found is None or self.frozen.verdict not in (*NAMES, "unknown"):
+            return False
         is_dear = budget.is_short and not is_led
-        open_verdicts = ("unknown",) if is_dear else (*NAMES, "unknown")
-        return self.found is not None and self.frozen.verdict in open_verdicts
+        return self.frozen.verdict == "unknown" or (not is_dear and self.frozen.left > BELOW_NOISE)
 
     def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:
         """Evidence of the best set without a law, and with one.
