@@ -69,6 +69,19 @@ def test_laws_weighed_by_slopes_have_a_budget_whatever_the_answer_has_spent(spen
     assert simulated.steps == pytest.approx(share * GIVEN) and simulated.is_short is is_short
 
 
+@pytest.mark.parametrize(
+    ("verdict", "left", "has_room"),
+    [("named", 0.96, True), ("named", 0.25, False), ("unknown", 0.25, True), ("none", 1.0, False)],
+)
+def test_no_law_is_looked_for_in_what_the_study_says_to_be_noise(verdict, left, has_room):
+    """A law took the place of a chamber's ballooning: 0.01 of the noise sd less was left by it."""
+    frozen = SimpleNamespace(verdict=verdict, left=left)
+    answer = SimpleNamespace(found=frozen, frozen=frozen)
+    budget = diagnosis._LawBudget(GIVEN, is_short=False)
+    room = diagnosis._Answer.leaves_room_within
+    assert room(answer, budget, is_led=True) is has_room  # type: ignore[arg-type]
+
+
 def test_what_slopes_promise_does_not_displace_what_the_simulator_shows():
     """A wind was not weighed, for a reading that slopes promised 226 nats which it did not keep."""
     promised = SimpleNamespace(evidence=-1481.0, reach=-1255.0)
