@@ -85,6 +85,7 @@ def test_spin_drag_is_rejected(setup):
 
 def test_study_through_the_impact():
     """Where a toss goes on, its corner has come down to the board and goes up again."""
+    data_folder("cube_toss")
     study = read_study("cube_toss")
     window = {"until": "rebound", "near": "3 mm", "rest_frames": 10}
     cut = setup_of(replace(study, model={**study.model, "window": window})).study
