@@ -19,11 +19,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.diagnose_published import NAMES
+from benchmarks.diagnose_published import NAMES, library_answer
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose import diagnose
 from diffsim.diagnose.judge.band import Part, factor_of, like_unseen, unfitted_parts
 from diffsim.diagnose.judge.records import band_share
 
@@ -45,15 +44,7 @@ def parts_of(name: str) -> tuple[list[Part], Array, float | None, int]:
     if study.faults is not None:
         raise ValueError("its groups have faults that differ")
     inputs = inputs_of(study, seed=0, budget="quick")
-    setup = inputs.setup
-    report = diagnose(
-        inputs.study,
-        setup.model,
-        setup.effects,
-        seed=inputs.seed,
-        unknowns=setup.unknowns,
-        settings=setup.settings,
-    )
+    report = library_answer(inputs)
     parts = unfitted_parts(report.best, report.study.select_runs)
     known, tests = like_unseen(parts, report.floor.sd), len(report.study.test_runs)
     return known, report.floor.sd, band_share(report.errors), tests

@@ -22,14 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.diagnose_published import NAMES
+from benchmarks.diagnose_published import NAMES, library_answer
 from diffsim.cli.arguments import add_executor, names
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core import interruptible, open_executor, run_each
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from diffsim.data.study import TIMELESS, Study
-from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.averaging import MODEL_FORM, widening
 from diffsim.diagnose.judge.records import HALF_LEVEL
@@ -195,15 +194,7 @@ class Chosen:
 
 def chosen_by(inputs: Inputs) -> Chosen:
     """What the extended model of a first answer to all runs holds; a fit to a part starts there."""
-    setup = inputs.setup
-    report = diagnose(
-        inputs.study,
-        setup.model,
-        setup.effects,
-        seed=inputs.seed,
-        unknowns=setup.unknowns,
-        settings=setup.settings,
-    )
+    report = library_answer(inputs)
     return Chosen([e.name for e in report.best.problem.effects], report.best.values)
 
 

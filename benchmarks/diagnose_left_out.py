@@ -19,14 +19,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.diagnose_published import PUBLISHED
+from benchmarks.diagnose_published import PUBLISHED, library_answer
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core import interruptible
 from diffsim.core.files import write_text_atomic
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
-from diffsim.diagnose import diagnose
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.identify.model_file import read_extended
@@ -113,15 +112,7 @@ def rows(name: str, case: Case) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         known, all_of = _studies(case, Path(folder))
         inputs = inputs_of(known, seed=0)
-        made = inputs.setup
-        report = diagnose(
-            inputs.study,
-            made.model,
-            made.effects,
-            seed=inputs.seed,
-            unknowns=made.unknowns,
-            settings=made.settings,
-        )
+        report = library_answer(inputs)
         report.save(Path(folder))
         saved = read_extended(Path(folder))
         judged = inputs_of(saved.framed(all_of), seed=0)

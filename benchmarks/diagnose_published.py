@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,8 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.faults import judge_faults
 from diffsim.diagnose.faults.groups import groups_of
+from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.say.report import Report
 from diffsim.systems.registry import setup_of
 
 PUBLISHED = Path(__file__).parents[1] / "diffsim/systems/published"
@@ -45,6 +48,11 @@ class Clock:
             self.checks = now
         elif self.checks is not None:
             self.gradients, self.checks = now - self.checks, None
+
+
+def library_answer(inputs: Inputs) -> Report:
+    """The answer among causes of the library alone, without advice on what to record next."""
+    return diagnosed(replace(inputs, setup=replace(inputs.setup, laws=None, bank=())))
 
 
 def row(name: str, *, quick: bool = False) -> str:

@@ -19,6 +19,9 @@ def shown(of: Channel | Command, values: Array) -> Array:
     Args:
         of: What was measured or commanded.
         values: In its ``unit``, any shape.
+
+    Returns:
+        The same shape, in ``shown_unit``, or in ``unit`` where none is stated.
     """
     formula = of.shown_formula if isinstance(of, Channel) else None
     if formula is None:
@@ -35,6 +38,9 @@ def shown_change(of: Channel, at: Array, change: Array) -> Array:
         of: What was measured.
         at: Values in its ``unit``, any shape.
         change: What they have more than others, in its ``unit``, of the same shape.
+
+    Returns:
+        The same shape, in ``shown_unit``, or in ``unit`` where none is stated.
     """
     if of.shown_unit is None:
         return np.asarray(change)

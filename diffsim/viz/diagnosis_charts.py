@@ -104,14 +104,20 @@ def _signals(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any
         lines.append(charts.line(t, after, "extended model", EXTENDED, most=most))
     error: dict[str, Any] | None = None
     if channel.sd is not None and run.band is None:  # which holds the noise
-        bars = shown_change(channel, run.measured[:, i], np.full(len(t), channel.sd))
-        error = {"array": charts.rounded(bars[charts.thinned(len(t), most)])}
-        error = {**error, "thickness": 0.7, "width": 0}
+        error = {**_noise_bars(channel, run.measured[:, i], most), "thickness": 0.7, "width": 0}
     measured = read(run.measured[:, i])
     look = {"error_y": error, **charts.dots(INK, 3.5)}
     name = "measured" if error is None else "measured ± noise"
     lines.append(charts.line(t, measured, name, INK, most=most, **look))
     return lines
+
+
+def _noise_bars(channel: Channel, measured: Array, most: int) -> dict[str, Any]:
+    """One noise sd as it is shown: a number, or of a scaled reading one for each sample."""
+    bars = shown_change(channel, measured, np.full(len(measured), channel.sd))
+    if channel.shown_formula is None:
+        return {"type": "constant", "value": bars[0]}
+    return {"array": charts.rounded(bars[charts.thinned(len(bars), most)])}
 
 
 def _draw_band(

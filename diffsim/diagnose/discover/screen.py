@@ -550,7 +550,7 @@ class _Parts:
     others and of a law's factors H solves (sum G - G_p + 1) d = (sum G - G_p)[:, missing].
 
     Attributes:
-    begins: First row of each part, and the end of the last, (P + 1,).
+        begins: First row of each part, and the end of the last, (P + 1,).
         known: P_p [J, missing] of each part, then the root of what P_p takes out,
             (n + 1 + num_own, num_rows) each.
         grams: Of P_p [J, missing], (P, n + 1, n + 1).

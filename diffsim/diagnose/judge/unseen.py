@@ -404,13 +404,13 @@ def _error_rows(
     for c, channel in enumerate(channels):
         members.setdefault((channel.kind, channel.shown_unit or channel.unit), []).append(c)
     rows, seen = [], run.measured
+    noises = np.broadcast_to(sd, seen.shape)
+    halves = np.full_like(seen, np.nan) if half is None else half
     for (kind, unit), own in members.items():
         valid = np.isfinite(seen[:, own])
         count = int(valid.sum())
         if not count:
             continue
-        noises = np.broadcast_to(sd, run.measured.shape)
-        halves = np.full_like(run.measured, np.nan) if half is None else half
         before, after, constant, held, bare, noise, band = (
             _rms(np.stack([shown_change(channels[c], seen[:, c], x[:, c]) for c in own], 1)[valid])
             for x in (*left, noises, halves)
