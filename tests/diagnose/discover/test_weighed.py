@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -108,3 +109,22 @@ def test_a_doubt_leaves_causes_likely(listed):
     assert all(row.status != CERTAIN for row in answer.causes)
     (row,) = [row for row in answer.causes if row.name == MIMIC]
     assert row.status == LIKELY and row.doubts == (diagnosis.AS_GOOD,)
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """What of an answer a doubt concerns."""
+
+    frozen: Any
+
+
+@pytest.mark.cpu(10)
+@pytest.mark.parametrize(("ahead", "is_certain"), [(0.01, True), (-0.01, False)])
+def test_a_cause_is_certain_only_beyond_the_odds_of_a_law(listed, ahead, is_certain):
+    """A law that explains as much, its price paid, leaves a cause of the library likely."""
+    answer = diagnosis._doubted_beside(
+        Frozen(listed),  # type: ignore[arg-type]
+        nats=100.0,
+        of_law=100.0 - diagnosis.ALONE_NATS - ahead,
+    )
+    assert any(row.status == CERTAIN for row in answer.frozen.causes) is is_certain
