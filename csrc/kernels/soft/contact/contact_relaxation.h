@@ -1,5 +1,6 @@
-// Frictional contact on a linearized body, solved as a whole in its contact forces (contact_cone.h):
-// slower than the iteration on statuses, but it does not cycle. Used where that one does.
+// Frictional contact on a linearized body, solved as a whole in its contact forces
+// (contact_cone.h): slower than the iteration on statuses, but it does not cycle. Used where that
+// one does.
 #pragma once
 
 #include <vector>
