@@ -55,12 +55,15 @@ class Instruments:
         """Whether they show all as it is."""
         return not (self.readings or self.clocks)
 
-    @property
-    def num_points(self) -> int:
-        """Number of points K of what causes do; 0 where sizes have no axis of points."""
+    def num_points(self, num_channels: int) -> int:
+        """Number of points K of what causes do; 0 where sizes have no axis of points.
+
+        Args:
+            num_channels: Number of channels that are read.
+        """
         leads = [delay.shape for _, delay in self.clocks]
         for channels, change in self.readings:
-            try_out = torch.zeros(max(len(channels), 1), 2, dtype=torch.float64)
+            try_out = torch.zeros(len(channels) or num_channels, 2, dtype=torch.float64)
             leads.append(change(try_out, Grid.even(2, 1.0)).shape[:-2])
         return max((lead[0] for lead in leads if lead), default=0)
 

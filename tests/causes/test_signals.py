@@ -10,6 +10,7 @@ from scipy import interpolate, signal
 from diffsim.causes import interpolation, signals
 from diffsim.causes import signals as maps
 from diffsim.causes.commands import CommandGroup, command_cause
+from diffsim.causes.instruments import Instruments
 from diffsim.causes.signals import MAPS, on_columns
 
 
@@ -220,3 +221,11 @@ def test_rows_are_changed_each_by_its_own_size_and_the_others_stay():
     torch.testing.assert_close(got, y + added[..., None], rtol=0, atol=0)
     whole = signals.change_rows(y, (), lambda u, grid: -u, grid)
     torch.testing.assert_close(whole, -y, rtol=0, atol=0)
+
+
+def test_points_are_counted_where_a_reading_uses_a_later_channel():
+    def leak(shown, grid):
+        return shown + torch.ones(5, 1, 1, dtype=torch.float64) * shown[..., 2:3, :]
+
+    assert Instruments().with_reading((), leak).num_points(3) == 5
+    assert Instruments().num_points(3) == 0

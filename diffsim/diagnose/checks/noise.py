@@ -21,7 +21,7 @@ from diffsim.identify.whitening import MOST_RUNS
 Array = NDArray[np.float64]
 MAX_ORDER = 4
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
-FEWEST = 20  # deviations of repeats, from which on they tell the scatter
+FEWEST = 20  # independent deviations, from which on they tell the scatter and its color
 SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
 STATED = "stated sd"
@@ -192,10 +192,13 @@ def fit_ar(series: Sequence[Array], max_order: int = MAX_ORDER) -> Array:
 def fit_color(series: Sequence[Array], sd: float) -> Array:
     """Autoregressive coefficients of noise whose sd is stated; none where it is white, or where
     what is left is more or less than that noise: its color is not the sensor's then, but that of
-    what acts, or of what nobody stated.
+    what acts, or of what nobody stated. None either where the recordings are short against the
+    memory of that color: what it remembers is seen too few times to be told from a drift.
 
     Both by the Bayesian information criterion: the coefficients against white noise of the same
-    sd, and an sd of its own against the stated one.
+    sd, and an sd of its own against the stated one. The memory by the number of independent
+    samples that have as certain a mean as these (Bayley and Hammersley 1946, "The 'effective'
+    number of independent observations in an autocorrelated time series").
 
     Args:
         series: What the best set leaves, by run; NaN where nothing was measured [unit of sd].
@@ -204,7 +207,8 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     none = np.zeros(0)
     parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]
     a, num_samples = fit_ar(parts), sum(map(len, parts))
-    if not len(a):  # nothing is left, or it is white
+    # nothing is left, it is white, or its memory is too long to be seen
+    if not len(a) or _num_independent(a, num_samples) < FEWEST:
         return none
     blocks = [_whitening_block(len(x), a) for x in parts]
     chi2 = float(sum(np.sum((w @ x) ** 2) for w, x in zip(blocks, parts, strict=True)))
@@ -214,6 +218,13 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     ratio = chi2 / num_samples
     of_own_size = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
     return a if gained > len(a) * price and of_own_size <= price else none
+
+
+def _num_independent(a: Array, num_samples: int) -> float:
+    """Independent samples whose mean is as certain as that of autoregressive ones: their spectrum
+    at zero frequency tells."""
+    innovation = 1.0 - a @ _autocorrelation(a, len(a) + 1)[1 : len(a) + 1]
+    return float(num_samples * (1.0 - a.sum()) ** 2 / innovation)
 
 
 def without_spikes(run: Run, left: Array) -> tuple[Run, int]:

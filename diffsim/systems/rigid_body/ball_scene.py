@@ -150,15 +150,18 @@ class BallScene(InstrumentedScene):
         for channels, delay in delays_of(self.instruments.clocks).items():
             places = torch.tensor(channels)
             out = out.index_copy(-1, places, wide._show_channels(delay)[..., places])
-        out = self.instruments.read(out, grid_at(self.time))
-        is_one = not any(v.ndim for v in self.values.values()) and not self.instruments.num_points
-        return out[0] if is_one else out
+        return self.instruments.read(out if self._lead else out[0], grid_at(self.time))
 
     def wide(self) -> BallScene:
         """A copy whose values have one axis, (K,) each."""
-        sizes = [v.shape for v in (*self.values.values(), *(d for _, d in self.instruments.clocks))]
-        batch = np.broadcast_shapes(*sizes)
-        return replace(self, values={n: v.expand(batch or (1,)) for n, v in self.values.items()})
+        lead = self._lead or (1,)
+        return replace(self, values={n: v.expand(lead) for n, v in self.values.items()})
+
+    @property
+    def _lead(self) -> tuple[int, ...]:
+        """Axis of points of values and clocks; () where they are at one point."""
+        sizes = (*self.values.values(), *(delay for _, delay in self.instruments.clocks))
+        return np.broadcast_shapes(*(size.shape for size in sizes))
 
     def _show_channels(self, late: Tensor | None) -> Tensor:
         """(K, T, num_channels) as they are ``late`` (K,) or () [s] before."""

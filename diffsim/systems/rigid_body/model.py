@@ -115,7 +115,8 @@ class TossTable:
             return torch.cat([read, shown[:, 0, count:]], 1)[:, None]
 
         points = [v.numel() for v in (*values.values(), *terms.values())]
-        return own.profile(show, max([*points, instruments.num_points]))[:, 0]
+        num_read = instruments.num_points(run.measured.shape[1])
+        return own.profile(show, max([*points, num_read]))[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,7 @@ class TossScene(InstrumentedScene):
         out = self.table.predict(self.run, self.values, self.terms, self.instruments)
         out = out[:, : len(self.run.time_s)]
         wide = any(v.ndim for v in (*self.values.values(), *self.terms.values()))
-        return out if wide or self.instruments.num_points else out[0]
+        return out if wide or self.instruments.num_points(out.shape[-1]) else out[0]
 
 
 TOSS, SAMPLE = 2000.0, 16.0  # weighted steps of a toss and of its samples, starts fitted anew

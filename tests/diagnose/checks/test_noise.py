@@ -156,6 +156,13 @@ def test_a_stated_sd_that_is_far_too_large_has_no_color():
     assert len(fit_color(colored, 1.0)) == 1
 
 
+def test_a_memory_as_long_as_the_recording_is_no_color():
+    """A drift over one short film, of the stated size, is told from noise by nothing."""
+    drift = np.sqrt(2.0) * np.sin(np.linspace(0.0, 2.0 * np.pi, 28))
+    assert len(fit_ar([drift])) > 0
+    assert len(fit_color([drift], 1.0)) == 0
+
+
 def test_readings_in_steps_have_the_noise_of_rounding():
     """Repeats that are equal to the last digit say nothing of an encoder's steps."""
     time = 0.01 * np.arange(200)
