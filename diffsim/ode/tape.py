@@ -15,6 +15,7 @@ from torch import Tensor
 from diffsim.core.expression import OPERATIONS, Apply, Expression, Name, Node, NumberNode
 
 _CODES = {name: code for code, name in enumerate(OPERATIONS)}  # in the order of TapeOp
+_QUICK_POWERS = (0.5, 2.0, 3.0)  # as torch.pow has them: a root, or products of equal bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +81,24 @@ class _Writer:
         if isinstance(node, Name):
             return self._place[node.name]
         if id(node) not in self._visited:
-            parts = [self.register(part) for part in node.parts]
-            row = [_CODES[node.operation], *parts, *([0] * (3 - len(parts)))]
-            if tuple(row) not in self._known:
-                self.rows.append(row)
-                num_given = len(self._place) + len(self._number)
-                self._known[tuple(row)] = num_given + len(self.rows) - 1
-            self._visited[id(node)] = self._known[tuple(row)]
+            self._visited[id(node)] = self._apply(node)
         return self._visited[id(node)]
+
+    def _apply(self, node: Apply) -> int:
+        power = node.parts[1] if node.operation == "pow" else None
+        if isinstance(power, NumberNode) and power.value in _QUICK_POWERS:
+            base = self.register(node.parts[0])
+            if power.value == 0.5:
+                return self._instruction("sqrt", base)
+            square = self._instruction("mul", base, base)
+            return square if power.value == 2.0 else self._instruction("mul", square, base)
+        return self._instruction(node.operation, *map(self.register, node.parts))
+
+    def _instruction(self, operation: str, *registers: int) -> int:
+        """Register of an operation on registers; written down where it is new."""
+        row = [_CODES[operation], *registers, *([0] * (3 - len(registers)))]
+        if tuple(row) not in self._known:
+            self.rows.append(row)
+            num_given = len(self._place) + len(self._number)
+            self._known[tuple(row)] = num_given + len(self.rows) - 1
+        return self._known[tuple(row)]

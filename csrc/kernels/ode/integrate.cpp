@@ -8,8 +8,8 @@ namespace diffsim {
 
 namespace {
 
-// Members of a batch side by side in one sweep; fewer than that are integrated one by one. Both
-// give the same bits: lanes do not see each other.
+// Members of a batch side by side in one sweep; what is left of a batch goes by fours, twos and
+// ones. All give the same bits: lanes do not see each other.
 constexpr int kLanes = 8;
 
 /// Integrates `Lanes` members from `first` on.
@@ -277,12 +277,18 @@ class Sweep {
 template <typename F>
 void each_group(std::int64_t batch, int num_threads, F&& f) {
   const std::int64_t wide = batch / kLanes, rest = batch % kLanes;
-  ThreadPool pool(static_cast<int>(std::min<std::int64_t>(num_threads, wide + rest)));
-  pool.run(wide + rest, [&](std::int64_t i) {
+  const std::int64_t four = rest / 4, two = rest % 4 / 2, count = wide + four + two + rest % 2;
+  ThreadPool pool(static_cast<int>(std::min<std::int64_t>(num_threads, count)));
+  pool.run(count, [&](std::int64_t i) {
+    const std::int64_t first = wide * kLanes;
     if (i < wide)
       f(std::integral_constant<int, kLanes>(), i * kLanes);
+    else if (i < wide + four)
+      f(std::integral_constant<int, 4>(), first);
+    else if (i < wide + four + two)
+      f(std::integral_constant<int, 2>(), first + 4 * four);
     else
-      f(std::integral_constant<int, 1>(), wide * kLanes + i - wide);
+      f(std::integral_constant<int, 1>(), first + 4 * four + 2 * two);
   });
 }
 
