@@ -141,7 +141,7 @@ def explain(trial: Trial) -> dict[str, Any]:
         said = json.loads(kept.read_text(encoding="utf-8"))
         return {key: said[key] for key in SAID}
     setup = setup_of(trial.study)
-    search = replace(setup.settings.search, scan_steps=BUDGET, refit_steps=BUDGET)
+    search = replace(setup.settings.search, scan_steps=BUDGET, refit_steps=BUDGET, law_steps=BUDGET)
     report = diagnose(
         setup.study or trial.study,
         setup.model,

@@ -31,7 +31,7 @@ from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
 # a first answer fits as a full one does: looser fits named other causes of the arm and the starfish
-SEARCH: dict[str, Any] = {"scan_steps": 12e6, "refit_steps": 12e6}
+SEARCH: dict[str, Any] = {"scan_steps": 12e6, "refit_steps": 12e6, "law_steps": None}
 FIRST: dict[str, Any] = {"first_mesh": 2.0, "dear_steps": 0.3e6, "again_steps": 12e6}
 
 
@@ -204,7 +204,8 @@ def _with_budget(settings: DiagnosisSettings, budget: str | float) -> DiagnosisS
             f"budget must be {QUICK!r}, {FULL!r} or a number of simulated steps above 0, such as "
             f"5e7, got {budget!r}"
         )
-    search = replace(settings.search, scan_steps=float(budget), refit_steps=float(budget))
+    n = float(budget)
+    search = replace(settings.search, scan_steps=n, refit_steps=n, law_steps=n)
     return replace(settings, search=search)
 
 

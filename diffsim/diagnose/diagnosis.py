@@ -18,6 +18,7 @@ from diffsim.diagnose.checks.gates import (
     budget_gates,
     cuts_gate,
     data_gate,
+    law_gate,
     repeatability_gate,
     windows_gate,
 )
@@ -25,11 +26,11 @@ from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
 from diffsim.diagnose.discover.answer import with_laws_said
-from diffsim.diagnose.discover.follow import MOST_KNOTS
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
@@ -60,8 +61,7 @@ from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
-LAW_SHARE = 0.1  # of what a first answer has cost, that laws may cost where its budget is spent
-ROOM_SHARE = 0.5  # of a budget that a first answer may spend before laws are looked for sparingly
+ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
@@ -108,12 +108,14 @@ def diagnose(
     begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
-    is_led = laws is not None and any(laws.drives(run, MOST_KNOTS) for run in study.fit_runs[:1])
-    budget = _budget_of_laws(answer, begun, is_led=is_led)
-    if laws is not None and answer.leaves_room_within(budget, is_led=is_led):
-        fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
-        found = find_laws(fits, laws, progress or silent, budget.steps)
-        answer = _with_laws(asked, answer, laws, found, budget)
+    if laws is not None and answer.lacks_something:
+        budget = _budget_of_laws(answer, begun)
+        if budget.steps == 0.0:
+            answer = _without_laws(answer)
+        else:
+            fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
+            found = find_laws(fits, laws, progress or silent, budget.steps)
+            answer = _with_laws(asked, answer, laws, found, budget)
     frozen = answer.frozen
     # only now test runs are looked at, once
     report = tested(frozen, study, seed)
@@ -183,14 +185,14 @@ class _Answer:
         assert self.found is not None
         return self.found
 
-    def leaves_room_within(self, budget: _LawBudget, *, is_led: bool) -> bool:
-        """Whether something is missing: whatever its name may be, or, where a budget is spent and
-        laws must be simulated, without a name. What is named and leaves far less than the noise is
-        all that may be asked: a law would tell what the study says to be noise."""
+    @property
+    def lacks_something(self) -> bool:
+        """Whether something is missing, whatever its name may be. What is named and leaves far less
+        than the noise is all that may be asked: a law would tell what the study says to be
+        noise."""
         if self.found is None or self.frozen.verdict not in (*NAMES, "unknown"):
             return False
-        is_dear = budget.is_short and not is_led
-        return self.frozen.verdict == "unknown" or (not is_dear and self.frozen.left > BELOW_NOISE)
+        return self.frozen.verdict == "unknown" or self.frozen.left > BELOW_NOISE
 
     def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:
         """Evidence of the best set without a law, and with one.
@@ -210,23 +212,39 @@ class _LawBudget:
     """What laws may cost.
 
     Attributes:
-        steps: Weighted steps of the stage, and again of the search with its laws.
+        steps: Weighted steps of the stage that finds them; 0: they are not looked for.
+        until: Count of weighted steps at which the search with laws ends; None: it has ``steps``,
+            too.
         is_short: Whether the first answer has spent much of the budget: then the search with laws
             is among causes of its best sets.
     """
 
     steps: float
+    until: float | None
     is_short: bool
 
 
-def _budget_of_laws(answer: _Answer, begun: int, *, is_led: bool) -> _LawBudget:
-    """What is left of that of the search, or a share of what the first answer has cost; all of it
-    again where simulations are led along the recordings, so that slopes weigh laws."""
-    if answer.found is None:
-        return _LawBudget(0.0, True)
-    spent, given = answer.search.steps - begun, answer.search.settings.refit_steps
-    least = given if is_led else LAW_SHARE * spent
-    return _LawBudget(max(given - spent, least), spent > ROOM_SHARE * given)
+def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
+    """What laws may cost: a budget of their own, or what causes of the library have left of theirs.
+
+    Args:
+        answer: Without laws.
+        begun: Weighted steps that were simulated before it.
+    """
+    spent, settings = answer.search.steps - begun, answer.search.settings
+    room = settings.refit_steps - spent
+    is_short = room < ROOM_SHARE * settings.refit_steps
+    if settings.law_steps is not None:
+        return _LawBudget(settings.law_steps, None, is_short)
+    until = begun + settings.refit_steps
+    return _LawBudget(0.0 if is_short else ROOM_SHARE * room, until, is_short)
+
+
+def _without_laws(answer: _Answer) -> _Answer:
+    """The answer of a budget that ended before laws were looked for: none of it is certain."""
+    steps, frozen = answer.search.settings.refit_steps, doubted(answer.frozen, FIRST_ANSWER)
+    late = law_gate(steps)
+    return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 
 
 def _with_laws(
@@ -240,10 +258,13 @@ def _with_laws(
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     names = {law.name for law in found.laws}
     effects = setup.effects
+    if budget.until is not None:
+        asked = asked.within(max(budget.until - answer.search.steps, 1.0))
+    elif budget.is_short:
+        asked = asked.within(budget.steps)
     if budget.is_short:
         kept = names | _names_near_best(answer)
         effects = tuple(e for e in effects if e.name in kept)
-        asked = asked.within(budget.steps)
     again = _answer(asked, setup.model, effects, setup.unknowns)
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()

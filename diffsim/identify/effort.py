@@ -31,6 +31,8 @@ class SearchSettings:
             is tried.
         refit_steps: Weighted steps of all searches after which rivals of the best set keep their
             linear evidence; infinite: all that could win are refitted.
+        law_steps: Weighted steps that laws which nobody listed may cost, and again the search with
+            them; None: they share those of the search, where it leaves half of these.
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
@@ -43,6 +45,7 @@ class SearchSettings:
     scan_points: int = 400
     scan_steps: float = 150e6
     refit_steps: float = math.inf
+    law_steps: float | None = math.inf
     num_starts: int = 3
     unknown_steps: int = 3
 

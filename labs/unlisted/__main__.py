@@ -14,13 +14,14 @@ from diffsim.cli.arguments import add_executor, names, positive
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.check import require_choice
 from labs.command import ended, kept
-from labs.rates.case import EFFORTS, QUICK
+from labs.rates.case import EFFORTS
 from labs.rates.plan import planned
 from labs.unlisted.case import in_order, items, solve
 from labs.unlisted.catalog import KINDS
 from labs.unlisted.page import write_page
 
 RESULTS = "results"
+WHOLE = "1.2e7"  # steps: those of a first answer, but with a budget of their own for laws
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -38,7 +39,10 @@ def arguments() -> argparse.ArgumentParser:
         "--only", type=names, default=tuple(KINDS), metavar="KIND,...",
         help=f"of {', '.join(KINDS)} (default: all)",
     )  # fmt: skip
-    parser.add_argument("--effort", choices=EFFORTS, default=QUICK, help="default: %(default)s")
+    parser.add_argument(
+        "--effort", choices=(*EFFORTS, WHOLE), default=WHOLE,
+        help="default: %(default)s steps, and as many again for laws",
+    )  # fmt: skip
     parser.add_argument(
         "--seed", type=int, help="master seed; drawn afresh if not given: only then it is sealed"
     )

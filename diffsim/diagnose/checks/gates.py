@@ -221,7 +221,7 @@ def _goes_on(first: Run, second: Run) -> bool:
 
 
 CUTS, WINDOWS = "start_states", "windows"
-COARSE, SCANS, LATE = "coarse", "scan_budget", "refit_budget"
+COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
 REPEATS, REPEATED = "repeats:", "swap"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
@@ -353,6 +353,16 @@ def budget_gates(
         most = f"{steps:,.0f} steps or {settings.max_rounds} moves to a better set"
         note = f"{num_unfitted} rival sets were not refitted, as {most} were spent"
         yield GateResult(LATE, False, float(num_unfitted), 0.0, note, applies=False)
+
+
+def law_gate(steps: float) -> GateResult:
+    """Laws that nobody listed were not looked for, so that is said.
+
+    Args:
+        steps: The budget that causes of the library have spent half of.
+    """
+    note = f"laws that nobody listed were not looked for, as half of {steps:,.0f} steps was spent"
+    return GateResult(LAWS, False, 0.0, 0.0, note, applies=False)
 
 
 def repeatability_gate(fit: Fit) -> list[GateResult]:

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from diffsim.core.units import after_number
+from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
@@ -98,6 +99,11 @@ def _say_findings(answer: Answer) -> list[str]:
     if answer.verdict == "numerical":
         return [
             "The simulation's own step, mesh or tolerance moves the prediction by more than noise"
+        ]
+    if answer.verdict == "unknown" and any(gate.name == LAWS for gate in answer.gates):
+        return [
+            "Not yet: no cause of the library explains it, and laws were not looked for",
+            "Not yet: no cause of the library explains it",
         ]
     if answer.verdict == "unknown":
         return [

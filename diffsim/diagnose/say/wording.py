@@ -13,6 +13,7 @@ from diffsim.diagnose.checks.gates import (
     COARSE,
     CUTS,
     LATE,
+    LAWS,
     REPEATED,
     REPEATS,
     SCANS,
@@ -217,7 +218,7 @@ def sentences(
         and not g.name.startswith(REPEATS)
     ]
     out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in (CUTS, WINDOWS)]
-    first = (COARSE, SCANS, LATE)
+    first = (COARSE, SCANS, LATE, LAWS)
     out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)
 

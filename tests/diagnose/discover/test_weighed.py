@@ -13,6 +13,9 @@ from diffsim.diagnose.discover import stage
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.say.assemble import doubted
+from diffsim.diagnose.say.headline import headline
+from diffsim.diagnose.say.wording import sentences
+from diffsim.identify.effort import SearchSettings
 from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.turntable import turntable_study
 
@@ -57,17 +60,25 @@ def test_a_law_stands_where_nothing_was_named():
     assert diagnosis._may_take_over(answer_of((LAW,), gain=gaining(0.1)), before, {LAW})
 
 
+def spending(share, **settings):
+    search = SimpleNamespace(
+        steps=5.0 + share * GIVEN, settings=SearchSettings(refit_steps=GIVEN, **settings)
+    )
+    return SimpleNamespace(found=search, search=search)
+
+
 @pytest.mark.parametrize(("spent", "is_short"), [(0.2, False), (0.9, True), (1.2, True)])
-def test_laws_weighed_by_slopes_have_a_budget_whatever_the_answer_has_spent(spent, is_short):
+def test_laws_with_a_budget_of_their_own_have_it_whatever_was_spent(spent, is_short):
     """A cogging of 515 nats was screened and not fitted: little was left of the budget."""
-    settings = SimpleNamespace(refit_steps=GIVEN)
-    search = SimpleNamespace(steps=5.0 + spent * GIVEN, settings=settings)
-    answer = SimpleNamespace(found=search, search=search)
-    led = diagnosis._budget_of_laws(answer, 5, is_led=True)
-    assert led.steps == GIVEN and led.is_short is is_short
-    simulated = diagnosis._budget_of_laws(answer, 5, is_led=False)
-    share = max(1.0 - spent, diagnosis.LAW_SHARE * spent)
-    assert simulated.steps == pytest.approx(share * GIVEN) and simulated.is_short is is_short
+    budget = diagnosis._budget_of_laws(spending(spent, law_steps=2.0 * GIVEN), 5)
+    assert budget == diagnosis._LawBudget(2.0 * GIVEN, None, is_short)
+
+
+def test_laws_that_share_a_budget_have_what_is_left_of_it():
+    budget = diagnosis._budget_of_laws(spending(0.2, law_steps=None), 5)
+    # half to find them, the rest for the search with them
+    assert budget == diagnosis._LawBudget(pytest.approx(0.4 * GIVEN), 5 + GIVEN, False)
+    assert diagnosis._budget_of_laws(spending(0.6, law_steps=None), 5).steps == 0.0
 
 
 @pytest.mark.parametrize(
@@ -77,10 +88,8 @@ def test_laws_weighed_by_slopes_have_a_budget_whatever_the_answer_has_spent(spen
 def test_no_law_is_looked_for_in_what_the_study_says_to_be_noise(verdict, left, has_room):
     """A law took the place of a chamber's ballooning: 0.01 of the noise sd less was left by it."""
     frozen = SimpleNamespace(verdict=verdict, left=left)
-    answer = SimpleNamespace(found=frozen, frozen=frozen)
-    budget = diagnosis._LawBudget(GIVEN, is_short=False)
-    room = diagnosis._Answer.leaves_room_within
-    assert room(answer, budget, is_led=True) is has_room  # type: ignore[arg-type]
+    answer = diagnosis._Answer(frozen, SimpleNamespace())  # type: ignore[arg-type]
+    assert answer.lacks_something is has_room
 
 
 def test_what_slopes_promise_does_not_displace_what_the_simulator_shows():
@@ -102,6 +111,15 @@ def listed():
 def test_a_cause_of_the_library_stays_certain_beside_laws_that_mimic_it(listed):
     (row,) = [row for row in listed.causes if row.status == CERTAIN]
     assert listed.verdict == "named" and row.name == MIMIC
+
+
+def test_an_answer_whose_budget_ended_before_laws_says_so(listed):
+    search = SimpleNamespace(settings=SearchSettings(refit_steps=GIVEN))
+    answer = diagnosis._without_laws(diagnosis._Answer(listed, search))  # type: ignore[arg-type]
+    assert all(row.status != CERTAIN for row in answer.frozen.causes)
+    assert any("not looked for" in line for line in sentences(answer.frozen, None, ()))
+    unknown = replace(answer.frozen, verdict="unknown", named=())
+    assert headline(unknown, ()).startswith("Not yet")
 
 
 def test_a_doubt_leaves_causes_likely(listed):
