@@ -227,21 +227,35 @@ def _num_independent(a: Array, num_samples: int) -> float:
     return float(num_samples * (1.0 - a.sum()) ** 2 / innovation)
 
 
-def without_spikes(run: Run, left: Array) -> tuple[Run, int]:
-    """The run with isolated spikes marked as missing, and how many there were.
+def without_spikes(runs: Sequence[Run], lefts: Sequence[Array]) -> tuple[tuple[Run, ...], int]:
+    """Runs with isolated spikes marked as missing, and how many there were in all.
 
-    A spike is a sample of the residual ``left`` (num_samples, num_channels) far from the median of
-    itself and its four neighbors; what lasts longer than two samples is not one.
+    A spike is a sample of the residual far from the median of itself and its four neighbors; what
+    lasts longer than two samples is not one. Their share is judged over all runs: of a single one
+    chance decides.
+
+    Args:
+        runs: All runs of a study.
+        lefts: Measured minus predicted, (num_samples, num_channels) for each.
     """
+    spikes = [_find_spikes(left) for left in lefts]
+    count, most = sum(int(s.sum()) for s in spikes), MAX_SPIKES * sum(s.size for s in spikes)
+    if not 0 < count <= most:
+        return tuple(runs), 0
+    each = zip(runs, spikes, strict=True)
+    cleaned = [
+        replace(r, measured=np.where(s, np.nan, r.measured)) if s.any() else r for r, s in each
+    ]
+    return tuple(cleaned), count
+
+
+def _find_spikes(left: Array) -> NDArray[np.bool_]:
     away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
     # a channel that was never measured, or never five samples in a row, has no scale
     scale = np.zeros(away.shape[1])
     seen = np.isfinite(away).any(axis=0)
     scale[seen] = 1.4826 * np.nanmedian(away[:, seen], axis=0)
-    spikes = away > SPIKE * np.where(scale > 0.0, scale, np.inf)
-    if not spikes.any() or spikes.mean() > MAX_SPIKES:
-        return run, 0
-    return replace(run, measured=np.where(spikes, np.nan, run.measured)), int(spikes.sum())
+    return np.asarray(away > SPIKE * np.where(scale > 0.0, scale, np.inf))
 
 
 def _stretches(valid: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -379,7 +379,7 @@ def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     is_spike = np.isfinite(run.measured)
     left = (_left_by(frozen, run) for frozen in models)
     for record in (run.measured, *left):
-        cleaned, _ = without_spikes(run, record)
+        (cleaned,), _ = without_spikes([run], [record])
         is_spike &= ~np.isfinite(cleaned.measured)
     count = int(is_spike.sum())
     measured = np.where(is_spike, np.nan, run.measured)

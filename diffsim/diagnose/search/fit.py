@@ -287,9 +287,9 @@ def null_fit(case: Case) -> Null:
     rough = np.array([c.sd for c in channels], dtype=np.float64)
     chosen = [settled(r, study.commands, partial(residual_of, fit), rough) for r in recorded]
     num_misread = sum(count for _, count in chosen)
-    cleaned = [without_spikes(r, residual_of(fit, r)) for r, _ in chosen]
-    num_spikes = sum(count for _, count in cleaned)
-    study = replace(study, runs=tuple(run for run, _ in cleaned))
+    kept = [run for run, _ in chosen]
+    runs, num_spikes = without_spikes(kept, [residual_of(fit, run) for run in kept])
+    study = replace(study, runs=runs)
     case = replace(case, study=study)
     residuals = residuals_by_run(study.fit_runs, at.record)
     noise = noise_floor(study.fit_runs, study.channels, residuals)

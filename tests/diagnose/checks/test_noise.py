@@ -190,7 +190,7 @@ def test_spikes_are_marked_and_steps_are_not():
     left = 0.1 * rng.normal(size=(500, 1))
     left[250:] += 5.0  # a step lasts
     left[[50, 333]] += 4.0
-    run, count = without_spikes(make_run(left), left)
+    (run,), count = without_spikes([make_run(left)], [left])
     assert count == 2
     assert set(np.flatnonzero(np.isnan(run.measured[:, 0]))) == {50, 333}
 
@@ -200,6 +200,18 @@ def test_a_channel_that_was_never_measured_has_no_spikes():
     left = 0.1 * np.random.default_rng(5).normal(size=(500, 2))
     left[50, 0] += 4.0
     left[:, 1] = np.nan
-    run, count = without_spikes(make_run(left), left)
+    (run,), count = without_spikes([make_run(left)], [left])
     assert count == 1
     assert np.isnan(run.measured[50, 0]) and np.isnan(run.measured[:, 1]).all()
+
+
+def test_a_run_with_more_spikes_than_others_is_cleaned_with_them():
+    """One in a hundred on average: four in a run of sixty samples is chance."""
+    rng = np.random.default_rng(6)
+    lefts = [0.1 * rng.normal(size=(60, 1)) for _ in range(6)]
+    lefts[2][[5, 20, 33, 48]] += 4.0
+    runs, count = without_spikes([make_run(left) for left in lefts], lefts)
+    assert count == 4 and np.isnan(runs[2].measured).sum() == 4
+    # of a heavy-tailed sensor all runs have many
+    every = [left + np.where(np.arange(60)[:, None] % 15 == 7, 4.0, 0.0) for left in lefts]
+    assert without_spikes([make_run(left) for left in every], every)[1] == 0
