@@ -12,7 +12,7 @@ from scipy import linalg, sparse, special
 from scipy.ndimage import median_filter
 
 from diffsim.core.memo import Memo
-from diffsim.data.signal import noise_std
+from diffsim.data.signal import noise_std, scatter
 from diffsim.data.steps import rounding_sd
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
@@ -98,6 +98,8 @@ def noise_floor(
     """Noise from repeats, else from the stated sd, else from second differences.
 
     It is at least what rounding does to the readings, whose repeats may be equal to the last digit.
+    Repeats in which something recorded differs, such as a temperature that the model does not use,
+    are no repeats where they scatter more than the stated sd: that may be the effect of it.
 
     Args:
         runs: Runs to be fitted.
@@ -110,15 +112,18 @@ def noise_floor(
     Raises:
         ValueError: a channel without noise at all.
     """
-    scatter = repeat_deviations(runs, left)
+    deviations, is_alike = repeat_deviations(runs, left), not _repeats_differ(runs)
     sd, source, ratio, coefficients = [], [], [], []
     for c, channel in enumerate(channels):
-        series = [d[:, c] for d in scatter]
+        series = [d[:, c] for d in deviations]
         values = np.concatenate([*series, np.zeros(0)])
         values = values[np.isfinite(values)]
         measured = float(np.sqrt(np.mean(values**2))) if len(values) > FEWEST else float("nan")
         stated = channel.sd
-        ratio.append(measured / stated if stated is not None and np.isfinite(measured) else np.nan)
+        more = measured / stated if stated is not None else np.nan
+        if not is_alike and more > 1.0 and _is_of_own_size(more**2, len(values)):
+            measured = more = np.nan
+        ratio.append(more)
         if np.isfinite(measured) and not ratio[-1] > UNREPEATABLE:
             sd.append(measured)
             source.append("repeats")
@@ -161,6 +166,19 @@ def repeat_deviations(runs: Sequence[Run], left: Mapping[str, Array]) -> list[Ar
         stack = np.stack([m[:length] for m in members])
         out += list((stack - stack.mean(axis=0)) * np.sqrt(k / (k - 1)))
     return out
+
+
+def _repeats_differ(runs: Sequence[Run]) -> bool:
+    """Whether something that was recorded beside the channels differs between repeats, by more than
+    its own noise."""
+    for name in runs[0].columns if runs else ():
+        values = {run.name: run.columns[name][:, None] for run in runs}
+        deviations = np.concatenate([*repeat_deviations(runs, values), np.zeros((0, 1))])
+        seen = deviations[np.isfinite(deviations)]
+        noise = [scatter(np.diff(run.columns[name], n=2), 2) for run in runs]
+        if len(seen) and np.sqrt(np.mean(seen**2)) > UNREPEATABLE * np.nanmedian(noise):
+            return True
+    return False
 
 
 def fit_ar(series: Sequence[Array], max_order: int = MAX_ORDER) -> Array:
@@ -215,9 +233,19 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     log_det = float(sum(np.log(w.diagonal()).sum() for w in blocks))
     gained = 0.5 * (sum(float(x @ x) for x in parts) - chi2) + log_det
     price = 0.5 * float(np.log(num_samples))
-    ratio = chi2 / num_samples
-    of_own_size = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
-    return a if gained > len(a) * price and of_own_size <= price else none
+    has_stated_size = not _is_of_own_size(chi2 / num_samples, num_samples)
+    return a if gained > len(a) * price and has_stated_size else none
+
+
+def _is_of_own_size(ratio: float, num_samples: int) -> bool:
+    """Whether the Bayesian information criterion asks for another sd than the stated one.
+
+    Args:
+        ratio: Mean square over the stated variance.
+        num_samples: Number of squares.
+    """
+    gained = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
+    return bool(gained > 0.5 * np.log(num_samples))
 
 
 def _num_independent(a: Array, num_samples: int) -> float:

@@ -215,3 +215,19 @@ def test_a_run_with_more_spikes_than_others_is_cleaned_with_them():
     # of a heavy-tailed sensor all runs have many
     every = [left + np.where(np.arange(60)[:, None] % 15 == 7, 4.0, 0.0) for left in lefts]
     assert without_spikes([make_run(left) for left in every], every)[1] == 0
+
+
+@pytest.mark.parametrize(("differs", "source"), [(True, STATED), (False, "repeats")])
+def test_what_a_recorded_column_does_is_no_noise_of_repeats(differs, source):
+    """Wind that a mast recorded blew otherwise in the second run; the model does not use it."""
+    rng, time = np.random.default_rng(8), 0.02 * np.arange(300)
+    runs, left = [], {}
+    for k in range(2):
+        blown = np.sin(0.7 * time + 2.0 * k)
+        left[f"r{k}"] = (0.5 * blown + rng.normal(size=300))[:, None]
+        seen = blown if differs else np.sin(0.7 * time)
+        run = make_run(left[f"r{k}"], f"r{k}")
+        runs.append(replace(run, columns={"wind": seen + 0.01 * rng.normal(size=300)}))
+    noise = noise_floor(runs, [Channel("x", "m", "position", sd=0.9)], left)
+    assert noise.source == (source,)
+    assert np.isnan(noise.scatter_ratio[0]) == differs
