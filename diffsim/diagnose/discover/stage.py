@@ -229,15 +229,12 @@ def _rounds(
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
             best = max((f.nats for f in fitted), default=0.0)
-            if not may_fit():
+            is_fitted = candidate is screened.candidate  # it costs nothing more
+            if not (is_fitted or may_fit()):
                 break
             if candidate.nats < FITTED_SHARE * best:
                 continue
-            law = (
-                screened.law
-                if candidate is screened.candidate
-                else _fit_law(screen, fit, candidate, port, standing)
-            )
+            law = screened.law if is_fitted else _fit_law(screen, fit, candidate, port, standing)
             if law is not None and law.nats > least:
                 fitted.append(law)
         if not fitted:

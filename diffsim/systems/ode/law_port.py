@@ -46,8 +46,9 @@ Array = NDArray[np.float64]
 USUAL_FACTOR = 0.1  # of a number: what a law may do to it without surprise
 #: shares of the way that a slipping spring is tried to give way after
 GIVING_WAY = (0.03, 0.1, 0.3)
-#: periods that hidden masses are tried to swing with, as shares of the longest run
-SWINGING = (0.02, 0.04, 0.08, 0.16)
+#: periods that hidden masses are tried to swing with, as shares of the longest run: so close that
+#: one is within the resonance of a mass that is lightly damped
+SWINGING = tuple(0.02 * 8.0 ** (k / 23) for k in range(24))
 SLOW_SHARE = 0.5  # of the usual speed of a place, below which it rests
 LIGHTLY = 0.05  # damping ratio of a hidden mass that nobody knows
 

@@ -6,16 +6,20 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from diffsim.diagnose import diagnosis
 from diffsim.diagnose.discover import stage
+from diffsim.diagnose.discover.screen import Candidate, bumps
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.say.assemble import doubted
 from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.wording import sentences
 from diffsim.identify.effort import SearchSettings
+from diffsim.identify.law import Entry, Variable
+from diffsim.systems.ode.law_port import LIGHTLY, SWINGING
 from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.turntable import turntable_study
 
@@ -90,6 +94,26 @@ def test_no_law_is_looked_for_in_what_the_study_says_to_be_noise(verdict, left, 
     frozen = SimpleNamespace(verdict=verdict, left=left)
     answer = diagnosis._Answer(frozen, SimpleNamespace())  # type: ignore[arg-type]
     assert answer.lacks_something is has_room
+
+
+def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
+    """Friction that grows at rest was fitted, kept 278 nats, and was dropped for the budget."""
+    entry = Entry("number", "friction", "-", 1.0)
+    candidate = Candidate(entry, Variable("rest", "r"), bumps(0.0, 1.0), 283.0, 432.0, 0.85, 1.0)
+    law = SimpleNamespace(nats=278.0, candidate=candidate, fit=None)
+    after = SimpleNamespace(found=())
+    screen = SimpleNamespace(
+        found=(candidate,), with_pairs=lambda _: (screen, [], 1), beside=lambda _: after
+    )
+    screened = stage._ScreenWithFit(screen, candidate, law, 1)  # type: ignore[arg-type]
+    rounds = stage._rounds(screened, None, None, lambda: False)  # type: ignore[arg-type]
+    assert next(rounds) == [law]
+
+
+def test_a_hidden_mass_is_tried_within_its_resonance():
+    """Between two periods that are tried lies no mass whose resonance both of them miss."""
+    steps = np.diff(np.log(SWINGING))
+    assert steps.max() < 2.0 * LIGHTLY  # the width of half the power
 
 
 def test_what_slopes_promise_does_not_displace_what_the_simulator_shows():
