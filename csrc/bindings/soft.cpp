@@ -105,7 +105,7 @@ void bind_prepared(nb::module_& m) {
       // Returns (system, -1, 0), or (None, unknown, pivot) where A is not positive definite.
       [](std::shared_ptr<SoftPattern> pattern, Address fixed, Address inertia, Address kappa,
          Address fiber_kappa, const SoftArrays& parameters, Preconditioner preconditioner,
-         int num_threads) {
+         bool in_contact, int num_threads) {
         std::shared_ptr<ConstantSystem> system;
         std::int64_t unknown = -1;
         double pivot = 0.0;
@@ -117,7 +117,8 @@ void bind_prepared(nb::module_& m) {
                                             in(kappa),
                                             in(fiber_kappa),
                                             parameters.inputs().parameters,
-                                            preconditioner};
+                                            preconditioner,
+                                            in_contact};
           try {
             system = std::make_shared<ConstantSystem>(std::move(pattern), inputs, pool);
           } catch (const NotPositiveDefinite& e) {
@@ -129,7 +130,7 @@ void bind_prepared(nb::module_& m) {
       },
       nb::arg("pattern"), nb::kw_only(), nb::arg("fixed"), nb::arg("inertia"), nb::arg("kappa"),
       nb::arg("fiber_kappa"), nb::arg("parameters"), nb::arg("preconditioner"),
-      nb::arg("num_threads"));
+      nb::arg("in_contact"), nb::arg("num_threads"));
 }
 
 }  // namespace

@@ -97,7 +97,8 @@ class SoftContext:
             lid_start=chambers.lid_start.data_ptr(),
             lid_nodes=chambers.lid_nodes.data_ptr(),
         )
-        self._systems: OrderedDict[tuple[str, tuple[Tensor, ...]], object] = OrderedDict()
+        self._systems: OrderedDict[tuple[tuple[str, bool], tuple[Tensor, ...]], object]
+        self._systems = OrderedDict()
         self._lock = threading.Lock()
         contexts[self.handle] = self
 
@@ -113,7 +114,13 @@ class SoftContext:
         }
 
     def system(
-        self, inputs: StepArrays, num_threads: int, method: str, preconditioner: str
+        self,
+        inputs: StepArrays,
+        num_threads: int,
+        method: str,
+        preconditioner: str,
+        *,
+        in_contact: bool = False,
     ) -> object:
         """The constant system of these inputs, from the cache where all it depends on is equal.
 
@@ -121,9 +128,10 @@ class SoftContext:
             inputs: What it depends on is among them.
             num_threads: Threads to make it with.
             method, preconditioner: As in :class:`~diffsim.soft.SolverOptions`.
+            in_contact: Whether steps in contact are to be planned.
         """
         by_choice = method in ("auto", "linearly_implicit") or preconditioner == "multigrid"
-        kind = preconditioner if by_choice else "constant"
+        kind = (preconditioner if by_choice else "constant", in_contact)
         shared = inputs.shared()  # all that it depends on
         key = tuple(shared.values())
         with self._lock:
@@ -144,7 +152,8 @@ class SoftContext:
             kappa=kappa.data_ptr(),
             fiber_kappa=fiber_kappa.data_ptr(),
             parameters=soft_addresses(shared),
-            preconditioner=getattr(core.Preconditioner, kind),
+            preconditioner=getattr(core.Preconditioner, kind[0]),
+            in_contact=in_contact,
             num_threads=num_threads,
         )
         if made is None:

@@ -1,8 +1,7 @@
 """The implicit step in contact and its adjoint, as torch custom ops.
 
 Everything here has a leading batch axis and float64; the nodes in contact are shared by the batch.
-Contact needs columns of the constant matrix's inverse (thesis Alg. 5): the ops take the argument
-``preconditioner`` with the other solver options, and use the constant factor whatever it says.
+The constant factor needs columns of its inverse in contact (thesis Alg. 5), multigrid does not.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ def contact_step(
     status = torch.zeros(batch, count, dtype=torch.int64)
     stats = new_stats(batch)
     core.contact_step(
-        system=ctx.system(arrays, num_threads, method, "constant"),
+        system=ctx.system(arrays, num_threads, method, preconditioner, in_contact=True),
         inputs=soft_addresses(arrays.named()),
         contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
         options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
@@ -151,7 +150,7 @@ def contact_step_vjp(
     contact_grads = planes.gradient_buffers(batch)
     stats = new_stats(batch)
     core.contact_step_adjoint(
-        system=ctx.system(arrays, num_threads, method, "constant"),
+        system=ctx.system(arrays, num_threads, method, preconditioner, in_contact=True),
         inputs=soft_addresses(arrays.named()),
         contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
         options=step_options(method, rtol=rtol, max_iters=max_iters),
@@ -247,7 +246,7 @@ def contact_step_jvp(
     stats = new_stats(batch)
     for k in range(batch):
         core.contact_step_tangent(
-            system=ctx.system(arrays, num_threads, method, "constant"),
+            system=ctx.system(arrays, num_threads, method, preconditioner, in_contact=True),
             inputs=soft_addresses(arrays.item(k)),
             contacts=contact_addresses(count, {"node": nodes, **planes.item(k)}),
             options=step_options(method, rtol=rtol, max_iters=max_iters),

@@ -80,7 +80,7 @@ class SolverOptions:
             the tangent; few iterations at any size and any contrast of stiffness; for the methods
             ``auto`` and ``newton_pcg``), or ``auto``: for method ``auto`` multigrid from 300 nodes
             on where it needs less time at rest, for the other methods the constant factor. Steps
-            with obstacles always take the constant factor. Answers agree within ``rtol``.
+            with obstacles compare both by the costs of contact. Answers agree within ``rtol``.
         rtol: The residual must fall below ``rtol * scale + atol``; scale is
             |inertia (y - mean y)| + |force| over free nodes (the right-hand side of eq. 4.3 about
             the body's center) [-]. Without load (statics), scale is the residual at the start, and
@@ -92,7 +92,8 @@ class SolverOptions:
         adjoint_max_iters: Largest number of Krylov iterations of the adjoint, and of a linearly
             implicit step [-].
         cache_columns: Whether steps with obstacles keep columns of the constant matrix's inverse
-            from step to step (thesis Alg. 5). False only to measure what that is worth.
+            from step to step (thesis Alg. 5), where they are on that matrix. False only to measure
+            what that is worth.
         num_threads: Threads of one step; a batch deals its items out to them [-].
         on_failure: ``raise`` :class:`~diffsim.core.errors.ConvergenceError`, or ``warn``.
     """

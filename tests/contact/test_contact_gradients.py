@@ -148,11 +148,16 @@ def test_every_entry_of_one_step():
 METHODS = ["auto", "newton_pcg", "newton_cholesky", "newton_jacobi"]
 
 
-@pytest.mark.parametrize("cache_columns", [True, False])
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method(method, cache_columns):
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        *((m, {"cache_columns": keeps}) for m in METHODS for keeps in (True, False)),
+        ("newton_pcg", {"preconditioner": "multigrid"}),
+    ],
+)
+def test_every_method(method, options):
     m = irregular("hex")
-    options = soft.SolverOptions(method=method, cache_columns=cache_columns, **SHARP)
+    options = soft.SolverOptions(method=method, **options, **SHARP)
     body = soft_body(m, dt=0.05, solver=options)
     names = ("x", "v", "youngs_modulus", "friction", "position", "radius")
     inputs = inputs_of(m, "mixed")

@@ -14,12 +14,20 @@
 
 namespace diffsim {
 
+/// What keeps a node from some motions, such as contact.
+struct HeldNode {
+  std::int64_t node;
+  double free[9];       // (3, 3) symmetric projection on the motions that are left
+  double stiffness[9];  // (3, 3) symmetric, within these: added to the node's block
+};
+
 /// A matrix of 3x3 blocks (block3.h), in the order of the hierarchy's finest pattern.
 struct BlockMatrix {
   std::int64_t num_nodes = 0;
   const double* values = nullptr;
   const double* diagonal = nullptr;     // (num_nodes,) added to the diagonal, all three axes
   const std::uint8_t* fixed = nullptr;  // (num_nodes, 3), 1 where an unknown takes no part
+  const std::vector<HeldNode>* held = nullptr;  // none of them fixed; null: no node
 };
 
 class RigidMultigrid {
@@ -32,7 +40,8 @@ class RigidMultigrid {
   /// Leaves its memory alone and forgets all numbers.
   void forget();
 
-  /// z = approximate inverse times r; both (num_nodes, 3).
+  /// z = approximate inverse times r; both (num_nodes, 3), r within what held nodes may do, and z
+  /// up to float32's rounding.
   void apply(const Vector& r, Vector& z, ThreadPool& pool);
 
   std::int64_t bytes() const;
@@ -53,6 +62,9 @@ class RigidMultigrid {
   const Pattern& pattern(int l) const { return hierarchy_->matrix(l); }
   int stride(int l) const { return l == 0 ? 3 : 8; }
 
+  void hold(const std::vector<HeldNode>& held, std::int64_t num_nodes);
+  /// Projection (3, 3) on what a node may do, or null where that is every motion.
+  const float* projection(std::int64_t node) const;
   void copy_matrix(const BlockMatrix& matrix, ThreadPool& pool);
   void invert_diagonal(int l, ThreadPool& pool);
   void estimate_largest(int l, ThreadPool& pool);
@@ -77,6 +89,8 @@ class RigidMultigrid {
   std::shared_ptr<const RigidHierarchy> hierarchy_;
   std::vector<Level> levels_;
   std::vector<std::uint8_t> fixed_;
+  std::vector<std::int32_t> held_;  // (num_nodes,) into projections_ / 9, -1; empty: none is held
+  std::vector<float> projections_;
   CholeskyFactor coarsest_;
   CholeskyWorkspace cholesky_;
   std::vector<double> coarse_rhs_, coarse_blocks_;

@@ -51,6 +51,22 @@ struct Entries<6> {
   }
 };
 
+/// P block P, and what the block has of stiffness on the axes that P takes away.
+void restrict_to(const float* projection, Eigen::Matrix3d& block) {
+  using RowMajor = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;
+  const Eigen::Matrix3d P = Eigen::Map<const RowMajor>(projection).cast<double>();
+  const double scale = block.diagonal().cwiseAbs().maxCoeff();
+  block = (P * block * P + scale * (Eigen::Matrix3d::Identity() - P)).eval();
+}
+
+/// P out P, all of them symmetric.
+void project_block(const float* projection, float* out) {
+  using RowMajor = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;
+  const RowMajor P = Eigen::Map<const RowMajor>(projection);
+  Eigen::Map<RowMajor> block(out);
+  block = (P * block * P).eval();
+}
+
 /// Inverse of a symmetric block, or of its diagonal where the block is not positive definite.
 template <int K>
 void invert(const Eigen::Matrix<double, K, K>& block, float* out) {
@@ -69,6 +85,7 @@ void invert(const Eigen::Matrix<double, K, K>& block, float* out) {
 
 void RigidMultigrid::prepare(const BlockMatrix& matrix, const double* x, ThreadPool& pool) {
   fixed_.assign(matrix.fixed, matrix.fixed + 3 * matrix.num_nodes);
+  hold(matrix.held ? *matrix.held : std::vector<HeldNode>{}, matrix.num_nodes);
   levels_[0].position.assign(x, x + 3 * matrix.num_nodes);
   copy_matrix(matrix, pool);
   for (int l = 0; l + 1 < hierarchy_->num_levels(); ++l) {
@@ -94,6 +111,20 @@ void RigidMultigrid::forget() {
   for (Level& level : levels_) level.mode.clear();  // all else is overwritten
 }
 
+void RigidMultigrid::hold(const std::vector<HeldNode>& held, Index num_nodes) {
+  held_.assign(held.empty() ? 0 : at(num_nodes), -1);
+  projections_.clear();
+  for (const HeldNode& h : held) {
+    held_[at(h.node)] = static_cast<std::int32_t>(projections_.size() / kBlock3);
+    for (double v : h.free) projections_.push_back(static_cast<float>(v));
+  }
+}
+
+const float* RigidMultigrid::projection(Index node) const {
+  const std::int32_t place = held_.empty() ? -1 : held_[at(node)];
+  return place < 0 ? nullptr : projections_.data() + kBlock3 * place;
+}
+
 void RigidMultigrid::copy_matrix(const BlockMatrix& matrix, ThreadPool& pool) {
   float* to = levels_[0].matrix.resize(pattern(0).column.size() * kBlock3 + kBehindBlocks3);
   for_rows(
@@ -105,6 +136,11 @@ void RigidMultigrid::copy_matrix(const BlockMatrix& matrix, ThreadPool& pool) {
         for (int a = 0; a < 3; ++a)
           own[block3_place(a, a)] += static_cast<float>(matrix.diagonal[i]);
       });
+  if (!matrix.held) return;
+  for (const HeldNode& h : *matrix.held) {
+    float* own = to + kBlock3 * hierarchy_->diagonal(0, h.node);
+    for (int k = 0; k < kBlock3; ++k) own[k] += static_cast<float>(h.stiffness[k]);
+  }
 }
 
 void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
@@ -132,7 +168,10 @@ void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
             block(k, m) = fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0)
                                                : static_cast<double>(entries(entry, k, m));
         float* out = inverse + i * size;
+        const float* held = projection(i);
+        if (held) restrict_to(held, block);
         invert<3>(block, out);
+        if (held) project_block(held, out);
         for (int k = 0; k < 3; ++k)
           if (fixed[k])
             for (int m = 0; m < 3; ++m) out[3 * k + m] = out[3 * m + k] = 0.0F;
@@ -221,6 +260,13 @@ void RigidMultigrid::make_tentative(int l, ThreadPool& pool) {
         }
         for (int k = 3; k < K; ++k)
           T[k * kFloatLanes + k] = static_cast<float>(fine.length / coarse.length);
+        const float* P = l == 0 ? projection(i) : nullptr;
+        if (!P) return;
+        FloatLane rows[3];
+        for (int k = 0; k < 3; ++k) rows[k] = load_floats(T + k * kFloatLanes);
+        for (int k = 0; k < 3; ++k)
+          store_floats(T + k * kFloatLanes,
+                       P[3 * k] * rows[0] + P[3 * k + 1] * rows[1] + P[3 * k + 2] * rows[2]);
       });
 }
 

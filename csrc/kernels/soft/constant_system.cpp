@@ -77,6 +77,10 @@ constexpr Index kMostLaneNodes = 500, kMostLaneProducts = 100000;
 
 // Multigrid that needs more iterations than this at rest is compared with the constant factor.
 constexpr double kFewIterations = 12.0;
+// In contact it is compared anyway, at this tolerance, on bodies whose constant matrix takes no
+// longer to factorize than some steps.
+constexpr std::int64_t kMostContactNodes = 20000;
+constexpr double kUsualTolerance = 1e-4;
 
 /// Throws where a part of the body has neither inertia nor a fixed node on some axis.
 void require_held(const SoftModel& model, const ConstantSystemInputs& in) {
@@ -177,14 +181,17 @@ ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
       inputs.preconditioner == Preconditioner::kMultigrid ||
       (inputs.preconditioner == Preconditioner::kAuto && suits_multigrid(model()));
   if (tries_multigrid) {
-    plan_ = make_solver_plan(*this, inputs.parameters, Preconditioner::kMultigrid, pool);
-    if (inputs.preconditioner == Preconditioner::kMultigrid || plan_.iterations <= kFewIterations)
-      return;
+    plan_ = make_solver_plan(*this, inputs, Preconditioner::kMultigrid, pool);
+    const bool suffices = plan_.iterations <= kFewIterations &&
+                          !(inputs.in_contact && model().num_nodes <= kMostContactNodes);
+    if (inputs.preconditioner == Preconditioner::kMultigrid || suffices) return;
   }
   factorize(values, pool);
-  const SolverPlan constant =
-      make_solver_plan(*this, inputs.parameters, Preconditioner::kConstant, pool);
-  const auto cost = [](const SolverPlan& plan) { return plan.iterations * plan.iteration_cost; };
+  const SolverPlan constant = make_solver_plan(*this, inputs, Preconditioner::kConstant, pool);
+  const auto cost = [&](const SolverPlan& plan) {
+    return inputs.in_contact ? plan.contact_cost(kUsualTolerance)
+                             : plan.iterations * plan.iteration_cost;
+  };
   if (tries_multigrid && cost(plan_) < cost(constant))
     factors_.clear();
   else

@@ -58,6 +58,7 @@ struct ConstantSystemInputs {
   const double* fiber_kappa = nullptr;  // (num_fibers,) [Pa]
   SoftParameters parameters;            // of the energy; activation unused
   Preconditioner preconditioner = Preconditioner::kAuto;
+  bool in_contact = false;  // whether the plan is for steps in contact
 };
 
 /// Immutable once made; throws NotPositiveDefinite for a body that nothing holds.

@@ -19,8 +19,6 @@ constexpr double kMaxFactorBytes = 4e9;
 constexpr std::int64_t kMostAnalyzedNodes = 150000;
 constexpr int kMaxProbe = 400, kLeastProbe = 20;
 constexpr double kProbeTolerance = 1e-2;  // of the right-hand side: kProbeDigits
-// Tangents that a step preconditions on, one after the other.
-constexpr double kSetupsPerStep = 3.0;
 
 // Below this a factor of the tangent is cheaper still.
 constexpr std::int64_t kLeastMultigridNodes = 300;
@@ -33,16 +31,17 @@ struct Probe {
 };
 
 /// Iterations to kProbeTolerance at rest, for a smooth right-hand side; the body's rotations beside
-/// the constant factor, and 3x3 diagonal blocks, are tried for steps in contact.
-Probe probe(const ConstantSystem& system, const SoftParameters& parameters,
-            Preconditioner preconditioner, int limit, int jacobi_limit, ThreadPool& pool) {
+/// the constant factor, and 3x3 diagonal blocks, are tried for steps in contact only.
+Probe probe(const ConstantSystem& system, const ConstantSystemInputs& made_of,
+            Preconditioner preconditioner, int limit, const std::function<int(int)>& jacobi_limit,
+            ThreadPool& pool) {
   const SoftModel& model = system.model();
   const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
   const Vector rest(system.pattern().coords(), system.pattern().coords() + size);
   const Vector zero(size, 0.0);
   const Vector one(static_cast<std::size_t>(model.fiber.num_elements), 1.0);
   StepInputs inputs;
-  inputs.parameters = parameters;
+  inputs.parameters = made_of.parameters;
   inputs.parameters.activation = one.data();
   inputs.y = inputs.target = inputs.guess = inputs.x_frame = inputs.x_velocity = rest.data();
   inputs.force = zero.data();
@@ -71,14 +70,17 @@ Probe probe(const ConstantSystem& system, const SoftParameters& parameters,
                                                     scratch, problem.ops());
     return result.converged ? result.num_iters : 4 * most;
   };
-  if (preconditioner == Preconditioner::kMultigrid) return {count(precondition, limit), 0, 0};
+  const int found = count(precondition, limit);
+  if (!made_of.in_contact) return {found, 0, 0};
+  if (preconditioner == Preconditioner::kMultigrid)
+    return {found, found, count(jacobi, jacobi_limit(found))};
   RigidRotations rotations;
   rotations.prepare(problem, system, rest);
   const auto rotating = [&](const Vector& in, Vector& out) {
     problem.precondition(in, out);
     rotations.add(in, out, problem.ops());
   };
-  return {count(precondition, limit), count(rotating, limit), count(jacobi, jacobi_limit)};
+  return {found, count(rotating, limit), count(jacobi, jacobi_limit(found))};
 }
 
 }  // namespace
@@ -96,6 +98,11 @@ bool SolverPlan::factorize_step(double rtol) const {
   const double total = iterations / kProbeDigits * decades(rtol);
   return total * iteration_cost + kSetupsPerStep * setup_cost >
          factorize_cost + kTangentIterations * tangent_cost;
+}
+
+double SolverPlan::contact_cost(double rtol) const {
+  return kSetupsPerStep * setup_cost +
+         contact_iterations / kProbeDigits * decades(rtol) * iteration_cost;
 }
 
 double SolverPlan::answer_iterations(double at_rest, double rtol) {
@@ -121,7 +128,7 @@ int SolverPlan::refactor_after() const {
 
 bool suits_multigrid(const SoftModel& model) { return model.num_nodes >= kLeastMultigridNodes; }
 
-SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
+SolverPlan make_solver_plan(const ConstantSystem& system, const ConstantSystemInputs& inputs,
                             Preconditioner preconditioner, ThreadPool& pool) {
   SolverPlan plan;
   plan.preconditioner = preconditioner;
@@ -147,8 +154,14 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
     return static_cast<int>(
         std::min<double>(kMaxProbe, std::max<double>(kLeastProbe, plan.factorize_cost / cost)));
   };
-  const Probe found = probe(system, parameters, preconditioner, limit(plan.iteration_cost),
-                            limit(plan.jacobi_cost), pool);
+  const auto jacobi_limit = [&](int iterations) {
+    const int most = limit(plan.jacobi_cost);
+    if (!by_multigrid) return most;
+    const double step = kSetupsPerStep * plan.setup_cost + iterations * plan.iteration_cost;
+    return std::min(most, static_cast<int>(step / plan.jacobi_cost));
+  };
+  const Probe found =
+      probe(system, inputs, preconditioner, limit(plan.iteration_cost), jacobi_limit, pool);
   plan.iterations = found.preconditioned;
   plan.contact_iterations = found.rotating;
   plan.jacobi_iterations = found.jacobi;

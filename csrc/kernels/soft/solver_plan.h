@@ -13,11 +13,14 @@
 namespace diffsim {
 
 class ConstantSystem;
+struct ConstantSystemInputs;
 
 // Iterations of a plan are those to 10^-digits.
 constexpr double kProbeDigits = 2.0;
 // On factors of the tangent, over a whole forward step.
 constexpr double kTangentIterations = 12.0;
+// Tangents that a step preconditions on, one after the other.
+constexpr double kSetupsPerStep = 3.0;
 
 /// What conjugate gradients are preconditioned by where no factor of the tangent pays.
 enum class Preconditioner { kAuto, kConstant, kMultigrid };
@@ -25,17 +28,20 @@ enum class Preconditioner { kAuto, kConstant, kMultigrid };
 /// Costs in seconds on a model machine; only their ratios matter.
 struct SolverPlan {
   Preconditioner preconditioner = Preconditioner::kConstant;  // never kAuto
-  double iterations = 0.0;          // of conjugate gradients on it at rest, to 1e-2
-  double iteration_cost = 0.0;      // one of these
-  double setup_cost = 0.0;          // of the preconditioner, on each new tangent
-  double tangent_cost = 0.0;        // one iteration on a factor of the tangent
-  double factorize_cost = 0.0;      // of the tangent; infinite where memory forbids it
-  double contact_iterations = 0.0;  // the same, with the body's rotations (rigid_rotations.h)
+  double iterations = 0.0;      // of conjugate gradients on it at rest, to 1e-2
+  double iteration_cost = 0.0;  // one of these
+  double setup_cost = 0.0;      // of the preconditioner, on each new tangent
+  double tangent_cost = 0.0;    // one iteration on a factor of the tangent
+  double factorize_cost = 0.0;  // of the tangent; infinite where memory forbids it
+  // Of plans for contact only:
+  double contact_iterations = 0.0;  // on the constant factor with the body's rotations beside it
   double jacobi_iterations = 0.0;   // as `iterations`, preconditioned by 3x3 diagonal blocks
   double jacobi_cost = 0.0;         // one of these
 
   /// Whether a forward step to relative tolerance rtol should factorize the tangent.
   bool factorize_step(double rtol) const;
+  /// Seconds of a step in contact to relative tolerance rtol without a factor of the tangent.
+  double contact_cost(double rtol) const;
   /// Iterations to relative tolerance rtol with the tangent of an answer, of those at rest.
   static double answer_iterations(double at_rest, double rtol);
   /// Seconds of so many solves with a factor of that tangent.
@@ -58,8 +64,8 @@ double decades(double rtol);
 bool suits_multigrid(const SoftModel& model);
 
 /// The plan on one of the two preconditioners.
-/// @param[in] parameters  the system's; activation is ignored (fibers at rest)
-SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
+/// @param[in] inputs  the system's; activation is ignored (fibers at rest)
+SolverPlan make_solver_plan(const ConstantSystem& system, const ConstantSystemInputs& inputs,
                             Preconditioner preconditioner, ThreadPool& pool);
 
 }  // namespace diffsim

@@ -189,9 +189,15 @@ void StepProblem::prepare_multigrid() {
   if (!memory_->multigrid)
     memory_->multigrid = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());
   const SoftModel& model = system_.model();
-  const BlockMatrix matrix{model.num_nodes, memory_->values.data(), inertia(), system_.fixed()};
+  const BlockMatrix matrix{model.num_nodes, memory_->values.data(), inertia(), system_.fixed(),
+                           &held_};
   memory_->multigrid->prepare(matrix, assembled_at_.data(), pool_);
   is_multigrid_stale_ = false;
+}
+
+void StepProblem::hold_nodes(std::vector<HeldNode> held) {
+  held_ = std::move(held);
+  is_multigrid_stale_ = by_multigrid_;
 }
 
 void StepProblem::keep_multigrid() {

@@ -75,6 +75,9 @@ class StepProblem {
   /// (which must have been).
   void precondition(const Vector& r, Vector& z);
   bool by_multigrid() const { return by_multigrid_; }
+  /// Nodes that multigrid holds from here on; precondition() then needs r, and gives z, within what
+  /// they may do (rigid_multigrid.h).
+  void hold_nodes(std::vector<HeldNode> held);
   /// The tangent that was assembled last serves to precondition from here on, whatever comes.
   void keep_multigrid();
   /// z = (3x3 diagonal blocks of H)^-1 r.
@@ -108,6 +111,7 @@ class StepProblem {
   AlignedBuffer<double> blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
   Vector assembled_at_;
+  std::vector<HeldNode> held_;
   bool by_multigrid_, is_multigrid_stale_ = true, is_multigrid_kept_ = false;
 };
 

@@ -53,7 +53,8 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
                                const std::int64_t* status, const double* grad_x,
                                const double* grad_force, const StepAdjoint& out,
                                const ContactAdjoint& contact_out, ThreadPool& pool) {
-  ContactAnswer answer(system, inputs, contacts, x_in, status, pool);
+  ContactAnswer answer(system, inputs, contacts, x_in, status,
+                       uses_multigrid(system, options.method), pool);
   StepProblem& problem = answer.problem;
   const ContactSpace& space = answer.space;
 

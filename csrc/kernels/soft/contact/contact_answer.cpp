@@ -4,10 +4,10 @@ namespace diffsim {
 
 ContactAnswer::ContactAnswer(const ConstantSystem& system, const StepInputs& inputs,
                              const ContactInputs& contacts, const double* x_in,
-                             const std::int64_t* status, ThreadPool& pool)
+                             const std::int64_t* status, bool by_multigrid, ThreadPool& pool)
     : system_(system),
       pool_(pool),
-      problem(system, inputs, pool),
+      problem(system, inputs, pool, by_multigrid),
       x(x_in, x_in + problem.size()),
       space(contacts) {
   problem.value_gradient(x, r);

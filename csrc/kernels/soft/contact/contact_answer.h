@@ -12,7 +12,7 @@ class ContactAnswer {
   /// @param[in] status  (num_contacts,) its statuses, which are held
   ContactAnswer(const ConstantSystem& system, const StepInputs& inputs,
                 const ContactInputs& contacts, const double* x, const std::int64_t* status,
-                ThreadPool& pool);
+                bool by_multigrid, ThreadPool& pool);
   ContactAnswer(const ContactAnswer&) = delete;
   ContactAnswer& operator=(const ContactAnswer&) = delete;
 

@@ -1,5 +1,7 @@
 // Approximate inverses of P H P + D on the range of P (see contact_space.h).
 //
+// By multigrid: what contact takes away is taken out of the prolongation and of the smoother
+// (rigid_multigrid.h), whatever the number of contacts.
 // On the constant factor: with J the directions that contact takes away,
 //   z = A^-1 (r - J^T l),   (J A^-1 J^T) l = J A^-1 r,
 // is the exact inverse of A on what is left; J A^-1 J^T needs only entries of (A^-1)_CC (thesis
@@ -28,20 +30,22 @@ class ContactPreconditioner {
         cache_columns_(cache_columns),
         pool_(pool) {}
 
-  /// Takes over the space's statuses on the constant factor.
-  void prepare_constant();
+  /// Takes over the space's statuses, on multigrid or on the constant factor as the problem has it.
+  void prepare_base();
   /// The same on a factor of the assembled tangent; false where that is not positive definite.
   bool prepare_tangent();
   /// z = approximate inverse times r; r and z lie in the range of P.
   void apply(const Vector& r, Vector& z);
 
-  bool on_tangent() const { return on_tangent_; }
+  bool on_tangent() const { return kind_ == Kind::kTangent; }
 
-  /// Modeled seconds of a step on either (see solver_plan.h).
-  double constant_cost(double iterations) const;
+  /// Modeled seconds of setups and so many iterations, and of a step on factors (solver_plan.h).
+  double base_cost(double setups, double iterations) const;
   double tangent_cost() const;
 
  private:
+  enum class Kind { kBase, kTangent };
+  double constant_cost(double iterations) const;
   /// One direction taken away at the node of an active contact.
   struct Row {
     std::size_t active;  // index into active_
@@ -67,7 +71,8 @@ class ContactPreconditioner {
   StepProblem& problem_;
   const ConstantSystem& system_;
   const ContactSpace& space_;
-  bool cache_columns_, on_tangent_ = false;
+  bool cache_columns_;
+  Kind kind_ = Kind::kBase;
   ThreadPool& pool_;
   std::vector<std::int64_t> active_;         // nodes in contact
   std::vector<std::size_t> active_contact_;  // and their contacts

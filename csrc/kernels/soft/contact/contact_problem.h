@@ -15,7 +15,7 @@ struct ContactProblem {
       : system(constant_system),
         inputs(step_inputs),
         options(step_options),
-        objective(system, inputs, pool),
+        objective(system, inputs, pool, uses_multigrid(system, options.method)),
         space(contacts),
         statuses(space, system.diagonal()),
         solve(objective, system, space, options.method, options.rtol, contact_options.cache_columns,

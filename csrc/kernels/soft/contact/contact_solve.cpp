@@ -19,14 +19,15 @@ void ContactSolve::choose() {
   if (method_ == StepMethod::kNewtonCholesky) kind_ = Kind::kTangent;
   if (method_ != StepMethod::kAuto || kind_ == Kind::kTangent) return;
   const SolverPlan& plan = system_.plan();
-  const double constant = preconditioner_.constant_cost(iterations(plan.contact_iterations));
+  const double base = preconditioner_.base_cost(at_answer_ ? 1.0 : kSetupsPerStep,
+                                                iterations(plan.contact_iterations));
   // Diagonal blocks know nothing of the stiffness that friction adds across the slip.
   const double jacobi = space_.any_sliding_friction()
                             ? std::numeric_limits<double>::infinity()
                             : iterations(plan.jacobi_iterations) * plan.jacobi_cost;
-  kind_ = jacobi < constant ? Kind::kJacobi : Kind::kConstant;
+  kind_ = jacobi < base ? Kind::kJacobi : Kind::kBase;
   const double tangent = at_answer_ ? plan.factorized_cost() : preconditioner_.tangent_cost();
-  if (std::min(constant, jacobi) > tangent ||
+  if (std::min(base, jacobi) > tangent ||
       spent_ > plan.patience(kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.iteration_cost))
     kind_ = Kind::kTangent;
 }
@@ -41,10 +42,10 @@ void ContactSolve::prepare() {
   const bool old_factor =
       preconditioner_.on_tangent() && stale_matrix_ &&
       (method_ == StepMethod::kNewtonCholesky || age_ >= system_.plan().refactor_after());
-  if (kind_ == Kind::kConstant && stale_statuses_) preconditioner_.prepare_constant();
+  if (kind_ == Kind::kBase && stale_statuses_) preconditioner_.prepare_base();
   if (kind_ == Kind::kTangent && (stale_statuses_ || old_factor || !preconditioner_.on_tangent())) {
     age_ = 0;
-    if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_constant();
+    if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_base();
   }
   stale_statuses_ = stale_matrix_ = false;
 }
@@ -103,7 +104,7 @@ KrylovResult ContactSolve::solve_answer(const Vector& x, LinearSide side, const 
   // Indefinite, or too hard for this preconditioner. That of the clamped tangent is definite.
   problem_.assemble(x, true);
   kind_ = Kind::kTangent;
-  if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_constant();
+  if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_base();
   problem_.assemble(x, false);
   const auto precondition = [this](const Vector& in, Vector& z) { this->precondition(in, z); };
   KrylovResult again = gmres(apply, precondition, r, out, tolerance, max_iters, problem_.ops());

@@ -13,7 +13,8 @@ class ContactSolve {
   ContactSolve(StepProblem& problem, const ConstantSystem& system, const ContactSpace& space,
                StepMethod method, double rtol, bool cache_columns, ThreadPool& pool);
 
-  /// The statuses or the assembled H changed. On the constant factor a new H alone costs nothing.
+  /// The statuses or the assembled H changed. On the constant factor a new H alone costs nothing;
+  /// multigrid takes it over by itself.
   void statuses_changed() { stale_statuses_ = true; }
   void matrix_changed() { stale_matrix_ = true; }
 
@@ -27,7 +28,7 @@ class ContactSolve {
   void use_tangent() { kind_ = Kind::kTangent; }
 
  private:
-  enum class Kind { kConstant, kTangent, kJacobi };
+  enum class Kind { kBase, kTangent, kJacobi };
   void choose();
   /// Expected of a step, or of one solve at an answer, by those at rest.
   double iterations(double at_rest) const;
@@ -43,10 +44,10 @@ class ContactSolve {
   const ContactSpace& space_;
   StepMethod method_;
   double rtol_;
-  Kind kind_ = Kind::kConstant;
+  Kind kind_ = Kind::kBase;
   bool at_answer_ = false;
   bool stale_statuses_ = true, stale_matrix_ = true;
-  int age_ = 0, spent_ = 0;  // iterations on this factor of the tangent; on the constant one
+  int age_ = 0, spent_ = 0;  // iterations on this factor of the tangent; on others
   ContactPreconditioner preconditioner_;
   KrylovScratch krylov_;
   Vector expanded_;

@@ -108,6 +108,24 @@ void ContactSpace::add_slip_stiffness(const Vector& v, Vector& out) const {
   }
 }
 
+std::vector<HeldNode> ContactSpace::held_nodes() const {
+  std::vector<HeldNode> held;
+  for (std::size_t k = 0; k < size(); ++k) {
+    if (status[k] == ContactStatus::kSeparate) continue;
+    HeldNode h{in_.node[k], {}, {}};
+    const double* n = normal(k);
+    const double* t = direction.data() + 3 * k;
+    for (int i = 0; i < 9 && status[k] == ContactStatus::kSlip; ++i) {
+      const double along = t[i / 3] * t[i % 3];
+      h.free[i] = on_rail(k) ? along : (i % 4 == 0) - n[i / 3] * n[i % 3];
+      if (!on_rail(k) && slip_stiffness[k] > 0.0)
+        h.stiffness[i] = slip_stiffness[k] * (h.free[i] - along);
+    }
+    held.push_back(h);
+  }
+  return held;
+}
+
 void ContactSpace::restore(const std::int64_t* taken, const Vector& x, const Vector& r,
                            const double* stiffness) {
   for (std::size_t k = 0; k < size(); ++k) {

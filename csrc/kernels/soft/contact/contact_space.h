@@ -16,6 +16,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/vector_ops.h"
 
 namespace diffsim {
@@ -70,6 +71,8 @@ class ContactSpace {
   void expand(Vector& p) const;
   /// out += D v.
   void add_slip_stiffness(const Vector& v, Vector& out) const;
+  /// Nodes in contact with P and D, for what preconditions.
+  std::vector<HeldNode> held_nodes() const;
   /// Whether the node may only move along t.
   bool on_rail(std::size_t k) const;
   /// The statuses of a step that was taken, with slip directions and stiffnesses of its answer x.

@@ -58,7 +58,8 @@ StepStats contact_step_tangent(const ConstantSystem& system, const StepInputs& i
                                const std::int64_t* status, const StepDirections& direction,
                                const ContactRates& contact_direction, double* dx_out,
                                double* dforce, ThreadPool& pool) {
-  ContactAnswer answer(system, inputs, contacts, x_in, status, pool);
+  ContactAnswer answer(system, inputs, contacts, x_in, status,
+                       uses_multigrid(system, options.method), pool);
   StepProblem& problem = answer.problem;
   const ContactSpace& space = answer.space;
   const std::size_t size = problem.size();

@@ -1,0 +1,72 @@
+"""Multigrid in contact: the answers of a factor of the tangent, by few iterations."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from diffsim import contact, mesh, soft
+from tests.soft.cases import noise, soft_body
+
+# Friction, and the speed at which a block meets a slope: all that touches slips, sticks, or both.
+CASES = {"smooth": (0.0, 1.0), "slips": (0.3, 2.0), "both": (0.9, 0.1), "sticks": (math.inf, 0.1)}
+# Iterations that an adjoint may take; it takes 6 or 7.
+MOST = 9
+
+
+def block(method: str, preconditioner: str) -> soft.SoftBody:
+    """A block of 10 x 10 x 5 cells, of which a part is a hundred times stiffer."""
+    m = mesh.hex_box((10, 10, 5), (0.2, 0.2, 0.1))
+    middle = m.x_rest[m.elements].mean(1)[:, 0]
+    return soft_body(
+        m,
+        dt=0.01,
+        youngs_modulus=torch.where(middle > 0.1, 1e6, 1e4).double(),
+        poissons_ratio=0.4,
+        density=1e3,
+        solver=soft.SolverOptions(method=method, preconditioner=preconditioner, rtol=1e-9),
+    )
+
+
+def pass_of(body: soft.SoftBody, friction: float, speed: float):
+    """Positions, gradients by start and friction, and statistics of two steps on a slope."""
+    slope = contact.plane((0.1, 0.05, 1.0), friction=friction)
+    x = body.x_rest + 1e-3 * noise(*body.x_rest.shape)
+    x = x - torch.tensor([0.0, 0.0, 0.003], dtype=x.dtype)
+    start = x.requires_grad_()
+    v = torch.zeros_like(x) + torch.tensor([speed, 0.0, -0.5], dtype=x.dtype)
+    v.requires_grad_()
+    with soft.record_stats() as solves:
+        end = soft.rollout(body, soft.State(start, v), 2, obstacles=slope).final
+        (noise(*x.shape) * (end.x + 1e-3 * end.contact_force)).sum().backward()
+    return end.x.detach(), torch.stack([start.grad, v.grad]), solves
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_answers_are_those_of_a_factor(case):
+    by_factor = pass_of(block("newton_cholesky", "auto"), *CASES[case])
+    by_multigrid = pass_of(block("newton_pcg", "multigrid"), *CASES[case])
+    slipping = [int(s.num_slipping) for s in by_multigrid[2] if s.kind == "step"]
+    touching = [int(s.num_contacts) for s in by_multigrid[2] if s.kind == "step"]
+    assert min(touching) > 5
+    if case == "both":
+        assert any(0 < s < c for s, c in zip(slipping, touching, strict=True))
+    elif case == "sticks":
+        assert slipping[-1] == 0  # before, those that would be pulled may slide
+    else:
+        assert slipping == touching
+    torch.testing.assert_close(by_multigrid[0], by_factor[0], rtol=0, atol=1e-9)
+    scale = float(by_factor[1].abs().max())
+    torch.testing.assert_close(by_multigrid[1], by_factor[1], rtol=0, atol=1e-6 * scale)
+    adjoints = [s for s in by_multigrid[2] if s.kind == "adjoint"]
+    assert [int(s.num_factorizations) for s in adjoints] == [0, 0]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_adjoint_takes_few_iterations(case):
+    body = block("newton_pcg", "multigrid")
+    body.solver = soft.SolverOptions(method="newton_pcg", preconditioner="multigrid", rtol=1e-4)
+    *_, solves = pass_of(body, *CASES[case])
+    assert max(int(s.num_iters) for s in solves if s.kind == "adjoint") <= MOST
