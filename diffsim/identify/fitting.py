@@ -15,7 +15,7 @@ from scipy import linalg, optimize
 from diffsim import optim
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
-from diffsim.core.laid_aside import Aside
+from diffsim.core.memo import Aside
 from diffsim.core.record import Ended, Solve, announce, is_recording
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter

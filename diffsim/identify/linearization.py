@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from diffsim.core.errors import DiffsimError
-from diffsim.core.laid_aside import Aside
+from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
 _MOST_KEPT = 256
 AT_ONCE = 1 << 19  # samples that are simulated at once: states beside them take some 50 MB
-AT_LEAST = 32  # members of a batch, whatever they take: fewer are dear
+LANES = 32  # a batch is a multiple of that many members: kernels take eight at once, and count so
 BACKWARD = 4  # directions of a batch, that a backward pass costs
 
 
@@ -201,7 +201,8 @@ class Problem:
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
         self._require_finite(run, q, sizes)
-        at_once = max(AT_LEAST, AT_ONCE // max(run.measured.size, 1))
+        parts = max(AT_ONCE // (LANES * max(run.measured.size, 1)), 1)
+        at_once = LANES * parts
         each = [
             self.model.predict_many(
                 run,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from diffsim.core.errors import DiffsimError
-from diffsim.core.laid_aside import Aside
+from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect

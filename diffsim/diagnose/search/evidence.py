@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
-from diffsim.core.laid_aside import Aside, LaidAside
+from diffsim.core.memo import Aside, LaidAside
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, precision_at

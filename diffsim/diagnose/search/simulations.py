@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffsim.core.laid_aside import LaidAside
+from diffsim.core.memo import LaidAside, laid_aside
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -255,7 +255,7 @@ class Simulations:
     def beside(self, members: Members, unknown: Unknown, u: int, families: int) -> LaplaceEvidence:
         """Evidence of a set's neighbors, an unknown cause beside; both were simulated there."""
         moved, _ = self.responses(unknown, u, members, self.screened[members])
-        return self._evidence(self.screened[members], [LaidAside(moved)], families)
+        return self._evidence(self.screened[members], [moved], families)
 
     def scanned(
         self, center: Center, settings: SearchSettings, num_families: int
@@ -327,7 +327,7 @@ class Simulations:
         made, blocks = self, []
         for u, unknown in enumerate(unknowns):
             block, made = made.responses(unknown, u, center.members, center.at)
-            blocks.append(LaidAside(block))
+            blocks.append(laid_aside(block))
         return made._evidence(center.at, blocks, num_families), made
 
     def responses(
@@ -343,7 +343,7 @@ class Simulations:
         return unknown.spread(self.wide, made.unknown_slopes[members, u].array()), made
 
     def _evidence(
-        self, at: Linearization, blocks: Sequence[LaidAside], num_families: int
+        self, at: Linearization, blocks: Sequence[Array | LaidAside], num_families: int
     ) -> LaplaceEvidence:
         wide = self.wide
         residual = whitened(wide, measured_of(wide) - at.record)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffsim.core import laid_aside
-from diffsim.core.laid_aside import LARGE, Aside, LaidAside
+from diffsim.core import memo
+from diffsim.core.memo import LARGE, Aside, LaidAside, laid_aside
 from diffsim.identify.linearization import Linearization
 from tests.test_attacks import full_disk
 
@@ -32,7 +32,7 @@ def large(order="C", rows=700):
 @pytest.fixture
 def forgotten(monkeypatch):
     """Nothing is at hand: every look reads the file."""
-    monkeypatch.setattr(laid_aside, "AT_HAND", 0)
+    monkeypatch.setattr(memo, "_at_hand", memo.Memo(0))
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -73,19 +73,18 @@ def test_what_nobody_holds_leaves_no_file(forgotten):
     assert not path.exists()
 
 
-def test_what_was_asked_for_last_is_at_hand(monkeypatch):
-    array = large()
-    monkeypatch.setattr(laid_aside, "AT_HAND", 2 * array.nbytes + 1)
-    places = [LaidAside(array.copy()) for _ in range(3)]
-    assert places[2].array() is places[2].array()
+def test_what_was_asked_for_last_is_at_hand():
+    places = [LaidAside(large()) for _ in range(memo.AT_HAND + 1)]
     first = places[0].array()
     assert first is places[0].array()
-    assert laid_aside._at_hand._bytes <= laid_aside.AT_HAND
+    for place in places[1:]:
+        place.array()
+    assert first is not places[0].array()
 
 
 def test_small_ones_and_those_of_a_full_disk_stay_in_memory(forgotten):
     small, array = np.arange(9.0), large()
-    assert LaidAside(small).array() is small
+    assert laid_aside(small) is small and Slopes("few", small).columns is small
     with full_disk(4_096):
         place = LaidAside(array)
     assert place.array() is array and np.array_equal(place[3:5], array[3:5])
@@ -96,18 +95,18 @@ def test_slopes_of_many_places_take_no_memory():
     width = 80
 
     def place():
-        columns = np.ones((LARGE // 2 // width, width))  # 4 MB
+        columns = np.ones((LARGE // 8 // width + 1, width))
         return Linearization(np.zeros(width), columns[:, 0].copy(), tuple(range(width)), columns)
 
     def resident():
         gc.collect()
-        laid_aside._give_back()
+        memo._give_back()
         status = Path("/proc/self/status").read_text()
         return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) * 1024
 
     if not Path("/proc/self/status").exists():
         pytest.skip("memory is read as Linux tells it")
     before = resident()
-    kept = [place() for _ in range(60)]
-    assert resident() - before < laid_aside.AT_HAND + 16 * LARGE < 60 * 4 * LARGE // 2
+    kept = [place() for _ in range(80)]
+    assert resident() - before < 18 * LARGE < 80 * LARGE // 2
     assert all(at.columns.shape[1] == width for at in kept)
