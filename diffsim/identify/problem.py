@@ -42,8 +42,8 @@ from diffsim.identify.whitening import Whitener
 Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
 _MOST_KEPT = 256
-AT_ONCE = 1 << 19  # samples that are simulated at once: states beside them take some 50 MB
-LANES = 32  # a batch is a multiple of that many members: kernels take eight at once, and count so
+AT_ONCE = 1 << 22  # samples that are simulated at once: states beside them take some 200 MB
+LANES = 32  # a batch has a multiple of that many members: kernels take eight at once
 BACKWARD = 4  # directions of a batch, that a backward pass costs
 
 
