@@ -10,11 +10,14 @@ import resource
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 
+import numpy as np
 import pytest
 import torch
 
 from diffsim import mesh, soft
+from diffsim.data.formats import write_columns
 
 
 def make_body():
@@ -47,6 +50,46 @@ def test_a_disk_that_gets_full_is_named_and_leaves_no_half_file(tmp_path):
     assert [name for _, _, names in os.walk(tmp_path) for name in names] == []
 
 
+@contextmanager
+def full_disk(room):
+    """Files of this process cannot grow beyond ``room`` bytes, as on a disk that gets full."""
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft_limit, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft_limit, hard))
+        signal.signal(signal.SIGXFSZ, before)
+
+
+def write_scene(path):
+    from diffsim.viz.scene import write_recording
+
+    points = np.random.default_rng(0).normal(size=(5_000, 3))
+    return write_recording(path, "points", lambda rr, to: to.log("p", rr.Points3D(points)))
+
+
+def write_table(path):
+    return write_columns(path, {"time_s": np.arange(2_000.0), "q": np.arange(2_000.0) ** 0.5})
+
+
+NEEDS = {".rrd": "rerun", ".h5": "h5py", ".parquet": "pyarrow"}
+
+
+@pytest.mark.parametrize("suffix", [".rrd", ".h5", ".parquet", ".mat", ".vtu"])
+def test_writers_end_in_a_sentence_where_a_disk_gets_full(tmp_path, suffix):
+    """HDF5's own writer ended the process there, and rerun's waited for ever."""
+    pytest.importorskip(NEEDS.get(suffix, "scipy"))
+    path = tmp_path / f"it{suffix}"
+    writers = {".rrd": write_scene, ".vtu": lambda path: mesh.save(mesh.hex_box((9, 9, 9)), path)}
+    write = writers.get(suffix, write_table)
+    with full_disk(4_096), pytest.raises(OSError, match=path.name):
+        write(path)
+    assert os.listdir(tmp_path) == []
+    assert write(path) is None or path.stat().st_size > 4_096
+
+
 def test_saved_states_are_read_by_a_fresh_process(tmp_path):
     path = tmp_path / "state.pt"
     torch.save(make_body().rest_state(), path)
@@ -72,3 +115,17 @@ def test_another_default_device_is_refused_in_a_sentence():
         pytest.raises(TypeError, match="computes on the CPU"),
     ):
         make_body()
+
+
+@pytest.mark.parametrize("mode", ["grad", "jacrev", "jacfwd"])
+def test_a_body_may_be_made_where_a_derivative_is_asked_for(mode):
+    """Within ``torch.func`` not even a plain tensor's memory can be read: the mesh's was."""
+    box = mesh.hex_box((2, 1, 1), (0.1, 0.05, 0.05))
+
+    def energy(youngs_modulus):
+        body = soft.SoftBody(box, dt=0.01, youngs_modulus=youngs_modulus, poissons_ratio=0.4)
+        return body.elastic_energy(1.01 * box.x_rest)
+
+    modulus = torch.tensor(2e5, dtype=torch.float64)
+    slope = getattr(torch.func, mode)(energy)(modulus)
+    torch.testing.assert_close(slope, energy(modulus) / modulus)  # it is linear in the modulus

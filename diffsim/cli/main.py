@@ -35,6 +35,7 @@ from diffsim.core.interrupts import (
 from diffsim.core.progress import hide_progress
 from diffsim.core.version import __version__
 
+MOST_LETTERS = 2_000  # of a line of an error: one may quote what stands in a file
 EXIT_MISTAKE = 2  # what argparse uses too
 
 COMMANDS = {
@@ -134,12 +135,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _format_error(error: Exception) -> str:
     """An error in one line, mistakes that were found together in a line each."""
     lines = str(error).splitlines() if isinstance(error, Mistakes) else [str(error)]
-    lines = [" ".join(line.split()) for line in lines]
+    lines = [_shortened(" ".join(line.split())) for line in lines]
     if len(lines) > 1:
         count = error.count if isinstance(error, Mistakes) else len(lines)
         return "\n    ".join([f"{count} mistakes:", *lines])
     kind = ValueError if isinstance(error, Mistakes) else type(error)
     return f"{kind.__name__}: {lines[0]}"
+
+
+def _shortened(line: str) -> str:
+    """A line that quotes a file, whose names may have any length."""
+    more = len(line) - MOST_LETTERS
+    if more <= 0:
+        return line
+    half = MOST_LETTERS // 2
+    return f"{line[:half]} ... ({more} letters more) ... {line[-half:]}"
 
 
 if __name__ == "__main__":

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import socket
 import subprocess
 import sys
@@ -13,6 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from diffsim.core.optional import ask_for, present
+
+# Runs a command until the end of its input, then ends all processes of its group. rerun's command
+# only starts the viewer's, and this process may end in ways that it cannot answer, such as kill -9.
+_WHILE_READ = (
+    "import os, signal, subprocess, sys; subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL); "
+    "sys.stdin.read(); os.killpg(0, signal.SIGTERM)"
+)
 
 HELP = "show runs, their pages, recordings and progress in the browser"
 
@@ -67,18 +72,15 @@ def _viewer(host: str) -> Iterator[str | None]:
         free.bind((host, 0))
         port = free.getsockname()[1]
     # given an address to show, it hosts the viewer alone, without a server for data
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [
+            *(sys.executable, "-c", _WHILE_READ),
             *(sys.executable, "-m", "rerun", "--serve-web", "--bind", host),
             *("--web-viewer-port", str(port), f"http://{host}/none.rrd"),
         ],
+        stdin=subprocess.PIPE,  # leaving the block closes it, as does any other end of this process
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-    )
-    try:
+    ):
         yield f"http://{host}:{port}"
-    finally:
-        # Python's process only starts the viewer's: both are of this group
-        os.killpg(process.pid, signal.SIGTERM)
-        process.wait(timeout=10)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_constant, require_count, require_number
+from diffsim.core.check import all_finite, require, require_constant, require_count, require_number
 
 
 class Normalizer(nn.Module):
@@ -39,7 +39,7 @@ class Normalizer(nn.Module):
 
         Raises:
             TypeError: no float64 tensor.
-            ValueError: another size, or an entry that is not finite.
+            ValueError: another size, or entries that are not finite, or too large for a variance.
         """
         observations = require("observations", observations, ("...", len(self.mean)))
         rows = observations.reshape(-1, len(self.mean))
@@ -53,6 +53,11 @@ class Normalizer(nn.Module):
             + rows.var(0, unbiased=False) * new
             + away.square() * self.count * new / total
         )
+        if not all_finite(squares):
+            raise ValueError(
+                "observations must leave room for their squares in float64, got up to "
+                f"{float(rows.abs().max()):.3g}; choose another unit, or look for what ran away"
+            )
         self.mean += away * new / total
         self.variance.copy_(squares / total)
         self.count.copy_(total)

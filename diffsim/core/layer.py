@@ -56,6 +56,12 @@ def outside_of_graphs(function: Callable[..., Any]) -> Callable[..., Any]:
     return torch.compiler.disable(function) if "torch._dynamo" in sys.modules else function
 
 
+def on_constants() -> Any:
+    """A block that ``torch.func`` does not look into: within one, even a plain tensor's memory is
+    refused. For what is made of constants only, such as a mesh."""
+    return torch._C._DisableFuncTorch()  # PyTorch has no public name
+
+
 class Call(NamedTuple):
     """How the flat arguments of a function become those of an op.
 

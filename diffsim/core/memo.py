@@ -1,15 +1,25 @@
-"""What was computed before, by all that it depends on: one way to keep it for every layer."""
+"""What was computed before: by all that it depends on, and large arrays in temporary files."""
 
 from __future__ import annotations
 
+import ctypes
+import tempfile
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import field
 from functools import partial
+from pathlib import Path
 from threading import Lock
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 _Value = TypeVar("_Value")
+LARGE = 4 << 20  # bytes from which on an array is laid aside
+AT_HAND = 2  # arrays that were asked for last and stay in memory
 MOST_KEPT = 4096  # more than any study asks for: a bound against growing for ever, no choice
 
 
@@ -53,3 +63,84 @@ def memo_field(most: int = MOST_KEPT) -> Any:
         most: Number of values that are kept.
     """
     return field(default_factory=partial(Memo, most), init=False, repr=False, compare=False)
+
+
+class LaidAside:
+    """An array that is read from a file each time it is asked for, to the same bits.
+
+    It stays in memory where no file can be written.
+
+    Args:
+        array: It must not change any more.
+    """
+
+    def __init__(self, array: Array):
+        self._shape, self._path = array.shape, ""
+        self._key = object()  # names of files may come again
+        if not (array.flags.c_contiguous or array.flags.f_contiguous):
+            array = np.ascontiguousarray(array)  # products of another layout round otherwise
+        self._kept: Array | None = array
+        try:
+            with tempfile.NamedTemporaryFile(prefix="diffsim-", delete=False) as file:
+                weakref.finalize(self, Path(file.name).unlink, missing_ok=True)
+                np.save(file, array, allow_pickle=False)
+        except OSError:  # the disk is full
+            return
+        self._kept, self._path = None, file.name
+        _give_back()
+
+    def array(self) -> Array:
+        """The array as it was given; not to be written to."""
+        if self._kept is not None:
+            return self._kept
+        return _at_hand(self._key, lambda: np.load(self._path, allow_pickle=False))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the array."""
+        return self._shape
+
+    def __len__(self) -> int:
+        return self._shape[0]
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Rows of the array, (stop - start, ...), without reading the others."""
+        if self._kept is not None:
+            return self._kept[rows]
+        mapped = np.load(self._path, mmap_mode="r", allow_pickle=False)
+        return np.array(mapped[rows], order="K")
+
+    def __reduce__(self) -> tuple[type[LaidAside], tuple[Array]]:
+        return type(self), (self.array(),)  # another process, or a copy, has a file of its own
+
+
+def _give_back() -> None:
+    """Hand free memory back to the system: between arrays of many sizes glibc keeps most of it."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+def laid_aside(array: Array) -> Array | LaidAside:
+    """A large array in a file, a small one as it is."""
+    return array if array.nbytes < LARGE else LaidAside(array)
+
+
+class Aside:
+    """An attribute of a class, or a field of a dataclass, whose arrays are laid aside."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._place = f"_{name}_aside"
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        if instance is None:
+            raise AttributeError(self._place)  # to a dataclass: there is no default
+        value = instance.__dict__[self._place]
+        return value.array() if isinstance(value, LaidAside) else value
+
+    def __set__(self, instance: Any, value: Any) -> None:
+        dense = isinstance(value, np.ndarray)
+        instance.__dict__[self._place] = laid_aside(value) if dense else value
+
+
+_at_hand: Memo[Array] = Memo(AT_HAND)

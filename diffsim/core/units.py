@@ -6,6 +6,7 @@ other units come in.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from functools import lru_cache
@@ -15,6 +16,7 @@ NO_UNIT = "-"
 _RELATIVE = (NO_UNIT, "", "command", "channel")  # units that say nothing after a number
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
 _POWER = re.compile(r"(?<![A-Za-z_])(m|mm|cm|km|s)([234])(?![0-9])")
+_LARGEST = 1e100  # of a unit in SI units, and of its inverse: the square has room in float64
 _LONGEST = 100  # letters of a unit; the longest in common use has some forty
 _RAISED = re.compile(r"(?<![A-Za-z_0-9.])[\d.]+\s*(\^|\*\*)")  # pint would evaluate 9**9**9
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
@@ -125,10 +127,18 @@ def to_si(unit: str) -> SI:
         ValueError: an unknown unit.
     """
     parsed = _parse_unit(unit)
-    zero = _registry().Quantity(0.0, parsed).to_base_units()
-    one = _registry().Quantity(1.0, parsed).to_base_units()
-    offset = float(zero.magnitude)
-    size = float(one.magnitude) - offset
+    try:
+        zero = _registry().Quantity(0.0, parsed).to_base_units()
+        one = _registry().Quantity(1.0, parsed).to_base_units()
+        offset = float(zero.magnitude)
+        size = float(one.magnitude) - offset
+    except OverflowError:
+        size = math.inf
+    if not 1.0 / _LARGEST <= abs(size) <= _LARGEST:
+        raise ValueError(
+            f"unit {unit!r} must lie between {1.0 / _LARGEST:g} and {_LARGEST:g} of its SI unit; "
+            "look at its powers"
+        )
     if size == 1.0 and offset == 0.0:
         return SI(unit.strip() or NO_UNIT, 1.0, 0.0)
     name = str(one.units)

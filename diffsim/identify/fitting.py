@@ -15,6 +15,7 @@ from scipy import linalg, optimize
 from diffsim import optim
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
+from diffsim.core.memo import Aside
 from diffsim.core.record import Ended, Solve, announce, is_recording
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
@@ -69,7 +70,7 @@ class Fit:
     message: str
     num_evaluations: int
     residual: Array
-    jacobian: Array
+    jacobian: Aside = Aside()
 
     @property
     def converged(self) -> bool:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
@@ -48,7 +49,7 @@ class Linearization:
     x: Array
     record: Array
     idx: tuple[int, ...]
-    columns: Array
+    columns: Aside = Aside()
     slope_error: float = 0.0
 
     def slopes(self, wanted: Sequence[int]) -> Array:

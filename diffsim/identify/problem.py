@@ -42,6 +42,8 @@ from diffsim.identify.whitening import Whitener
 Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
 _MOST_KEPT = 256
+AT_ONCE = 1 << 22  # samples that are simulated at once: states beside them take some 200 MB
+LANES = 32  # a batch has a multiple of that many members: kernels take eight at once
 BACKWARD = 4  # directions of a batch, that a backward pass costs
 
 
@@ -199,7 +201,18 @@ class Problem:
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
         self._require_finite(run, q, sizes)
-        out = self.model.predict_many(run, q, sizes, self.numerics)
+        parts = max(AT_ONCE // (LANES * max(run.measured.size, 1)), 1)
+        at_once = LANES * parts
+        each = [
+            self.model.predict_many(
+                run,
+                q[k : k + at_once],
+                {effect: size[k : k + at_once] for effect, size in sizes.items()},
+                self.numerics,
+            )
+            for k in range(0, max(len(q), 1), at_once)
+        ]
+        out = each[0] if len(each) == 1 else torch.cat(each)
         return self._add_correction(run, self._of_shape(run, out, (len(q), *run.measured.shape)))
 
     def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -378,9 +391,14 @@ class Problem:
 
         return np.asarray(np.sum(self._compute_each(one), axis=0))
 
+    @property
+    def num_valid(self) -> list[int]:
+        """Measured samples of each run, all channels together."""
+        return [int(np.isfinite(run.measured).sum()) for run in self.runs]
+
     def by_run(self, rows: Array) -> list[Array]:
         """Whitened rows of all runs, (num_valid, ...), by run."""
-        counts = [int(np.isfinite(run.measured).sum()) for run in self.runs]
+        counts = self.num_valid
         return np.split(rows, np.cumsum(counts)[:-1])
 
     def on_grid(self, run: Run, rows: Array) -> Array:

@@ -216,15 +216,14 @@ def by_group(problem: Problem, slopes: Array) -> Array:
     """
     groups = list(dict.fromkeys(run.group for run in problem.runs))
     m = slopes.shape[1]
-    parts, start = [], 0
-    for run in problem.runs:
+    spread = np.zeros((sum(problem.num_valid), m * len(groups)))
+    start = row = 0
+    for run, count in zip(problem.runs, problem.num_valid, strict=True):
         own = problem.whiten(run, slopes[start : start + run.measured.size])
-        start += run.measured.size
-        spread = np.zeros((len(own), m * len(groups)))
         at = groups.index(run.group) * m
-        spread[:, at : at + m] = own
-        parts.append(spread)
-    return np.concatenate(parts)
+        spread[row : row + count, at : at + m] = own
+        start, row = start + run.measured.size, row + count
+    return spread
 
 
 def drifts(channels: Sequence[str]) -> list[Unknown]:

@@ -29,7 +29,7 @@ from diffsim.soft._ops_step import (
     step_options,
 )
 from diffsim.soft._solves import STATS, notify
-from diffsim.soft._sticking import report_pulling
+from diffsim.soft._sticking import as_solved, let_slide, without_endless
 
 
 def _require_contacts(
@@ -82,24 +82,27 @@ def contact_step(
     force = x.new_zeros(batch, count, 3)
     status = torch.zeros(batch, count, dtype=torch.int64)
     stats = new_stats(batch)
-    core.contact_step(
-        system=ctx.system(arrays, num_threads, method, preconditioner, in_contact=True),
-        inputs=soft_addresses(arrays.named()),
-        contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
-        options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
-        cache_columns=cache_columns,
-        batch=batch,
-        x=x.data_ptr(),
-        force=force.data_ptr(),
-        status=status.data_ptr(),
-        stats=stats.data_ptr(),
-        num_threads=num_threads,
-    )
-    notify("step", stats, max_iters, contact=True)
-    require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
-    report_failure(stats, "implicit step in contact", STEP_HINT, on_failure)
-    tolerance = stats[:, STATS.index("tolerance")]
-    report_pulling(planes.normal, planes.friction, force, tolerance)
+    while True:
+        core.contact_step(
+            system=ctx.system(arrays, num_threads, method, preconditioner, in_contact=True),
+            inputs=soft_addresses(arrays.named()),
+            contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
+            options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
+            cache_columns=cache_columns,
+            batch=batch,
+            x=x.data_ptr(),
+            force=force.data_ptr(),
+            status=status.data_ptr(),
+            stats=stats.data_ptr(),
+            num_threads=num_threads,
+        )
+        notify("step", stats, max_iters, contact=True)
+        require_upright(ctx, stats[:, STATS.index("energy")], x)  # the start where that failed
+        report_failure(stats, "implicit step in contact", STEP_HINT, on_failure)
+        again = let_slide(planes, force, stats[:, STATS.index("tolerance")])
+        if again is None:
+            break
+        planes = again
     return x, force, status, stats
 
 
@@ -140,6 +143,7 @@ def contact_step_vjp(
     grad_x, grad_force, status = grad_x.contiguous(), grad_force.contiguous(), status.contiguous()
     arrays = require_step(ctx, inputs, batch, x=x, grad_x=grad_x)
     planes = _require_contacts(ctx.num_nodes, batch, nodes, contacts)
+    solved = as_solved(planes, status)
     require_array("grad_force", grad_force, (batch, count, 3))
     if tuple(status.shape) != (batch, count) or status.dtype != torch.int64:
         raise ValueError(
@@ -152,7 +156,7 @@ def contact_step_vjp(
     core.contact_step_adjoint(
         system=ctx.system(arrays, num_threads, method, preconditioner, in_contact=True),
         inputs=soft_addresses(arrays.named()),
-        contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
+        contacts=contact_addresses(count, {"node": nodes, **solved.named()}),
         options=step_options(method, rtol=rtol, max_iters=max_iters),
         cache_columns=cache_columns,
         batch=batch,
@@ -167,6 +171,7 @@ def contact_step_vjp(
     )
     notify("adjoint", stats, max_iters, contact=True)
     report_failure(stats, "adjoint solve in contact", ADJOINT_HINT, on_failure)
+    contact_grads["friction"] = without_endless(planes, contact_grads["friction"])
     return [*arrays.summed(grads), *planes.summed(contact_grads), stats]
 
 
@@ -242,6 +247,9 @@ def contact_step_jvp(
     planes = _require_contacts(ctx.num_nodes, batch, nodes, contacts)
     moved = arrays.moving(directions)
     planes_moved = planes.moving(contact_directions)
+    if "friction" in planes_moved:
+        planes_moved["friction"] = without_endless(planes, planes_moved["friction"])
+    planes = as_solved(planes, status)
     dx, dforce = torch.empty_like(x), x.new_empty(batch, count, 3)
     stats = new_stats(batch)
     for k in range(batch):

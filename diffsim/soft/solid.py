@@ -17,6 +17,7 @@ from diffsim.core.check import (
     require_indices,
     require_number,
 )
+from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
 from diffsim.core.values import as_array
 from diffsim.mesh import (
@@ -92,16 +93,17 @@ class Solid(Float64Module):
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
         self.material = material if isinstance(material, Material) else Material(material)
         self.solver = _options("solver", solver, SolverOptions)
-        self.muscles = MuscleSet(muscles, mesh.num_elements)
-        self.chambers = ChamberSet(chambers, mesh)
-        # Not in the state_dict: loading one would change them behind the prepared solver's back.
-        self.register_buffer("x_rest", mesh.x_rest, persistent=False)
-        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_nodes), persistent=False)
-        nodes = _contact_nodes(contact.contact_nodes, mesh, self.fixed)
-        self.register_buffer("contact_nodes", nodes, persistent=False)
-        self.max_depenetration_speed = contact.max_depenetration_speed
-        self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
-        self.register_buffer("nodal_shares", nodal_shares(mesh), persistent=False)
+        with on_constants():
+            self.muscles = MuscleSet(muscles, mesh.num_elements)
+            self.chambers = ChamberSet(chambers, mesh)
+            # Not in the state_dict, which would change them behind the prepared solver's back.
+            self.register_buffer("x_rest", mesh.x_rest, persistent=False)
+            self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_nodes), persistent=False)
+            nodes = _contact_nodes(contact.contact_nodes, mesh, self.fixed)
+            self.register_buffer("contact_nodes", nodes, persistent=False)
+            self.max_depenetration_speed = contact.max_depenetration_speed
+            self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
+            self.register_buffer("nodal_shares", nodal_shares(mesh), persistent=False)
         beta = damping.rayleigh_beta
         given = {
             "youngs_modulus": youngs_modulus,
@@ -125,21 +127,22 @@ class Solid(Float64Module):
         self._context = self._make_context()
 
     def _make_context(self) -> SoftContext:
-        shape = shape_gradients(self.mesh)
-        return SoftContext(
-            is_hex=self.mesh.kind == "hex",
-            material=self.material.law,
-            elements=self.mesh.elements,
-            grad=shape.grad,
-            weight=shape.weight,
-            class_idx=shape.class_idx,
-            x_rest=self.mesh.x_rest,
-            fiber_elements=self.muscles.elements,
-            fiber_directions=self.muscles.directions,
-            fiber_pull_only=self.muscles.pull_only,
-            chambers=self.chambers,
-            fixed=self.fixed,
-        )
+        with on_constants():
+            shape = shape_gradients(self.mesh)
+            return SoftContext(
+                is_hex=self.mesh.kind == "hex",
+                material=self.material.law,
+                elements=self.mesh.elements,
+                grad=shape.grad,
+                weight=shape.weight,
+                class_idx=shape.class_idx,
+                x_rest=self.mesh.x_rest,
+                fiber_elements=self.muscles.elements,
+                fiber_directions=self.muscles.directions,
+                fiber_pull_only=self.muscles.pull_only,
+                chambers=self.chambers,
+                fixed=self.fixed,
+            )
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_context"}

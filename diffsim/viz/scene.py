@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.files import replacing
+from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
@@ -94,15 +94,11 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
         ImportError: rerun-sdk is not installed.
     """
     rr = optional("rerun", purpose="an .rrd recording")
-    with replacing(path, ".rrd.tmp") as temporary:
-        stream = rr.RecordingStream(f"diffsim {title}")
-        stream.save(temporary)
-        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        log(rr, stream)
-        stream.flush()
-        stream.disconnect()
-        del stream
-    return Path(path)
+    stream = rr.RecordingStream(f"diffsim {title}")
+    kept = stream.memory_recording()  # where a disk gets full, its own writer waits for ever
+    stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log(rr, stream)
+    return write_bytes_atomic(path, kept.drain_as_bytes())
 
 
 def rgb(color: str) -> list[int]:

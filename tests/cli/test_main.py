@@ -225,3 +225,15 @@ def test_a_stop_by_a_queue_says_how_to_go_on():
     done = warm.python("-c", code)
     assert done.returncode == 130
     assert "go on with: diffsim diagnose explain 'my rig'" in done.stderr
+
+
+def test_an_error_does_not_fill_the_screen_with_what_stands_in_a_file(capsys, tmp_path):
+    table = tmp_path / "log.csv"
+    table.write_text(f"time_s,q [{'m' * 100_000}]\n0,1\n0.1,2\n")
+    (tmp_path / "study.yaml").write_text(
+        "name: cart\nsystem: rigid_body\nchannels: [{name: q, unit: m}]\n"
+        "runs: [{name: a, file: log.csv}]\n"
+    )
+    assert cli.main(["diagnose", "check", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "log.csv" in said and "letters more" in said and len(said) < 3_000

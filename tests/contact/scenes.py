@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
+from diffsim.soft._sticking import SLIDING_FRICTION
 from tests.soft.cases import grouped, noise, soft_body
 
 ZERO = (0.0, 0.0, 0.0)
@@ -130,8 +131,11 @@ def violations(body, before, after, obstacles, external=None, **inputs) -> Viola
     slip = slip - (n * slip).sum(-1, keepdim=True) * n
     size_t, speed = tangent.norm(dim=-1), slip.norm(dim=-1)
     pressed = normal.clamp(min=0.0)
-    rough = planes.friction.isinf()
-    limit = torch.where(rough, math.inf, planes.friction * pressed)
+    # what infinite friction would have to pull slides with a finite one: docs/contact.md
+    slides = planes.friction.isinf() & (normal > 0.0) & (speed * h > 1e-6 * size)
+    friction = torch.where(slides, SLIDING_FRICTION, planes.friction)
+    rough = friction.isinf()
+    limit = torch.where(rough, math.inf, friction * pressed)
     # nan_to_num: inf * 0 where a node with infinite friction is not in contact
     limit = torch.nan_to_num(limit, nan=0.0, posinf=math.inf)
     direction = slip / speed.clamp(min=1e-300)[:, None]

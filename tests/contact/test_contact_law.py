@@ -9,6 +9,7 @@ import math
 import pytest
 import torch
 
+import diffsim
 from diffsim import contact, mesh, soft
 from tests.contact.cases import tensor, uniform, waves
 from tests.contact.scenes import moving, residual, slab, violations
@@ -24,8 +25,6 @@ def walk(body, state, obstacles, num_steps, **inputs):
     for _ in range(num_steps):
         after = body(state, obstacles=obstacles, **inputs)
         found = violations(body, state, after, obstacles, **inputs)
-        if math.isinf(float(obstacles[0].friction)):  # see test_infinite_friction_may_have_to_pull
-            found = found._replace(pull=0.0)
         assert found.worst < TOLERANCE, found
         seen.append(found)
         state = after
@@ -168,20 +167,20 @@ def test_a_corner_between_two_planes_uses_the_deeper_one():
 
 
 @pytest.mark.slow
-def test_infinite_friction_may_have_to_pull():
+def test_infinite_friction_may_leave_no_answer():
     """A slab of which one node is pulled: no set of nodes, held or let go, obeys the law.
 
-    All 512 sets are tried as Dirichlet conditions. Infinite friction leaves such steps without an
-    answer; the kernel then holds the node that it has released twice (contact_status.cpp).
+    All 512 sets are tried as Dirichlet conditions. The kernel then holds the node that it has
+    released twice (contact_status.cpp), and such nodes slide in a second solve (soft/_sticking.py).
     """
     body = slab("hex", height=0.02, solver=soft.SolverOptions(rtol=1e-9))
     floor = contact.floor(friction=math.inf)
     state = moving(body, (0.8, 0.3, -1.5), spin=(0.2, -0.4, 0.5), wobble=0.1)
     for _ in range(3):
         state = body(state, obstacles=floor)
-    after = body(state, obstacles=floor)
-    found = violations(body, state, after, floor)
-    assert found.pull > 1e-3 and found._replace(pull=0.0).worst < TOLERANCE
+    with pytest.warns(diffsim.ContactWarning, match="without an answer"):
+        after = body(state, obstacles=floor)
+    assert violations(body, state, after, floor).worst < TOLERANCE
     bottom = torch.nonzero(body.x_rest[:, 2] < 0.03).flatten()
     floor_at = state.x * tensor(1.0, 1.0, 0.0)
     for chosen in itertools.product([False, True], repeat=len(bottom)):

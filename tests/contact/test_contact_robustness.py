@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import diffsim
 from diffsim import contact, mesh, soft
 from diffsim.core.errors import ConvergenceError, DiffsimError
+from diffsim.soft._sticking import SLIDING_FRICTION
 from tests.contact.scenes import moving, slab, violations
 from tests.soft.cases import leaf, noise
 
@@ -216,16 +217,39 @@ def test_cycling_statuses_are_resolved():
     assert cycles > 0
 
 
-def test_endless_friction_that_pulls_is_reported():
+def test_endless_friction_never_pulls():
+    """A node that stuck would be pulled off slides; the step says so, and has its gradient."""
     body = slab("hex", (3, 3, 1), youngs_modulus=1e4, **GOOD)
     start = moving(body, (0.2, 0.1, -1.0), spin=(0.5, 1.0, 3.0), wobble=0.5, seed=3)
-    with pytest.warns(diffsim.ContactWarning, match=r"friction=inf holds \d+ nodes"):
-        end = body(start, obstacles=contact.floor(friction=math.inf))
-    assert float(end.contact_force[:, 2].min()) < -1e-3
-    with warnings.catch_warnings():  # a finite coefficient has an answer, which presses
-        warnings.simplefilter("error")
-        end = body(start, obstacles=contact.floor(friction=2.0))
-    assert float(end.contact_force[:, 2].min()) >= -1e-8
+    floor = contact.floor(friction=math.inf)
+    with pytest.warns(diffsim.ContactWarning, match=r"friction=inf leaves \d+ nodes without"):
+        end, found = checked_step(body, start, floor)
+    pressing = end.contact_force[:, 2]
+    assert float(pressing.min()) >= -1e-8 and found.pull < 1e-8
+    along = end.contact_force[:, :2].norm(dim=-1)
+    sliding = (pressing > 0.0) & ((end.x - start.x)[:, :2].norm(dim=-1) > 1e-6)
+    torch.testing.assert_close(along[sliding], SLIDING_FRICTION * pressing[sliding])
+    assert bool(sliding.any()) and not bool(sliding[pressing > 0.0].all())
+
+    def after(v):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            end = body(soft.State(start.x, v), obstacles=floor)
+        return (end.contact_force[:, 2] * torch.linspace(1, 2, len(v), dtype=v.dtype)).sum()
+
+    push = torch.linspace(-1, 1, start.v.numel(), dtype=start.v.dtype).view_as(start.v)
+    expected = (after(start.v + 1e-5 * push) - after(start.v - 1e-5 * push)) / 2e-5
+    slope = (torch.func.grad(after)(start.v) * push).sum()
+    torch.testing.assert_close(slope, expected, rtol=1e-4, atol=0.0)
+    moved = torch.func.jvp(after, (start.v,), (push,))[1]
+    torch.testing.assert_close(moved, expected, rtol=1e-4, atol=0.0)
+
+    def by_friction(friction):
+        return body(start, obstacles=contact.floor(friction=friction)).x.square().sum()
+
+    endless = torch.tensor(math.inf, dtype=start.v.dtype)
+    assert torch.func.grad(by_friction)(endless) == 0.0
+    assert torch.func.jvp(by_friction, (endless,), (torch.ones_like(endless),))[1] == 0.0
 
 
 unit = st.floats(-1.0, 1.0)

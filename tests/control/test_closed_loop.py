@@ -67,6 +67,8 @@ def test_an_observation_that_is_no_number_is_refused_and_changes_nothing():
     before = {name: value.clone() for name, value in normalizer.state_dict().items()}
     with pytest.raises(ValueError, match="observations must be finite"):
         normalizer.update(torch.tensor([[math.nan, 0.0]], dtype=torch.float64))
+    with pytest.raises(ValueError, match=r"room for their squares in float64, got up to 1e\+200"):
+        normalizer.update(torch.full((2, 2), 1e200, dtype=torch.float64))
     normalizer.update(torch.zeros(0, 2, dtype=torch.float64))
     for name, value in normalizer.state_dict().items():
         assert torch.equal(value, before[name])

@@ -71,3 +71,10 @@ def test_a_unit_that_would_never_end_is_refused_at_once(unit):
     with pytest.raises(ValueError, match="powers of units alone") as refused:
         to_si(unit)
     assert len(str(refused.value)) < 250
+
+
+@pytest.mark.parametrize("unit", ["cm**9999", "mm^200", "km^120", "mm**-500", "km**-9999"])
+def test_a_unit_beyond_what_numbers_hold_is_refused(unit):
+    """Their factors were 0, so that every reading became 0, or an error of Python's."""
+    with pytest.raises(ValueError, match="of its SI unit"):
+        to_si(unit)

@@ -2,6 +2,8 @@
 
 import json
 import os
+import signal
+import subprocess
 import sys
 import threading
 import time
@@ -117,8 +119,18 @@ def test_of_large_results_the_last_rows_are_read(runs, monkeypatch):
         assert len(read) <= 2  # all 700,000 took 5 s; the second visit reads nothing
 
 
-def test_the_viewer_ends_with_the_server(tmp_path, monkeypatch):
-    """rerun's command starts another process, which ended alone stays with its port open."""
+SERVES = """
+import time
+from diffsim.cli.serve import _viewer
+with _viewer("127.0.0.1"):
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("end", [None, signal.SIGHUP, signal.SIGKILL])
+def test_the_viewer_ends_with_the_server(tmp_path, monkeypatch, end):
+    """rerun's command starts another process, which ended alone stays with its port open; so it
+    does where the server is ended from outside, as by a terminal that is closed."""
     package = tmp_path / "rerun"
     package.mkdir()
     (package / "__init__.py").write_text("")
@@ -129,12 +141,18 @@ def test_the_viewer_ends_with_the_server(tmp_path, monkeypatch):
         f"pathlib.Path({str(child)!r}).write_text(str(made.pid))\n"
         "made.wait()\n"
     )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.getcwd()]))
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "rerun", raising=False)
-    with _viewer("127.0.0.1") as address:
-        assert address.startswith("http://127.0.0.1:")
+    if end is None:
+        with _viewer("127.0.0.1") as address:
+            assert address.startswith("http://127.0.0.1:")
+            _wait_until(lambda: child.exists() and child.read_text())
+    else:
+        server = subprocess.Popen([sys.executable, "-c", SERVES])
         _wait_until(lambda: child.exists() and child.read_text())
+        server.send_signal(end)
+        server.wait(timeout=10)
     number = int(child.read_text())
     _wait_until(lambda: not _runs(number))
 

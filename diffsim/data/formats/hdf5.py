@@ -71,11 +71,14 @@ def _group(h5py: Any, file: Any, part: str) -> Any:
 def write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     """Write a table as arrays of the root."""
     h5py = _h5py()
-    with h5py.File(path, "w") as file:
+    # HDF5 ends the process where a disk gets full, so it writes to memory
+    with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         for name, values in columns.items():
             is_text = values.dtype.kind in "US"
             kind = h5py.string_dtype() if is_text else None
             file.create_dataset(name, data=values.astype(object) if is_text else values, dtype=kind)
+        file.flush()
+        path.write_bytes(file.id.get_file_image())
 
 
 def _tables(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
@@ -40,15 +41,15 @@ class ReachInRun:
     """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``.
 
     Attributes:
-        basis: Orthonormal columns that span it, (num_valid, k): few knots move many readings.
         mixed: Their coordinates of what is spread, (k, m).
         spread: From samples to knots, or to the readings that an entry changes at once, (m,
             num_samples).
+        basis: Orthonormal columns that span it, (num_valid, k): few knots move many readings.
     """
 
-    basis: Array | sparse.csr_array
     mixed: Array | sparse.csr_array
     spread: sparse.csr_array
+    basis: Aside = Aside()
 
 
 @dataclass(frozen=True)
@@ -110,11 +111,11 @@ def _reach_of(
     course = responses[:, np.concatenate(led)]
     if not read.nnz:
         basis, mixed = np.linalg.qr(course)
-        return ReachInRun(basis, mixed, spread)
+        return ReachInRun(mixed, spread, basis)
     # both at once: the readings themselves are the coordinates
     every = sparse.eye_array(read.shape[0], format="csr")
     both = sparse.csr_array(sparse.vstack([spread, read]))
-    return ReachInRun(every, sparse.csr_array(sparse.hstack([course, every])), both)
+    return ReachInRun(sparse.csr_array(sparse.hstack([course, every])), both, every)
 
 
 def _read_at_once(read: sparse.csr_array) -> ReachInRun:
@@ -125,11 +126,11 @@ def _read_at_once(read: sparse.csr_array) -> ReachInRun:
         felt = np.flatnonzero(size)
         scale = sparse.diags_array(size[felt], format="csr")
         basis = sparse.csr_array(read[:, felt] @ sparse.diags_array(1.0 / size[felt]))
-        return ReachInRun(basis, scale, sparse.eye_array(len(size), format="csr")[felt])
+        return ReachInRun(scale, sparse.eye_array(len(size), format="csr")[felt], basis)
     moved = np.flatnonzero(np.diff(read.indptr))
     count, shape = len(moved), (read.shape[0], len(moved))
     basis = sparse.csr_array((np.ones(count), (moved, np.arange(count))), shape=shape)
-    return ReachInRun(basis, sparse.eye_array(count, format="csr"), read[moved])
+    return ReachInRun(sparse.eye_array(count, format="csr"), read[moved], basis)
 
 
 @dataclass(frozen=True, eq=False)

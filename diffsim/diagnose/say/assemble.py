@@ -466,5 +466,5 @@ def _force_map(search: Search) -> ForceMap | None:
     for u, cause in enumerate(search.unknowns):
         slopes = search.simulations.unknown_slopes.get((NONE, u))
         if isinstance(cause, UnknownForce) and slopes is not None:
-            return force_map(search.wide, cause, slopes, search.plain.evidence.residual)
+            return force_map(search.wide, cause, slopes.array(), search.plain.evidence.residual)
     return None

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
+from diffsim.core.memo import Aside, LaidAside
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, precision_at
@@ -48,6 +49,7 @@ Array = NDArray[np.float64]
 AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 # Slopes say nothing of sizes far beyond those that were simulated, and the prior hardly holds them
 # back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
+ROWS = 1 << 14  # of a record that are looked at at once
 REACH = 20.0  # scaled sizes
 FARTHER = 4.0
 NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet
@@ -102,13 +104,15 @@ class LaplaceEvidence:
         PredictionError: the linearization is not of finite numbers.
     """
 
+    jacobian: Aside = Aside()
+
     def __init__(
         self,
         problem: Problem,
         x: Array,
         residual: Array,
         jacobian: Array,
-        responses: Sequence[Array],
+        responses: Sequence[Array | LaidAside],
         num_families: int,
         num_unknowns: int | None = None,
     ):
@@ -118,12 +122,17 @@ class LaplaceEvidence:
         self.residual, self.jacobian = residual, jacobian
         slopes = jacobian / problem.stretch(x)
         right = residual + slopes @ problem.scaled(x)
-        blocks = [_unit_power(h) for h in responses]
-        stacked = np.hstack([slopes, *blocks])
-        edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
+        powers = [_power(h) for h in responses]
+        edges = np.cumsum([jacobian.shape[1], *(h.shape[1] for h in responses)])
         self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
+        gram, self.projection = np.zeros((edges[-1], edges[-1])), np.zeros(edges[-1])
         with np.errstate(over="ignore", invalid="ignore"):
-            gram, self.projection = stacked.T @ stacked, stacked.T @ right
+            for rows in _parts(len(right)):
+                # N(0, 1) coefficients move a sample by one noise sd, root mean square
+                scaled = (h[rows] / p for h, p in zip(responses, powers, strict=True))
+                stacked = np.hstack([slopes[rows], *scaled])
+                gram += stacked.T @ stacked
+                self.projection += stacked.T @ right[rows]
             self.power = float(right @ right)
         if not (np.isfinite(gram).all() and np.isfinite(self.power)):
             raise PredictionError(
@@ -280,10 +289,15 @@ def _log_share(mean: Array, sd: Array, low: Array, high: Array) -> Array:
         return np.asarray(wide + np.log1p(-np.exp(special.log_ndtr(lower) - wide)))
 
 
-def _unit_power(responses: Array) -> Array:
-    """Scaled so that N(0, 1) coefficients move a sample by one noise sd, root mean square."""
-    power = np.sqrt(np.sum(responses**2) / len(responses))
-    return responses / power if power > 0.0 else responses
+def _parts(count: int) -> list[slice]:
+    """Rows a part at a time: copies of all of a long record's would fill the memory."""
+    return [slice(start, start + ROWS) for start in range(0, count, ROWS)]
+
+
+def _power(responses: Array | LaidAside) -> float:
+    """Root mean square by which N(0, 1) coefficients move a sample; 1 where they move none."""
+    total = sum(float(np.sum(responses[rows] ** 2)) for rows in _parts(len(responses)))
+    return float(np.sqrt(total / len(responses))) or 1.0
 
 
 VISIBLE = 6.0

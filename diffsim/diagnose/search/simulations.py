@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from diffsim.core.memo import LaidAside, laid_aside
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -94,7 +95,7 @@ class Simulations:
     store: Store | None = None
     fitted: Mapping[Members, Linearization] = field(default_factory=dict)
     screened: Mapping[Members, Linearization] = field(default_factory=dict)
-    unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
+    unknown_slopes: Mapping[tuple[Members, int], LaidAside] = field(default_factory=dict)
     at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_steps: int = 0
@@ -326,7 +327,7 @@ class Simulations:
         made, blocks = self, []
         for u, unknown in enumerate(unknowns):
             block, made = made.responses(unknown, u, center.members, center.at)
-            blocks.append(block)
+            blocks.append(laid_aside(block))
         return made._evidence(center.at, blocks, num_families), made
 
     def responses(
@@ -336,11 +337,13 @@ class Simulations:
         made = self
         if (members, u) not in self.unknown_slopes:
             slopes = self._slopes_of(unknown, members, at)
-            made = replace(self, unknown_slopes={**self.unknown_slopes, (members, u): slopes})
-        return unknown.spread(self.wide, made.unknown_slopes[members, u]), made
+            made = replace(
+                self, unknown_slopes={**self.unknown_slopes, (members, u): LaidAside(slopes)}
+            )
+        return unknown.spread(self.wide, made.unknown_slopes[members, u].array()), made
 
     def _evidence(
-        self, at: Linearization, blocks: Sequence[Array], num_families: int
+        self, at: Linearization, blocks: Sequence[Array | LaidAside], num_families: int
     ) -> LaplaceEvidence:
         wide = self.wide
         residual = whitened(wide, measured_of(wide) - at.record)

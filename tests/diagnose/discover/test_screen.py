@@ -133,7 +133,8 @@ def test_a_waves_score_is_what_refits_take_away(problem):
     course, spread = rng.normal(size=(COUNT // 2, 5)), rng.normal(size=(5, 20))
     knots, at_once = sparse.csr_array(spread), sparse.csr_array(rng.normal(size=(COUNT // 2, 20)))
     here = sparse.eye_array(COUNT // 2, format="csr")
-    entry = Reach((ReachInRun(*np.linalg.qr(course), knots), ReachInRun(here, here, at_once)))
+    basis, mixed = np.linalg.qr(course)
+    entry = Reach((ReachInRun(mixed, knots, basis), ReachInRun(here, at_once, here)))
     terms = [rng.normal(size=(20, 6)) for _ in range(2)]
     pairs = np.concatenate([course @ spread @ terms[0], at_once @ terms[1]])
     np.testing.assert_allclose(entry.columns(terms), pairs, rtol=1e-9, atol=1e-9)
