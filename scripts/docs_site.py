@@ -111,12 +111,19 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def notebook(path: Path) -> str:
-    """A notebook's text and code as Markdown."""
+    """A notebook's text and code as Markdown, with what its cells print (tutorial_outputs.py)."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    kept = json.loads(path.with_name("outputs.json").read_text(encoding="utf-8"))
+    outputs = iter(kept[path.name])
     parts = []
     for cell in cells:
         text = "".join(cell["source"])
-        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        if cell["cell_type"] == "markdown":
+            parts.append(text)
+            continue
+        parts.append(f"```python\n{text}\n```")
+        if printed := next(outputs):
+            parts.append(f"```text\n{printed}\n```")
     return "\n\n".join(parts)
 
 

@@ -24,7 +24,7 @@ from diffsim.core.files import write_text_atomic
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "site" / "hidden_size.html"
 TEMPLATE = Path(__file__).with_name("hidden_size.html")
-SIZES = (0.0, 0.001, 0.003, 0.006)  # hidden friction [N m]
+SIZES = (0.0, 0.0005, 0.001, 0.002, 0.003, 0.006, 0.012)  # hidden friction [N m]
 STEP = 0.02  # of the record [s]
 STUDY = """
 name: pendulum

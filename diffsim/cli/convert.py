@@ -24,7 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source",
         metavar="FILE[#PART]",
-        help="Parquet, HDF5, MAT, NPZ, XLSX, PX4 ULog (.ulg), MCAP, rosbag (.bag, .db3) or CSV",
+        help="CSV, Parquet, HDF5, MAT, NPZ, XLSX, JSON, PX4 ULog (.ulg), MCAP, rosbag (.bag, .db3) "
+        "or the folder of a LeRobot dataset",
     )
     parser.add_argument(
         "out",
@@ -43,10 +44,21 @@ def command(args: argparse.Namespace) -> None:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read, or OUT cannot be written so.
     """
-    from diffsim.data.formats import is_container, parts_of, renamed, split_part, write_columns
+    from diffsim.data.formats import (
+        is_container,
+        lerobot,
+        parts_of,
+        renamed,
+        split_part,
+        write_columns,
+    )
     from diffsim.data.table import Table
 
     file, part = split_part(args.source)
+    if args.out is None and (tables := lerobot.tables_of(file)):
+        for source in tables:
+            _show(source, Table(source, "table"))
+        return
     if args.out is None:
         for name in [part] if part or not is_container(file) else parts_of(file):
             source = Path(f"{file}#{name}" if name else file)
@@ -71,7 +83,7 @@ def _show(source: Path, table: Table) -> None:
         print(f"  not in it: {sentence}")
     for name, values in table.columns().items():
         if values.dtype.kind in "US":
-            print(f"  {name}: text, such as {values[0]!r}")
+            print(f"  {name}: text, such as {str(values[0])!r}")
         else:
             there = values[np.isfinite(values)]
             seen = f"{there.min():g} to {there.max():g}" if len(there) else "empty"

@@ -81,8 +81,11 @@ def advice(modules: Sequence[str]) -> str:
         Such as ``pip install 'osqp>=0.6.7' 'cvxpy>=1.5' (extra opt of diffsim-robot)``.
     """
     wanted = dict.fromkeys(requirement(module) for module in modules)
-    holding = [name for name, has in extras().items() if name != "all" and set(wanted) <= set(has)]
-    where = f" (extra {holding[0]} of {DISTRIBUTION})" if holding else ""
+    offered = {name: has for name, has in extras().items() if name != "all"}
+    whole = [name for name, has in offered.items() if set(wanted) <= set(has)][:1]
+    each = [next((n for n, has in offered.items() if one in has), "") for one in wanted]
+    names = whole or (list(dict.fromkeys(each)) if all(each) else [])
+    where = f" (extra{'s' * (len(names) > 1)} {', '.join(names)} of {DISTRIBUTION})" * bool(names)
     command = " ".join(f"'{r}'" if re.search(r"[<>=]", r) else r for r in wanted)
     return f"pip install {command}{where}"
 

@@ -114,6 +114,12 @@ class ProgressLines:
         if refresh:
             self.refresh()
 
+    def say(self, text: str) -> None:
+        """Change the text at the end of the line, and print it, due or not: a stage begins."""
+        self._postfix = text
+        self._pace.begin_anew()
+        self._print(str(self))
+
     def refresh(self) -> None:
         """Print a line if one is due."""
         if self._pace.take_turn():
@@ -128,9 +134,8 @@ class ProgressLines:
         if self._is_closed:
             return
         self._is_closed = True
-        if self._leave and (line := str(self)) != self._last:
-            self._pace.begin_anew()
-            self._print(line)
+        if self._leave and str(self) != self._last:
+            self.say(self._postfix)
 
     def __str__(self) -> str:
         elapsed_s = self._pace.clock() - self._began_s

@@ -33,7 +33,7 @@ def warn_of_units(x_rest: Tensor, youngs_modulus: Tensor, density: Tensor) -> No
         warn(
             "check the units (meters, pascal, kg/m^3): " + "; ".join(said),
             UnitsWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
 
 

@@ -17,7 +17,8 @@ def test_the_advice_is_what_pip_knows():
     ):
         said = rf"pip install '{name}>=[\d.]+' \(extra {extra} of diffsim-robot\)"
         assert re.fullmatch(said, advice([module]))
-    assert advice(["osqp", "cv2"]).endswith("'")  # no extra has both
+    assert advice(["osqp", "cv2"]).endswith(" (extras opt, video of diffsim-robot)")
+    assert advice(["osqp", "nowhere_known"]).endswith(" nowhere-known")  # no extra has that one
     assert advice(["nowhere_known"]) == "pip install nowhere-known"
 
 

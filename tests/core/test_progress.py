@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from diffsim.cli.diagnose_progress import progress_bar as diagnosis_bar
 from diffsim.core.progress import Pace, ProgressLines, show_progress
 
 ROOT = Path(__file__).parents[2]
@@ -42,6 +43,18 @@ def pace(clock):
 
 def lines(capsys):
     return capsys.readouterr().err.splitlines()
+
+
+def test_a_log_of_a_diagnosis_has_a_line_for_each_stage(capsys):
+    with diagnosis_bar("diagnose") as show:
+        for stage, share in (("plain", 0.0), ("plain", 0.1), ("search", 0.2), ("plain", 0.3)):
+            show(stage, share, f"step {share}")
+    told = [re.sub(r", \d+ s", "", line) for line in lines(capsys)]
+    assert [line for line in told if "step" in line] == [
+        "diagnose: 0 %, plain step 0.0",
+        "diagnose: 20 %, search step 0.2",
+        "diagnose: 100 %, plain step 0.3",
+    ]
 
 
 def test_a_line_at_the_start_every_ten_seconds_and_at_the_end(capsys, clock, pace):

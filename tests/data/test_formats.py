@@ -411,6 +411,22 @@ def test_convert_shows_and_writes(tmp_path, capsys):
     assert "written as .csv" in capsys.readouterr().err
 
 
+def test_convert_shows_the_tables_of_a_datasets_folder(tmp_path, capsys):
+    pq = pytest.importorskip("pyarrow.parquet")
+    pa = pytest.importorskip("pyarrow")
+    named = {"action": {"dtype": "float32", "shape": [2], "names": ["pan", "lift"]}}
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"fps": 50, "features": named}))
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    rows = pa.array([[0.0, 1.0], [2.0, 3.0]], pa.list_(pa.float32(), 2))
+    table = pa.table({"action": rows, "timestamp": [0.0, 0.02]})
+    for k in range(2):
+        pq.write_table(table, tmp_path / "data" / "chunk-000" / f"episode_{k:06d}.parquet")
+    assert main(["convert", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("episode_") == 2 and said.count("action.lift: 1 to 3") == 2
+
+
 def test_a_converted_csv_has_every_digit_and_empty_gaps(tmp_path):
     from scipy.io import savemat
 

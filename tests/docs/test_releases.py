@@ -9,6 +9,7 @@ from diffsim import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADINGS = ["Added", "Changed", "Deprecated", "Removed", "Fixed"]
+MOST_ENTRIES = 40  # of a release
 LONGEST = 120  # letters of an entry: symbol, effect for the user, page
 LONGEST_NUMERICS = 240  # with old value, new value and reason
 ENDS = (".toml", ".cff", ".yml", ".yaml", ".py", ".md", ".cfg", "")
@@ -86,7 +87,8 @@ def test_releases_go_from_new_to_old():
 def test_entries_of_the_changelog_are_short_lines_in_order():
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert misplaced(text) == []
-    unreleased = sections(text)["[Unreleased]"]
+    unreleased, *released = sections(text).values()
+    assert max(len(entries(lines)) for lines in released) <= MOST_ENTRIES
     assert [line[4:] for line in unreleased if line.startswith("### ")] == HEADINGS
     assert misplaced("## 1\n### Fixed\n- a\n### Added\n- b\n") == ["1: ['Fixed', 'Added']"]
     assert misplaced(f"## 1\n### News\n- {'a' * 119}\n  goes on\n") == [

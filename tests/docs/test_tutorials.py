@@ -97,3 +97,12 @@ def test_every_tutorial_is_tested_and_has_no_outputs():
     for name in names:
         notebook = json.loads((TUTORIALS / name).read_text(encoding="utf-8"))
         assert all(not c.get("outputs") for c in notebook["cells"])
+
+
+def test_the_site_has_what_each_cell_prints():
+    kept = json.loads((TUTORIALS / "outputs.json").read_text(encoding="utf-8"))
+    for path in TUTORIALS.glob("*.ipynb"):
+        code = [text for kind, text in cells(path.name) if kind == "code"]
+        assert len(kept[path.name]) == len(code), "python scripts/tutorial_outputs.py"
+        silent = [text for text, told in zip(code, kept[path.name], strict=True) if not told]
+        assert not any(text.startswith("!") or "\nprint(" in text for text in silent)

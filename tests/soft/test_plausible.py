@@ -24,8 +24,9 @@ def body(size=0.1, modulus=2.6e5, density=1070.0):
     ],
 )
 def test_forgotten_units_are_told(given, words):
-    with pytest.warns(UnitsWarning, match=words):
+    with pytest.warns(UnitsWarning, match=words) as told:
         body(**given)
+    assert told[0].filename == __file__  # the line that made the body
 
 
 def test_one_odd_element_is_enough():

@@ -263,7 +263,7 @@ def screen_laws(
     reaches: dict[Entry, Reach | None] = {}
     dear: list[tuple[Variable, _AtEntry]] = []
     for k, entry in enumerate(entries):
-        progress("laws", 0.5 * k / len(entries), f"laws at {entry.words}")
+        progress("laws", 0.5 * k / len(entries), f"at {entry.words}")
         reaches[entry] = followed.reach(port, entry)
     seen = {e: (r, weigher.seen_by(r)) for e, r in reaches.items() if r and e.kind != "input"}
     waves = {
@@ -274,7 +274,7 @@ def screen_laws(
         if v.is_turn
     }
     for k, entry in enumerate(entries):
-        progress("laws", 0.5 + 0.5 * k / len(entries), f"laws at {entry.words}")
+        progress("laws", 0.5 + 0.5 * k / len(entries), f"at {entry.words}")
         at = _AtEntry(followed, weigher, port, entry, reaches[entry])
         for variable in (v for v in variables if v.may_be_at(entry)):
             if at.reach is None:
@@ -290,7 +290,7 @@ def screen_laws(
     for k, (variable, at) in enumerate(dear[:MOST_SIMULATED]):
         if tally.steps - begun > most_steps:
             break
-        progress("laws", k / len(dear), f"laws at {at.entry.words}")
+        progress("laws", k / len(dear), f"at {at.entry.words}")
         reach = _range_of(np.concatenate(courses[id(variable)]))
         block = None if reach is None else at.simulate(variable, reach)
         if reach is not None and block is not None:
