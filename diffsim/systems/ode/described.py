@@ -44,6 +44,9 @@ SLOW_TIME = "slow_time"
 HELD, LONGEST, PARTS = "held", "longest", "steps_per_sample"  # places in a study's frame
 _WORDS = re.compile(r"\w+")
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
+#: weighted steps (``SimModel.cost``) of a sample and of a step of the integrator: about the same
+#: (``benchmarks.step_costs``)
+_READ_COST, _STEP_COST = 1.0, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -397,13 +400,20 @@ class FormulaSystem:
     @property
     def step(self) -> float:
         """Longest step of the integrator [s]."""
+        return self.motion.time_step or self._usual_interval / self.parts
+
+    @property
+    def _usual_interval(self) -> float:
+        """Time between two samples of the run with the fewest a second [s]."""
         usual = (float(np.median(np.diff(r.time_s))) for r in self.study.runs if len(r.time_s) > 1)
-        return self.motion.time_step or max(usual, default=math.inf) / self.parts
+        return max(usual, default=math.inf)
 
     def model(self) -> SimModel:
         """The model without effects."""
         made = SimModel(self._build_scene, self.base.base, self.study.name, batched=True)
-        made.step_cost *= self.parts
+        stated = self.motion.time_step
+        num_steps = max(self._usual_interval / stated, 1.0) if stated else self.parts
+        made.step_cost = _READ_COST + _STEP_COST * num_steps
         made.cuts = {
             run: tuple((p.time, p.parting) for p in pieces) for run, pieces in self.pieces.items()
         }
