@@ -31,8 +31,8 @@ from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
 # a first answer fits as a full one does: looser fits named other causes of the arm and the starfish
-SEARCH: dict[str, Any] = {"scan_steps": 12e6, "refit_steps": 12e6, "law_steps": None}
-FIRST: dict[str, Any] = {"first_mesh": 2.0, "dear_steps": 0.3e6, "again_steps": 12e6}
+SEARCH: dict[str, Any] = {"scan_steps": 16e6, "refit_steps": 16e6, "law_steps": None}
+FIRST: dict[str, Any] = {"first_mesh": 2.0, "dear_steps": 0.3e6, "again_steps": 16e6}
 
 
 def read_study(given: str) -> Study:
