@@ -135,7 +135,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _format_error(error: Exception) -> str:
     """An error in one line, mistakes that were found together in a line each."""
     lines = str(error).splitlines() if isinstance(error, Mistakes) else [str(error)]
-    lines = [_shortened(" ".join(line.split())) for line in lines]
+    lines = [_shorten(" ".join(line.split())) for line in lines]
     if len(lines) > 1:
         count = error.count if isinstance(error, Mistakes) else len(lines)
         return "\n    ".join([f"{count} mistakes:", *lines])
@@ -143,7 +143,7 @@ def _format_error(error: Exception) -> str:
     return f"{kind.__name__}: {lines[0]}"
 
 
-def _shortened(line: str) -> str:
+def _shorten(line: str) -> str:
     """A line that quotes a file, whose names may have any length."""
     more = len(line) - MOST_LETTERS
     if more <= 0:

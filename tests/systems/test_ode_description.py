@@ -168,7 +168,7 @@ def held_cart(every=5, noise=1e-4, **changed):
     study = replace(
         plain_study(),
         runs=tuple(runs),
-        model=described(inputs=["force"], time_step=0.01, **changed),
+        model=described(inputs=["force"], time_step=0.0025, **changed),
     )
     held = {"inputs": [{"name": "force", "held": True}], "effects": {}}
     true = replace(study, model={**study.model, **held})

@@ -149,7 +149,11 @@ def test_the_viewer_ends_with_the_server(tmp_path, monkeypatch, end):
             assert address.startswith("http://127.0.0.1:")
             _wait_until(lambda: child.exists() and child.read_text())
     else:
-        server = subprocess.Popen([sys.executable, "-c", SERVES])
+        # tests that run behind nohup ignore SIGHUP, and so would the server
+        server = subprocess.Popen(
+            [sys.executable, "-c", SERVES],
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+        )
         _wait_until(lambda: child.exists() and child.read_text())
         server.send_signal(end)
         server.wait(timeout=10)

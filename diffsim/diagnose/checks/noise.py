@@ -24,6 +24,7 @@ UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
 FEWEST = 20  # independent deviations, from which on they tell the scatter and its color
 SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
+BY_CHANCE = 0.05  # of so many spikes in a run, where the largest share is the true one
 STATED = "stated sd"
 COLORED = "stated sd, color of what is left"
 
@@ -259,14 +260,15 @@ def without_spikes(runs: Sequence[Run], lefts: Sequence[Array]) -> tuple[tuple[R
     """Runs with isolated spikes marked as missing, and how many there were in all.
 
     A spike is a sample of the residual far from the median of itself and its four neighbors; what
-    lasts longer than two samples is not one. Their share is judged over all runs: of a single one
-    chance decides.
+    lasts longer than two samples is not one. Their share is judged over all runs; a run that has
+    more than chance makes of the largest share is simulated wrongly there, and keeps all.
 
     Args:
         runs: All runs of a study.
         lefts: Measured minus predicted, (num_samples, num_channels) for each.
     """
     spikes = [_find_spikes(left) for left in lefts]
+    spikes = [s & (special.pdtrc(s.sum() - 1, MAX_SPIKES * s.size) > BY_CHANCE) for s in spikes]
     count, most = sum(int(s.sum()) for s in spikes), MAX_SPIKES * sum(s.size for s in spikes)
     if not 0 < count <= most:
         return tuple(runs), 0

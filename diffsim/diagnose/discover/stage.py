@@ -34,6 +34,7 @@ from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
+NUM_JUDGING = 2  # laws of a screen whose fits tell whether its slopes hold
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
 NUM_PAIRS = 2  # laws of two variables of each round that are fitted in the simulator
@@ -190,6 +191,11 @@ class _ScreenWithFit:
         """Nats that the best law keeps in the simulator."""
         return 0.0 if self.law is None else self.law.nats
 
+    @property
+    def keeps_promise(self) -> bool:
+        """Whether they are about as many as slopes promise."""
+        return self.candidate is None or self.kept >= KEPT * self.candidate.nats
+
 
 def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _ScreenWithFit:
     """All laws weighed along the recordings; where the best of them keeps little of what it
@@ -198,8 +204,7 @@ def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _
     if not screen.followed.is_led:
         return _ScreenWithFit(screen, None, None, _count_tried(screen))
     led = _with_best_fitted(screen, fit, port)
-    promised = screen.found[0].nats if screen.found else 0.0
-    if led.kept >= KEPT * promised:
+    if led.keeps_promise:
         return led
     along_fit = screen_laws(follow(fit, port, max_steps=0), port, progress, most_steps)
     as_fitted = _with_best_fitted(along_fit, fit, port)
@@ -208,9 +213,15 @@ def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _
 
 
 def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _ScreenWithFit:
-    first = next(iter(_choose(screen.found, KEEP_NATS)), None)
-    law = None if first is None else _fit_law(screen, fit, first, port, ())
-    return _ScreenWithFit(screen, first, law, _count_tried(screen))
+    """The screen with the first of its best laws that keeps what it promises, or the one that keeps
+    most: slopes of one law may hold nowhere near, such as of a mass whose frequency is off."""
+    tried = [_ScreenWithFit(screen, None, None, _count_tried(screen))]
+    for candidate in _choose(screen.found, KEEP_NATS)[:NUM_JUDGING]:
+        law = _fit_law(screen, fit, candidate, port, ())
+        tried.append(replace(tried[0], candidate=candidate, law=law))
+        if tried[-1].keeps_promise:
+            return tried[-1]
+    return max(tried[1:] or tried, key=lambda one: one.kept)
 
 
 def _count_tried(screen: Screen) -> int:
@@ -230,9 +241,7 @@ def _rounds(
         for candidate in _choose(screen.found, least):
             best = max((f.nats for f in fitted), default=0.0)
             is_fitted = candidate is screened.candidate  # it costs nothing more
-            if not (is_fitted or may_fit()):
-                break
-            if candidate.nats < FITTED_SHARE * best:
+            if candidate.nats < FITTED_SHARE * best or not (is_fitted or may_fit()):
                 continue
             law = screened.law if is_fitted else _fit_law(screen, fit, candidate, port, standing)
             if law is not None and law.nats > least:
