@@ -268,10 +268,10 @@ def without_spikes(runs: Sequence[Run], lefts: Sequence[Array]) -> tuple[tuple[R
         lefts: Measured minus predicted, (num_samples, num_channels) for each.
     """
     spikes = [_find_spikes(left) for left in lefts]
-    spikes = [s & (special.pdtrc(s.sum() - 1, MAX_SPIKES * s.size) > BY_CHANCE) for s in spikes]
-    count, most = sum(int(s.sum()) for s in spikes), MAX_SPIKES * sum(s.size for s in spikes)
-    if not 0 < count <= most:
+    if sum(int(s.sum()) for s in spikes) > MAX_SPIKES * sum(s.size for s in spikes):
         return tuple(runs), 0
+    spikes = [s & (special.pdtrc(s.sum() - 1, MAX_SPIKES * s.size) > BY_CHANCE) for s in spikes]
+    count = sum(int(s.sum()) for s in spikes)
     each = zip(runs, spikes, strict=True)
     cleaned = [
         replace(r, measured=np.where(s, np.nan, r.measured)) if s.any() else r for r, s in each
