@@ -44,6 +44,7 @@ def test_a_disk_that_gets_full_is_named_and_leaves_no_half_file(tmp_path):
         capture_output=True,
         text=True,
         timeout=300,
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},  # it would cut compiled modules short
     )
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert str(tmp_path / "fly" / "flight.csv") in done.stderr
@@ -52,8 +53,13 @@ def test_a_disk_that_gets_full_is_named_and_leaves_no_half_file(tmp_path):
 
 @contextmanager
 def full_disk(room):
-    """Files of this process cannot grow beyond ``room`` bytes, as on a disk that gets full."""
+    """Files of this process cannot grow beyond ``room`` bytes, as on a disk that gets full.
+
+    Compiled modules are not written meanwhile: Python 3.11 leaves them cut short without a word,
+    and every later import of such a module fails.
+    """
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     soft_limit, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
@@ -61,6 +67,7 @@ def full_disk(room):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft_limit, hard))
         signal.signal(signal.SIGXFSZ, before)
+        sys.dont_write_bytecode = bytecode
 
 
 def write_scene(path):
