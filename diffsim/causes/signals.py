@@ -11,13 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import scipy
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from diffsim.causes._ops_signals import find_intervals, follow
 
 _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
@@ -323,8 +325,12 @@ def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
 
 def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
-    most = (grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)).movedim(-1, 0)
-    return _step_through_times(u, most, lambda now, target, d: _clip(target, now - d, now + d))
+    most = grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)
+    if not _differentiates(u, slowness):
+        return follow("slowed", u, most, u[..., 0])
+    return _step_through_times(
+        u, most.movedim(-1, 0), lambda now, target, d: _clip(target, now - d, now + d), u[..., 0]
+    )
 
 
 def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = None) -> Tensor:
@@ -336,10 +342,12 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
         half_gap: Half of the play, () or (K,).
         start: Where in the play it begins, -1 to 1, () or (K,); None: in the middle.
     """
+    first = u[..., 0] if start is None else u[..., 0] + start * half_gap
+    if not _differentiates(u, half_gap, first):
+        return follow("play", u, half_gap[..., None], first)
     gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
-    away = None if start is None else start * half_gap
     return _step_through_times(
-        u, gaps, lambda now, target, g: _clip(now, target - g, target + g), away
+        u, gaps, lambda now, target, g: _clip(now, target - g, target + g), first
     )
 
 
@@ -363,11 +371,12 @@ def decayed(factor: Tensor, term: Tensor) -> Tensor:
         factor: The same at all times, with the leading axes of ``term``, which broadcast.
         term: (..., num_times).
     """
-    if not (factor.requires_grad or term.requires_grad):
+    if not _differentiates(factor, term):
         return _filter_rows(factor, term)
-    first = torch.cat([torch.zeros_like(term[..., :1]), term], -1)
+    targets = torch.cat([torch.zeros_like(term[..., :1]), term], -1)
     factors = factor.expand(term.shape[-1], *factor.shape)
-    return _step_through_times(first, factors, lambda now, more, f: now * f + more)[..., 1:]
+    none = torch.zeros_like(term[..., 0])
+    return _step_through_times(targets, factors, lambda now, more, f: now * f + more, none)[..., 1:]
 
 
 def _filter_rows(factor: Tensor, term: Tensor) -> Tensor:
@@ -391,39 +400,32 @@ def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
 
 
-def _clip(value: Any, low: Any, high: Any) -> Any:
-    if isinstance(high, Tensor):
-        return torch.minimum(torch.maximum(value, low), high)
-    return np.minimum(np.maximum(value, low), high)
+def _clip(value: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    return torch.minimum(torch.maximum(value, low), high)
+
+
+def _differentiates(*signals: Tensor) -> bool:
+    return any(signal.requires_grad for signal in signals)
 
 
 def _step_through_times(
-    u: Tensor, numbers: Tensor, rule: Callable[..., Tensor], away: Tensor | None = None
+    u: Tensor, numbers: Tensor, rule: Callable[..., Tensor], first: Tensor
 ) -> Tensor:
-    """State after each time, ``away`` from the signal at first; in numpy where nobody
-    differentiates, ten times quicker."""
-    away = torch.zeros((), dtype=u.dtype) if away is None else away
-    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:], away.shape)
-    targets = u.expand(*lead, u.shape[-1]).movedim(-1, 0)
-    if u.requires_grad or numbers.requires_grad or away.requires_grad:
-        now = targets[0] + away
-        out = [now]
-        for target, number in zip(targets[1:], numbers, strict=True):
-            now = rule(now, target, number)
-            out.append(now)
-        return torch.stack(out, -1)
-    plain, given = targets.numpy(), numbers.numpy()
-    walked = np.empty((len(plain), *lead))
-    state = walked[0] = plain[0] + away.numpy()
-    for k in range(1, len(plain)):
-        state = walked[k] = rule(state, plain[k], given[k - 1])
-    return torch.from_numpy(np.moveaxis(walked, 0, -1).copy())
+    """State after each time, with derivatives."""
+    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:], first.shape)
+    now = first.expand(lead)
+    out = [now]
+    for target, number in zip(
+        u.expand(*lead, u.shape[-1]).movedim(-1, 0)[1:], numbers, strict=True
+    ):
+        now = rule(now, target, number)
+        out.append(now)
+    return torch.stack(out, -1)
 
 
-def _left_of(times: Tensor, place: Tensor, of_equal: str = "right") -> Tensor:
+def _left_of(times: Tensor, place: Tensor, of_equal: Literal["left", "right"] = "right") -> Tensor:
     """Index of the interval that holds each place."""
-    found = torch.searchsorted(times, place.detach().contiguous(), right=of_equal == "right")
-    return (found - 1).clamp(0, len(times) - 2)
+    return find_intervals(times, place.detach(), of_equal=of_equal)
 
 
 def _take_at(values: Tensor, index: Tensor) -> Tensor:
