@@ -61,15 +61,18 @@ class _Relaxation(Force):
         self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
         self._memory: Tensor | None = None
         self._before: Tensor | None = None
+        self._per_step: tuple[Tensor, Tensor] | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         force, _ = self._solid(moment.x)
-        tau = self._tau.reshape(-1, *(1 for _ in force.shape))
-        if self._memory is None or self._before is None:
+        if self._memory is None or self._before is None or self._per_step is None:
+            steps = (self._tau / moment.dt).reshape(-1, *(1 for _ in force.shape))
+            self._per_step = steps, torch.exp(-1.0 / steps)  # the time step is that of the body
             self._memory = force.expand(len(self._tau), *force.shape)
         else:
-            steady = tau * (force - self._before) / moment.dt
-            error = (self._before - self._memory - steady) * torch.exp(-moment.dt / tau) + steady
+            steps, decay = self._per_step
+            steady = steps * (force - self._before)
+            error = torch.addcmul(steady, self._before - self._memory - steady, decay)
             self._memory = force - error
         self._before = force
         # minus the branches' share of E, plus (f - m): together g (f - m) beside the plain solid
