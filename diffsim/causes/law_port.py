@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -186,7 +186,11 @@ class PortLaws:
         readings = np.zeros((count, width))
         if entry.kind == "reading":
             readings[:, entry.channel] = 1.0
-        elif entry.kind == "number":
+            there = torch.from_numpy(np.array(x))
+            point = there[: problem.num_base], problem.sizes_at(there)
+            left = partial(problem.model.left_of_readings, run, *point, problem.numerics)
+            return Gains(np.zeros((count, 0)), readings, left)
+        if entry.kind == "number":
             effect = self.terms(entry, Variable("one", "1"), ("1",), "law", _USUAL)
             wide = replace(problem, effects=(*problem.effects, effect))
             at = linearization_at(wide, np.append(x, 0.0), [len(x)])

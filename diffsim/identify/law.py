@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from diffsim.data.study import Study
 
@@ -130,10 +131,13 @@ class Gains:
     Attributes:
         rates: To each rate that has a course (``LawPort.drives``), (num_samples, num_courses).
         readings: To each channel at once, (num_samples, num_channels).
+        left: What the model's own start states leave of changes of all readings, sample by sample,
+            (num_samples * num_channels, ...); None: all of it.
     """
 
     rates: Array
     readings: Array
+    left: Callable[[sparse.csr_array], sparse.csr_array] | None = None
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
+from scipy import sparse
 from torch import Tensor
 
 from diffsim.identify.effect import Effect
@@ -349,6 +350,22 @@ class SimModel:
                 change = self.predict_many(run, q[rows], there, finer) - plain[rows]
                 out = out.index_add(0, rows, size[rows, :, None] * change)
         return out
+
+    def left_of_readings(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        numerics: Numerics | None,
+        change: sparse.csr_array,
+    ) -> sparse.csr_array:
+        """What is left of changes of all readings where start states are fitted to the record.
+
+        Args:
+            run, q, sizes, numerics: As for ``predict``.
+            change: Of the readings, sample by sample, (num_samples * num_channels, K).
+        """
+        return change
 
     def scene(
         self,

@@ -100,6 +100,8 @@ def _reach_of(
         (gains.readings.ravel(), (rows, rows // num_channels)), shape=(len(rows), num_samples)
     )
     at_once.eliminate_zeros()
+    if gains.left is not None:
+        at_once = gains.left(at_once)
     read = sparse.csr_array(problem.whitener.matrix(problem.runs[0]) @ at_once)
     driven = [k for k, rate in enumerate(gains.rates.T) if rate.any()]
     num_knots = to_knots.shape[0]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.scales import SCALES, Scales
@@ -22,6 +23,7 @@ from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import TOGETHER, Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.starts import left_by_starts
 from diffsim.systems.multicopter.cutting import (
     FEWEST,
     LONGEST,
@@ -156,6 +158,21 @@ class CopterModel(SimModel):
             for run, (count, dt) in lengths.items()
             if count < min(max(FEWEST, round(wished / dt)), len(run.time_s))
         }
+
+    def left_of_readings(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        numerics: Numerics | None,
+        change: sparse.csr_array,
+    ) -> sparse.csr_array:
+        """As of ``SimModel``: each window's start state takes in what it can."""
+        with torch.no_grad():
+            scene = self.scene(run, q, sizes, numerics)
+            assert isinstance(scene, CopterScene)
+            shooting = scene.settled()
+        return left_by_starts(change, shooting.tangent, shooting.gain)
 
     def num_fitted_inside(self, run: Run) -> int:
         """Number of values that are fitted to a run whatever it is used for: start states."""

@@ -68,9 +68,8 @@ class RodScene(InstrumentedScene):
         rod, count = rod_of(self.layout, self.numbers, self.command)
         u = self._solve_strains(rod, count)
         markers, numbers = self.layout.markers, Numbers.of(self.numbers)
-        names = markers.names
-        shift = [numbers.stacked(*(f"{m}_{way}" for m in names)) for way in ("along", "y", "z")]
-        offset = markers.offset + torch.stack(shift, -1)
+        ways = [f"{m}_{way}" for m in markers.names for way in ("along", "y", "z")]
+        offset = markers.offset + numbers.stacked(*ways).unflatten(-1, (-1, 3))
         shown = rod.at_points(markers, offset, u).flatten(-2)[..., self.layout.columns]
         is_one = self.command.ndim == 2 and not any(v.ndim for v in self.numbers.values())
         return self.instruments.read_late(shown[0] if is_one else shown, self.grid)
