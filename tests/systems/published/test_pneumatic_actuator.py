@@ -1,0 +1,70 @@
+"""Sealed cylinders: a twin in the same file format, whose friction grows with the pressure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from diffsim.data.study import Study
+from diffsim.data.study_file import load_study
+from diffsim.systems import published
+from tests.diagnose.discover.answers import found
+
+STUDY = Path(published.__file__).parent / "pneumatic_actuator.yaml"
+AREA, NOISE, STROKE = 5.05e-4, 0.5, 0.033  # [m^2], [N], [m]
+SPEEDS = 0.008, 0.014  # of the first and the second half [m/s]
+REST = 6e-3  # [m]
+GROWS = {"o_ring": 0.2, "x_ring_257": 1.4}  # friction over pressure [N/bar]
+GIVES = 0.4e-3  # a seal yields before it slides [m]
+
+
+def write_cycles(path: Path, bar: float, grows: float, seed: int) -> None:
+    """A file of cycles: in and out at two speeds, a pressure that a regulator holds."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 26.0, 0.01)
+    speed = np.where(t < 13.0, *SPEEDS)
+    turn = STROKE + REST  # beyond its end the spindle stands
+    way = np.mod(0.01 * speed.cumsum(), 2.0 * turn)
+    stroke = np.clip(turn - np.abs(way - turn), 0.5 * REST, STROKE + 0.5 * REST) - 0.5 * REST
+    slip, slips = 0.0, np.zeros_like(t)
+    for k, step in enumerate(np.diff(stroke, prepend=0.0)):
+        slip += (step - abs(step) * slip) / GIVES
+        slips[k] = slip
+    friction = 6.0 + grows * (bar - 1.0)
+    mounted = 1.0 + 0.02 * rng.normal()
+    force = AREA * bar * 1e5 + 1.0 + friction * mounted * slips
+    table = {
+        "time_s": t,
+        "stroke_m": stroke,
+        "pressure_Pa": bar * 1e5 + 100.0 * rng.normal(size=len(t)),
+        "force_N": force + NOISE * rng.normal(size=len(t)),
+    }
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(table), comments="", fmt="%.6f")
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory) -> Study:
+    """The published description of two assemblies at four pressures."""
+    folder = tmp_path_factory.mktemp("seals")
+    stated = yaml.safe_load(STUDY.read_text())
+    for k, bar in enumerate((1, 3, 5, 7)):
+        for j, (name, grows) in enumerate(GROWS.items()):
+            write_cycles(folder / f"{name}_{bar}bar.csv", bar, grows, 10 * k + j)
+    stated |= {"data": str(folder), "runs": stated["runs"][:2]}
+    (folder / "study.yaml").write_text(yaml.safe_dump(stated, sort_keys=False))
+    return load_study(folder / "study.yaml")
+
+
+@pytest.mark.cpu(12)  # a whole diagnosis of eight recordings
+def test_friction_that_grows_with_pressure_is_named_with_its_size(study):
+    report = found(study)
+    assert report.best_names == ("friction_over_pressure",), report.sentences
+    (row,) = [row for row in report.causes if row.name == "friction_over_pressure"]
+    for label, grows in (("o_ring", GROWS["o_ring"]), ("x_ring", GROWS["x_ring_257"])):
+        own = row.size[f"[assembly={label}]"].value + row.size["all"].value
+        assert own == pytest.approx(grows, abs=0.1)
+    assert all(row.after < 0.6 * NOISE for row in report.errors if row.use == "test")
