@@ -224,7 +224,13 @@ class Screen:
         for c in self.found:
             if c.nats > 0.0 and (c.entry, c.variable.name) != (law.entry, law.variable.name):
                 best.setdefault((c.entry, id(c.variable)), c)
-        again = [screen.reweighed(c) for c in list(best.values())[:MOST_AGAIN]]
+        # the best of every entry first: where one law has explained a place, others are asked for
+        place: dict[Candidate, int] = {}
+        at: dict[Entry, int] = {}
+        for c in best.values():
+            place[c] = at[c.entry] = at.get(c.entry, 0) + 1
+        asked = sorted(best.values(), key=place.__getitem__)[:MOST_AGAIN]
+        again = [screen.reweighed(c) for c in asked]
         return replace(screen, found=tuple(sorted(again, key=lambda c: c.rank)))
 
     def reweighed(self, candidate: Candidate) -> Candidate:
