@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
 
@@ -15,10 +16,24 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
 def terminate_as_interrupt() -> None:
     """Answer SIGTERM, as batch systems and services send it, as Ctrl-C is answered.
 
-    Only the main thread may set signal handlers; elsewhere nothing is changed.
+    Both are heard while PyTorch loads, too. Only the main thread may set signal handlers; elsewhere
+    nothing is changed.
     """
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, _interrupt)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """As Python answers Ctrl-C; while PyTorch's modules run for the first time, which swallow some
+    exceptions, the process ends: no work has begun."""
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__"))
+        if frame.f_code.co_name == "<module>" and name.partition(".")[0] == "torch":
+            end_while_loading(number, frame)
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 def ending_at_once() -> None:

@@ -43,3 +43,28 @@ def test_what_must_be_done_whole_is_interrupted_after_it(number):
         assert signal.getsignal(number) is signal.default_int_handler
     finally:
         signal.signal(number, before)
+
+
+LOADING = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from diffsim.core.interrupts import terminate_as_interrupt
+terminate_as_interrupt()
+swallows = '''
+try:
+    signal.raise_signal(signal.{name})
+except BaseException:
+    pass
+'''
+exec(compile(swallows, "it", "exec"), {{"__name__": "{module}", "signal": signal}})
+print("went on")
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_it_is_heard_while_a_package_loads_that_swallows_exceptions(name):
+    for module, expected in (("torch.optional", 130), ("elsewhere", 0)):
+        code = LOADING.format(name=name, module=module)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert done.returncode == expected, done.stderr
+        assert ("interrupted" in done.stderr) != ("went on" in done.stdout)
