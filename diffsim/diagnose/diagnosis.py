@@ -20,6 +20,7 @@ from diffsim.diagnose.checks.gates import (
     data_gate,
     law_gate,
     repeatability_gate,
+    unsimulable_gate,
     windows_gate,
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
@@ -55,7 +56,7 @@ from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.linearization import record_at, residuals_by_run
+from diffsim.identify.linearization import linearization_at, residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import PredictionError
 from diffsim.identify.setup import DiagnosisSetup, LawPort
@@ -271,7 +272,13 @@ def _with_laws(
     if budget.is_short:
         kept = names | _names_near_best(answer)
         effects = tuple(e for e in effects if e.name in kept)
-    again = _answer(asked, setup.model, effects, setup.unknowns)
+    try:
+        again = _answer(asked, setup.model, effects, setup.unknowns)
+    except PredictionError as error:  # near the plain model's fit there: the answer stands
+        lost_gate = unsimulable_gate(error)
+        return replace(
+            answer, frozen=replace(answer.frozen, gates=(*answer.frozen.gates, lost_gate))
+        )
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
@@ -281,14 +288,18 @@ def _with_laws(
 
 
 def _simulable(plain: Fit, setup: DiagnosisSetup, laws: AbstractSet[str]) -> set[str]:
-    """Laws that the simulator takes where their size is nothing: the exponential of a variable that
-    goes further than along the recordings may leave the range of numbers."""
+    """Laws that the simulator takes where their size is nothing, and a small step from there: the
+    exponential of a variable that goes further than along the recordings may leave the range of
+    numbers."""
     kept, known = set(), dict(zip(plain.problem.names, plain.x, strict=True))
     base = np.array([known.get(p.name, 0.0) for p in setup.model.base])
     for effect in (e for e in setup.effects if e.name in laws):
         problem = replace(plain.problem, model=setup.model, effects=(effect,))
+        own = len(base) + np.arange(len(effect.components))
         try:
-            record_at(problem, np.concatenate([base, np.zeros(len(effect.components))]))
+            linearization_at(
+                problem, np.concatenate([base, np.zeros(len(own))]), own.tolist(), screen=True
+            )
         except PredictionError:
             continue
         kept.add(effect.name)

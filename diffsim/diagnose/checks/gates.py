@@ -222,6 +222,7 @@ def _goes_on(first: Run, second: Run) -> bool:
 
 CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
+UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
@@ -363,6 +364,16 @@ def law_gate(steps: float) -> GateResult:
     """
     note = f"laws that nobody listed were not looked for, as half of {steps:,.0f} steps was spent"
     return GateResult(LAWS, False, 0.0, 0.0, note, applies=False)
+
+
+def unsimulable_gate(error: Exception) -> GateResult:
+    """Laws that nobody listed were found and could not be weighed beside causes, so that is said.
+
+    Args:
+        error: What came of simulating them.
+    """
+    note = f"laws that were found left what can be simulated, so none is told: {error}"
+    return GateResult(UNSIMULABLE, False, 0.0, 0.0, note)
 
 
 def repeatability_gate(fit: Fit) -> list[GateResult]:
