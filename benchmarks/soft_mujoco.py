@@ -63,8 +63,11 @@ class Method:
     marker: str
 
 
-AUTO = soft.SolverOptions(rtol=1e-4)
-LINEAR = soft.SolverOptions(method="linearly_implicit", rtol=1e-4)
+# Of each step's residual. With 1e-4 the midpoint at 0.6 ms was off by 31 % instead of 2 %: nothing
+# damps what many short steps leave. With 1e-8 the errors are those of 1e-6.
+RTOL = 1e-6
+AUTO = soft.SolverOptions(rtol=RTOL)
+LINEAR = soft.SolverOptions(method="linearly_implicit", rtol=RTOL)
 METHODS = {
     "auto, implicit Euler": Method("implicit_euler", AUTO, 0, "#0b6e75", "o"),
     "auto, BDF2": Method("bdf2", AUTO, 0, "#1d2433", "D"),
@@ -256,17 +259,8 @@ def draw(rows: Sequence[Row], title: str) -> Figure:
             marker=method.marker,
             markersize=5,
             linewidth=1.5,
-            label=name,
+            label=f"{name}, {1e3 * mine[0].dt:.2g} to {1e3 * mine[-1].dt:.2g} ms" if mine else name,
         )
-        for row in mine[:1] + mine[1:][-1:]:
-            ax.annotate(
-                f"{1e3 * row.dt:.2g} ms",
-                (row.seconds, row.mean),
-                textcoords="offset points",
-                xytext=(5, 5),
-                fontsize=7,
-                color=method.color,
-            )
     idle = next(row.mean for row in rows if row.method == "at rest from the start")
     ax.axhline(idle, color=INK, linewidth=1.0, linestyle=":")
     ax.annotate("at rest from the start", (1.0, idle), xycoords=("axes fraction", "data"),

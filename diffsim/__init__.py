@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         systems,
         viz,
     )
+    from diffsim.core.precision import in_float64
 
 ROOMS = (
     "applications",
@@ -73,11 +74,14 @@ ROOMS = (
     "viz",
 )
 if not TYPE_CHECKING:  # to a type checker, any name would be one
-    __getattr__, _ = offered(__name__, {room: f"{__name__}.{room}" for room in ROOMS})
+    __getattr__, _ = offered(
+        __name__,
+        {"in_float64": f"{__name__}.core.precision"} | {r: f"{__name__}.{r}" for r in ROOMS},
+    )
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *ROOMS})
+    return sorted({*globals(), *ROOMS, "in_float64"})
 
 
 __all__ = [
@@ -101,6 +105,7 @@ __all__ = [
     "diagnose",
     "envs",
     "identify",
+    "in_float64",
     "learn",
     "linalg",
     "mesh",

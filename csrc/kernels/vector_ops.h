@@ -17,23 +17,9 @@ class VectorOps {
   explicit VectorOps(ThreadPool& pool) : pool_(pool) {}
 
   double dot(const Vector& a, const Vector& b) {
-    const std::int64_t n = static_cast<std::int64_t>(a.size());
-    const std::int64_t tasks = (n + kChunk - 1) / kChunk;
-    partial_.resize(static_cast<std::size_t>(tasks));
-    for_chunks(n, [&](std::int64_t begin, std::int64_t end) {
-      // Eight running sums let the compiler use vector registers without reordering a sum.
-      double lane[8] = {0, 0, 0, 0, 0, 0, 0, 0};
-      std::int64_t i = begin;
-      for (; i + 8 <= end; i += 8)
-        for (int k = 0; k < 8; ++k) lane[k] += a[u(i + k)] * b[u(i + k)];
-      double total = 0.0;
-      for (double v : lane) total += v;
-      for (; i < end; ++i) total += a[u(i)] * b[u(i)];
-      partial_[u(begin / kChunk)] = total;
+    return sum_of_chunks(size(a), [&](std::int64_t begin, std::int64_t end) {
+      return dot_of_chunk(a, b, begin, end);
     });
-    double total = 0.0;
-    for (double v : partial_) total += v;
-    return total;
   }
   double norm(const Vector& a) { return std::sqrt(dot(a, a)); }
 
@@ -41,6 +27,13 @@ class VectorOps {
   void add(double alpha, const Vector& x, Vector& y) {
     for_chunks(size(y), [&](std::int64_t begin, std::int64_t end) {
       for (std::int64_t i = begin; i < end; ++i) y[u(i)] += alpha * x[u(i)];
+    });
+  }
+  /// y += alpha x, and the dot product of `a` with what y is then, in one pass.
+  double add_and_dot(double alpha, const Vector& x, Vector& y, const Vector& a) {
+    return sum_of_chunks(size(y), [&](std::int64_t begin, std::int64_t end) {
+      for (std::int64_t i = begin; i < end; ++i) y[u(i)] += alpha * x[u(i)];
+      return dot_of_chunk(a, y, begin, end);
     });
   }
   /// y = x + beta y
@@ -54,6 +47,30 @@ class VectorOps {
   static constexpr std::int64_t kChunk = 4096;
   static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
   static std::int64_t size(const Vector& v) { return static_cast<std::int64_t>(v.size()); }
+
+  static double dot_of_chunk(const Vector& a, const Vector& b, std::int64_t begin,
+                             std::int64_t end) {
+    // Eight running sums let the compiler use vector registers without reordering a sum.
+    double lane[8] = {0, 0, 0, 0, 0, 0, 0, 0};
+    std::int64_t i = begin;
+    for (; i + 8 <= end; i += 8)
+      for (int k = 0; k < 8; ++k) lane[k] += a[u(i + k)] * b[u(i + k)];
+    double total = 0.0;
+    for (double v : lane) total += v;
+    for (; i < end; ++i) total += a[u(i)] * b[u(i)];
+    return total;
+  }
+  /// Of f(begin, end) over all chunks.
+  template <typename F>
+  double sum_of_chunks(std::int64_t n, F&& f) {
+    partial_.resize(u((n + kChunk - 1) / kChunk));
+    for_chunks(n, [&](std::int64_t begin, std::int64_t end) {
+      partial_[u(begin / kChunk)] = f(begin, end);
+    });
+    double total = 0.0;
+    for (double v : partial_) total += v;
+    return total;
+  }
 
   template <typename F>
   void for_chunks(std::int64_t n, F&& f) {

@@ -22,7 +22,8 @@ class Float64Module(nn.Module):
     """A module whose constants stay what kernels compute with.
 
     ``policy.float()`` or ``policy.to("cuda")`` reaches every module within a policy, its simulator
-    too. A network of another precision works beside one: what goes in and out is converted.
+    too. A network of another precision works beside one: ``in_float64`` converts what goes in and
+    out.
     """
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Float64Module:
@@ -31,7 +32,7 @@ class Float64Module(nn.Module):
             return super()._apply(fn, recurse)
         warnings.warn(
             f"{type(self).__name__} stays in float64 on the CPU, it was asked for {made.dtype} on "
-            f"{made.device}; convert what goes in, such as x.double().cpu(), and what comes out",
+            f"{made.device}; diffsim.in_float64 converts what goes in and what comes out",
             stacklevel=3,
         )
         return self

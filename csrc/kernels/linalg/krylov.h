@@ -158,11 +158,10 @@ class GmresCycle {
   bool take(double target, VectorOps& ops) {
     const int k = size_++;
     Vector& w = basis_[u(k + 1)];
-    for (int i = 0; i <= k; ++i) {
-      h(i, k) = ops.dot(basis_[u(i)], w);
-      ops.add(-h(i, k), basis_[u(i)], w);
-    }
-    const double next = ops.norm(w);
+    h(0, k) = ops.dot(basis_[0], w);
+    for (int i = 0; i < k; ++i)  // of the rest, what the next direction has
+      h(i + 1, k) = ops.add_and_dot(-h(i, k), basis_[u(i)], w, basis_[u(i + 1)]);
+    const double next = std::sqrt(ops.add_and_dot(-h(k, k), basis_[u(k)], w, w));
     for (int i = 0; i < k; ++i) {  // the earlier rotations
       const double upper = h(i, k), lower = h(i + 1, k);
       h(i, k) = cs_[u(i)] * upper + sn_[u(i)] * lower;

@@ -36,12 +36,15 @@ class FlowDivergence {
   std::int64_t node(std::int64_t cell, int corner) const {
     return nodes_[u(cell * kCorners + corner)];
   }
+  /// The cell that has an active node as this corner, or -1.
+  std::int64_t cell_about(std::int64_t node, int corner) const {
+    return about_[u(node * kCorners + corner)];
+  }
   /// (2^D, D)
   const double* row(std::int64_t cell) const {
-    const std::int32_t index = cut_index_[u(cell)];
-    return index < 0 ? full_ : cut_.data() + static_cast<std::int64_t>(index) * kCorners * D;
+    return rows_.data() + static_cast<std::int64_t>(row_index_[u(cell)]) * kCorners * D;
   }
-  bool cut(std::int64_t cell) const { return cut_index_[u(cell)] >= 0; }
+  bool cut(std::int64_t cell) const { return row_index_[u(cell)] > 0; }
   bool fixed(std::int64_t component) const { return fixed_[u(component)]; }
   /// Whether all velocities of a cell are prescribed: no equation, and a pressure of zero.
   bool rigid(std::int64_t cell) const;
@@ -54,14 +57,13 @@ class FlowDivergence {
  private:
   static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
-  const FlowOperator<D>& op_;
   const std::vector<std::uint8_t>& fixed_;
   std::vector<std::int64_t> cells_;
   std::vector<std::int32_t> number_;     // of the grid's cells among them
   std::vector<std::int32_t> nodes_;      // (cells, 2^D)
-  std::vector<std::int32_t> cut_index_;  // -1 where full
-  std::vector<double> cut_;              // (cut cells, 2^D, D)
-  double full_[kCorners * D];
+  std::vector<std::int32_t> about_;      // (active nodes, 2^D)
+  std::vector<std::int32_t> row_index_;  // 0 where full
+  std::vector<double> rows_;             // (1 + cut cells, 2^D, D)
 };
 
 }  // namespace diffsim

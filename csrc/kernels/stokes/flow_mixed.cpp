@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "kernels/stokes/equal_rows.h"
 #include "kernels/stokes/flexible_gmres.h"
 #include "kernels/stokes/row_chunks.h"
 #include "kernels/subscript.h"
@@ -34,7 +35,6 @@ FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const ClosedRegions<D>& close
   }
   matrix_.values = matrix.assemble(fixed, gamma_, pool);
   for (double& value : matrix_.values) value *= velocity_scale_;
-  matrix_.values.push_back(0.0);  // rows of blocks are read four numbers at a time
   const std::vector<std::int64_t>& nodes = geometry.active_nodes();
   num_velocities_ = static_cast<std::int64_t>(nodes.size()) * D;
   NodePositions<D> positions(nodes.size());
@@ -49,6 +49,16 @@ FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const ClosedRegions<D>& close
   schur_ = std::make_unique<FlowSchur<D>>(op, divergence_, inverse_diagonal_, mass_, compliance_,
                                           gamma_, pool);
   multigrid_ = std::make_unique<FlowMultigrid<D>>(matrix_, positions, fixed_, 1.0, pool);
+  share_rows();
+}
+
+template <int D>
+void FlowMixed<D>::share_rows() {
+  std::vector<std::int64_t> begin(matrix_.indptr);
+  for (std::int64_t& at : begin) at *= D * D;
+  matrix_.values.resize(u(keep_distinct_rows(matrix_.values.data(), begin, values_)));
+  matrix_.values.push_back(0.0);  // rows of blocks are read four numbers at a time
+  matrix_.values.shrink_to_fit();
 }
 
 template <int D>
@@ -107,7 +117,7 @@ void FlowMixed<D>::apply(const Vector& x, Vector& y, ThreadPool& pool) const {
   for_chunks(matrix_.num_nodes(), pool, [&](std::int64_t i) {
     const std::int64_t first = matrix_.indptr[u(i)];
     double s[D];
-    block_row<D>(matrix_.values.data() + first * D * D, matrix_.columns.data() + first,
+    block_row<D>(matrix_.values.data() + values_[u(i)], matrix_.columns.data() + first,
                  matrix_.indptr[u(i) + 1] - first, x.data(), s);
     for (int a = 0; a < D; ++a) y[u(i * D + a)] = s[a];
   });

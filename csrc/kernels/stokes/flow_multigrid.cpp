@@ -7,6 +7,7 @@
 #include <immintrin.h>
 #endif
 
+#include "kernels/stokes/equal_rows.h"
 #include "kernels/stokes/row_chunks.h"
 #include "kernels/subscript.h"
 
@@ -136,20 +137,57 @@ NodePositions<D> FlowMultigrid<D>::coarsen(const NodePositions<D>& positions, Le
   return coarse;
 }
 
+/// Where the half rows lie, in blocks, and their columns.
+template <int D>
+void FlowMultigrid<D>::split_rows(const NodeMatrix<D>& A, const NodePositions<D>& positions,
+                                  Level& level, ThreadPool& pool) const {
+  const std::int64_t n = A.num_nodes();
+  const auto turn = [&](std::int64_t j) {  // of a forward sweep
+    return std::make_pair((positions[u(j)][0] - positions[0][0]) % kPlaneColors, j);
+  };
+  level.begin.assign(u(2 * n + 1), 0);
+  level.values.resize(u(2 * n));
+  for_chunks(n, pool, [&](std::int64_t i) {
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k)
+      if (A.columns[u(k)] != i) ++level.begin[u(turn(A.columns[u(k)]) < turn(i) ? i : n + i) + 1];
+  });
+  for (std::size_t q = 0; q < level.values.size(); ++q) level.begin[q + 1] += level.begin[q];
+  level.columns.resize(u(level.begin.back()));
+  for_chunks(n, pool, [&](std::int64_t i) {
+    std::int64_t earlier = level.begin[u(i)], later = level.begin[u(n + i)];
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
+      const std::int32_t j = A.columns[u(k)];
+      if (j != i) level.columns[u(turn(j) < turn(i) ? earlier++ : later++)] = j;
+    }
+  });
+}
+
+template <int D>
+template <typename T>
+void FlowMultigrid<D>::keep_distinct(AlignedBuffer<T>& blocks, std::int64_t block_size,
+                                     Level& level) {
+  std::vector<std::int64_t> first(level.begin);
+  for (std::int64_t& at : first) at *= block_size;
+  const std::int64_t kept = keep_distinct_rows(blocks.data(), first, level.values);
+  AlignedBuffer<T> distinct(u(kept + 1));  // rows of 16 bits are read four at a time
+  std::copy_n(blocks.data(), kept, distinct.data());
+  blocks.swap(distinct);
+  bytes_ += kept * static_cast<std::int64_t>(sizeof(T));
+}
+
 template <int D>
 void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>& positions,
                                  double scale, ThreadPool& pool) {
   Level& level = levels_.back();
-  const std::int64_t n = A.num_nodes(), num_blocks = A.indptr.back();
-  level.indptr = A.indptr;
-  level.columns.resize(A.columns.size());
-  level.middle.resize(u(n));
+  const std::int64_t n = A.num_nodes();
+  split_rows(A, positions, level, pool);
+  const std::int64_t num_blocks = level.begin.back();
   float largest = 0.0f;
   for (double value : A.values)
     largest = std::max(largest, static_cast<float>(std::abs(scale * value)));
   level.is_half = kHasHalf && levels_.size() == 1 && largest * kHalfScale < kLargestHalf;
   if (level.is_half)
-    level.halves.resize(u(num_blocks * D * D + 1));  // read four at a time
+    level.halves.resize(u(num_blocks * D * D));
   else
     level.blocks.resize(u(num_blocks * D * kLanes));
   level.inverse.assign(u(n * D * kLanes), 0.0f);
@@ -158,18 +196,20 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
     std::fill(v->data(), v->data() + n * kLanes, 0.0f);
   }
   for_chunks(n, pool, [&](std::int64_t i) {
-    const auto turn = [&](std::int64_t j) {  // of a forward sweep
-      return std::make_pair((positions[u(j)][0] - positions[0][0]) % kPlaneColors, j);
-    };
-    std::int64_t next[3] = {A.indptr[u(i)], A.indptr[u(i)], 0};  // earlier, itself, later
-    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k)
-      next[1] += turn(A.columns[u(k)]) < turn(i);
-    level.middle[u(i)] = next[1];
-    next[2] = next[1] + 1;
+    std::int64_t next[2] = {level.begin[u(i)], level.begin[u(n + i)]};
     for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
-      const std::int64_t j = A.columns[u(k)], at = next[j == i ? 1 : turn(j) < turn(i) ? 0 : 2]++;
-      level.columns[u(at)] = A.columns[u(k)];
       const double* from = A.values.data() + k * D * D;
+      if (A.columns[u(k)] == i) {
+        Eigen::Map<const Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(from);
+        const Eigen::Matrix<double, D, D> inverse = (scale * block).inverse();
+        for (int a = 0; a < D; ++a)
+          for (int b = 0; b < D; ++b)
+            level.inverse[u((i * D + b) * kLanes + a)] = static_cast<float>(inverse(a, b));
+        continue;
+      }
+      const bool earlier =
+          next[0] < level.begin[u(i) + 1] && level.columns[u(next[0])] == A.columns[u(k)];
+      const std::int64_t at = next[earlier ? 0 : 1]++;
       for (int b = 0; b < D; ++b)
         for (int a = 0; a < kLanes; ++a) {
           const float value = a < D ? static_cast<float>(scale * from[a * D + b]) : 0.0f;
@@ -179,21 +219,18 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
             level.halves.data()[(at * D + b) * D + a] = to_half(kHalfScale * value);
 #endif
         }
-      if (A.columns[u(k)] != i) continue;
-      Eigen::Map<const Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(from);
-      const Eigen::Matrix<double, D, D> inverse = (scale * block).inverse();
-      for (int a = 0; a < D; ++a)
-        for (int b = 0; b < D; ++b)
-          level.inverse[u((i * D + b) * kLanes + a)] = static_cast<float>(inverse(a, b));
     }
   });
+  if (level.is_half)
+    keep_distinct(level.halves, D * D, level);
+  else
+    keep_distinct(level.blocks, D * kLanes, level);
   level.planes.assign(1, 0);
   for (std::int64_t i = 1; i < n; ++i)
     for (std::int32_t p = positions[u(i - 1)][0]; p < positions[u(i)][0]; ++p)
       level.planes.push_back(i);
   level.planes.push_back(n);
-  bytes_ += num_blocks * ((level.is_half ? D * D * 2 : D * kLanes * 4) + 4) +
-            n * (D * kLanes + 3 * kLanes) * 4;
+  bytes_ += num_blocks * 4 + n * (2 * 16 + (D * kLanes + 3 * kLanes) * 4);
 }
 
 template <int D>
@@ -287,51 +324,54 @@ void FlowMultigrid<D>::factorize(const NodeMatrix<D>& A, const NodePositions<D>&
   bytes_ += coarsest_->bytes();
 }
 
-/// Blocks [begin, end) of a row times x; the last lanes mean nothing.
+/// A half row's blocks times x; the last lanes mean nothing.
 template <int D>
 template <bool kHalf>
 typename FlowMultigrid<D>::Lanes FlowMultigrid<D>::sum_blocks(const Level& level,
-                                                              std::int64_t begin,
-                                                              std::int64_t end) const {
+                                                              std::int64_t half_row) const {
+  constexpr int kBlock = D * (kHalf ? D : kLanes);
   const float* x = level.x.data();
+  const std::int32_t* column = level.columns.data() + level.begin[u(half_row)];
+  const std::int64_t count = level.begin[u(half_row) + 1] - level.begin[u(half_row)];
+  const std::int64_t first = level.values[u(half_row)];
   Lanes s[2][D] = {};  // chains of sums that do not wait for each other
   const auto add = [&](std::int64_t k, Lanes* sum) {
-    const float* y = x + static_cast<std::int64_t>(level.columns[u(k)]) * kLanes;
+    const float* y = x + static_cast<std::int64_t>(column[k]) * kLanes;
+    const std::int64_t at = first + k * kBlock;
     for (int c = 0; c < D; ++c) {
 #if defined(__F16C__)
       if constexpr (kHalf) {
-        sum[c] += four_halves(level.halves.data() + (k * D + c) * D) * y[c];
+        sum[c] += four_halves(level.halves.data() + at + c * D) * y[c];
         continue;
       }
 #endif
-      sum[c] += reinterpret_cast<const Lanes*>(level.blocks.data() + k * D * kLanes)[c] * y[c];
+      sum[c] += reinterpret_cast<const Lanes*>(level.blocks.data() + at)[c] * y[c];
     }
   };
-  std::int64_t k = begin;
-  for (; k + 2 <= end; k += 2) {
+  std::int64_t k = 0;
+  for (; k + 2 <= count; k += 2) {
     add(k, s[0]);
     add(k + 1, s[1]);
   }
-  if (k < end) add(k, s[0]);
+  if (k < count) add(k, s[0]);
   Lanes total = {};
   for (int c = 0; c < D; ++c) total += s[0][c] + s[1][c];
   return kHalf ? total * (1.0f / kHalfScale) : total;
 }
 
-/// Forward from x = 0, where only the blocks of earlier nodes count, or backward.
+/// Forward as from x = 0, so that only the blocks of earlier nodes count, or backward.
 template <int D>
 void FlowMultigrid<D>::sweep(Level& level, bool backward, ThreadPool& pool) const {
   const std::int64_t num_planes = static_cast<std::int64_t>(level.planes.size()) - 1;
   const float* b = level.b.data();
   float* x = level.x.data();
   const auto update = [&](std::int64_t i) {
-    const Lanes s =
-        *reinterpret_cast<const Lanes*>(b + i * kLanes) -
-        product(level, level.indptr[u(i)], backward ? level.indptr[u(i) + 1] : level.middle[u(i)]);
+    Lanes s = *reinterpret_cast<const Lanes*>(b + i * kLanes) - product(level, i);
+    if (backward) s -= product(level, level.num_nodes() + i);
     const Lanes* inverse = reinterpret_cast<const Lanes*>(level.inverse.data() + i * D * kLanes);
-    Lanes step = {};
-    for (int c = 0; c < D; ++c) step += inverse[c] * s[c];
-    *reinterpret_cast<Lanes*>(x + i * kLanes) += step;
+    Lanes solved = {};
+    for (int c = 0; c < D; ++c) solved += inverse[c] * s[c];
+    *reinterpret_cast<Lanes*>(x + i * kLanes) = solved;
   };
   for (std::int64_t turn = 0; turn < kPlaneColors; ++turn) {
     const std::int64_t color = backward ? kPlaneColors - 1 - turn : turn;
@@ -352,7 +392,7 @@ template <int D>
 void FlowMultigrid<D>::residual(Level& level, ThreadPool& pool) const {
   float* r = level.r.data();
   for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
-    const Lanes s = -product(level, level.middle[u(i)] + 1, level.indptr[u(i) + 1]);
+    const Lanes s = -product(level, level.num_nodes() + i);
     for (int a = 0; a < D; ++a) r[i * kLanes + a] = level.fixed[u(i * D + a)] ? 0.0f : s[a];
   });
 }
@@ -360,7 +400,6 @@ void FlowMultigrid<D>::residual(Level& level, ThreadPool& pool) const {
 template <int D>
 void FlowMultigrid<D>::cycle(std::size_t l, ThreadPool& pool) {
   Level& level = levels_[l];
-  std::fill(level.x.data(), level.x.data() + level.num_nodes() * kLanes, 0.0f);
   sweep(level, false, pool);
   residual(level, pool);
   const bool last = l + 1 == levels_.size();

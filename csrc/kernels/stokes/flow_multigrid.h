@@ -7,7 +7,8 @@
 // nodes across axis 0 are swept in three colors (a node couples with nodes up to two planes away),
 // so the result does not depend on the number of threads. The coarsest matrix is factorized. Time
 // is that of reading the finest matrix: where the processor converts numbers of 16 bits, it has
-// those.
+// those. What a row has before its diagonal and what behind lie apart, for a sweep that starts from
+// zero reads the one and its residual the other; equal ones are kept once.
 #pragma once
 
 #include <array>
@@ -53,10 +54,13 @@ class FlowMultigrid {
   using Lanes = float __attribute__((vector_size(16)));
 
   struct Level {
-    std::vector<std::int64_t> indptr, middle;  // blocks before `middle` come earlier in a sweep
+    // Half rows: first each node's blocks with nodes that come earlier in a sweep, then each
+    // node's with later ones. The diagonal is kept as its inverse alone.
+    std::vector<std::int64_t> begin;   // of half rows in `columns`, (2 num_nodes + 1,)
+    std::vector<std::int64_t> values;  // of half rows in `blocks` or `halves`, (2 num_nodes,)
     std::vector<std::int32_t> columns;
-    AlignedBuffer<float> blocks;          // (num_blocks, D, kLanes), columns of the blocks, or
-    AlignedBuffer<std::uint16_t> halves;  // (num_blocks, D, D) times kHalfScale
+    AlignedBuffer<float> blocks;          // (distinct, D, kLanes), columns of the blocks, or
+    AlignedBuffer<std::uint16_t> halves;  // (distinct, D, D) times kHalfScale
     bool is_half = false;
     std::vector<float> inverse;             // (num_nodes, D, kLanes) of the diagonal blocks
     std::vector<std::int64_t> planes;       // first row of each plane, and the end
@@ -68,7 +72,7 @@ class FlowMultigrid {
     std::vector<std::int64_t> parent_start;  // of fine nodes
     std::vector<std::int32_t> parent;
     std::vector<float> parent_weight;
-    std::int64_t num_nodes() const { return static_cast<std::int64_t>(indptr.size()) - 1; }
+    std::int64_t num_nodes() const { return static_cast<std::int64_t>(values.size()) / 2; }
   };
 
   void add_level(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
@@ -79,11 +83,14 @@ class FlowMultigrid {
   void factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
                  ThreadPool& pool);
   void cycle(std::size_t l, ThreadPool& pool);
+  void split_rows(const NodeMatrix<D>& A, const NodePositions<D>& positions, Level& level,
+                  ThreadPool& pool) const;
+  template <typename T>
+  void keep_distinct(AlignedBuffer<T>& blocks, std::int64_t block_size, Level& level);
   template <bool kHalf>
-  Lanes sum_blocks(const Level& level, std::int64_t begin, std::int64_t end) const;
-  Lanes product(const Level& level, std::int64_t begin, std::int64_t end) const {
-    return level.is_half ? sum_blocks<true>(level, begin, end)
-                         : sum_blocks<false>(level, begin, end);
+  Lanes sum_blocks(const Level& level, std::int64_t half_row) const;
+  Lanes product(const Level& level, std::int64_t half_row) const {
+    return level.is_half ? sum_blocks<true>(level, half_row) : sum_blocks<false>(level, half_row);
   }
   void sweep(Level& level, bool backward, ThreadPool& pool) const;
   void residual(Level& level, ThreadPool& pool) const;

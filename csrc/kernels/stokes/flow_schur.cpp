@@ -53,7 +53,7 @@ FlowSchur<D>::FlowSchur(const FlowOperator<D>& op, const FlowDivergence<D>& dive
       gamma_(gamma),
       macros_(macro_cells()),
       cuts_(cut_cells()) {
-  find_cells_about_nodes();
+  set_signs();
   set_weights(pool);
   patterns_ =
       factorize<kPatterns>(macros_, [&](std::int64_t cell, int s) { return sign(cell, s); }, pool);
@@ -61,7 +61,6 @@ FlowSchur<D>::FlowSchur(const FlowOperator<D>& op, const FlowDivergence<D>& dive
   if (cuts_.size() > 0)
     among_cuts_ = factorize<1>(cuts_, [](std::int64_t, int) { return 1.0; }, pool);
   cut_pressure_.resize(u(cuts_.size()));
-  about_ = {};
 }
 
 template <int D>
@@ -108,14 +107,6 @@ typename FlowSchur<D>::Groups FlowSchur<D>::cut_cells() const {
 }
 
 template <int D>
-void FlowSchur<D>::find_cells_about_nodes() {
-  about_.assign(inverse_diagonal_.size() / (D * D) * kCorners, -1);
-  for (std::int64_t cell = 0; cell < divergence_.size(); ++cell)
-    for (int i = 0; i < kCorners; ++i)
-      about_[u(divergence_.node(cell, i) * kCorners + i)] = static_cast<std::int32_t>(cell);
-}
-
-template <int D>
 void FlowSchur<D>::set_weights(ThreadPool& pool) {
   weight_.resize(u(divergence_.size()));
   for_chunks(divergence_.size(), pool, [&](std::int64_t cell) {
@@ -134,13 +125,19 @@ void FlowSchur<D>::set_weights(ThreadPool& pool) {
 
 /// Patterns alternate along axes 0 and 1; 0 and 2; 1 and 2; all. Bit a of kAxes stands for axis a.
 template <int D>
-double FlowSchur<D>::sign(std::int64_t cell, int pattern) const {
+void FlowSchur<D>::set_signs() {
   constexpr int kAxes[4] = {0b011, 0b101, 0b110, 0b111};
-  std::int64_t at[D], sum = 0;
-  op_.geometry().grid().cell_position(divergence_.grid_cell(cell), at);
-  for (int a = 0; a < D; ++a)
-    if ((kAxes[pattern] >> a) & 1) sum += at[a];
-  return sum % 2 ? -1.0 : 1.0;
+  signs_.resize(u(divergence_.size() * kPatterns));
+  for (std::int64_t cell = 0; cell < divergence_.size(); ++cell) {
+    std::int64_t at[D];
+    op_.geometry().grid().cell_position(divergence_.grid_cell(cell), at);
+    for (int pattern = 0; pattern < kPatterns; ++pattern) {
+      std::int64_t sum = 0;
+      for (int a = 0; a < D; ++a)
+        if ((kAxes[pattern] >> a) & 1) sum += at[a];
+      signs_[u(cell * kPatterns + pattern)] = sum % 2 ? -1.0f : 1.0f;
+    }
+  }
 }
 
 template <int D>
@@ -159,13 +156,13 @@ std::unique_ptr<CholeskyFactor> FlowSchur<D>::factorize(const Groups& groups, Pa
              static_cast<int>(groups.coords[u(3 * to + a)] - groups.coords[u(3 * from + a)]) + 1;
     return slot;
   };
-  const std::int64_t num_nodes = static_cast<std::int64_t>(about_.size()) / kCorners;
+  const std::int64_t num_nodes = static_cast<std::int64_t>(inverse_diagonal_.size()) / (D * D);
   for (std::int64_t node = 0; node < num_nodes; ++node) {
     std::int32_t of[kCorners];
     double given[kCorners][P][D] = {}, solved[kCorners][P][D] = {};
     int count = 0;
     for (int i = 0; i < kCorners; ++i) {
-      const std::int64_t cell = about_[u(node * kCorners + i)];
+      const std::int64_t cell = divergence_.cell_about(node, i);
       if (cell < 0 || groups.of[u(cell)] < 0) continue;
       int m = 0;
       while (m < count && of[m] != groups.of[u(cell)]) ++m;

@@ -63,20 +63,22 @@ class FlowSchur {
 
   Groups macro_cells() const;
   Groups cut_cells() const;
-  void find_cells_about_nodes();
+  void set_signs();
   void set_weights(ThreadPool& pool);
   /// Of R' L R: in a group's pressures are P patterns, by(cell, pattern) in each cell.
   template <int P, typename Pattern>
   std::unique_ptr<CholeskyFactor> factorize(const Groups& groups, Pattern&& by,
                                             ThreadPool& pool) const;
-  double sign(std::int64_t cell, int pattern) const;
+  double sign(std::int64_t cell, int pattern) const {
+    return static_cast<double>(signs_[u(cell * kPatterns + pattern)]);
+  }
 
   const FlowOperator<D>& op_;
   const FlowDivergence<D>& divergence_;
   const std::vector<double>&inverse_diagonal_, &mass_, &compliance_;
   double gamma_;
-  std::vector<std::int32_t> about_;  // (num_nodes, 2^D) cells about a node, -1 where none
-  std::vector<double> weight_;       // (1 + gamma) / M, and 1 / diag(L) but in cut cells
+  std::vector<float> signs_;    // (cells, patterns)
+  std::vector<double> weight_;  // (1 + gamma) / M, and 1 / diag(L) but in cut cells
   Groups macros_, cuts_;
   std::unique_ptr<CholeskyFactor> patterns_, among_cuts_;
   CholeskyWorkspace workspace_;
