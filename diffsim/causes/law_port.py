@@ -186,9 +186,11 @@ class PortLaws:
         readings = np.zeros((count, width))
         if entry.kind == "reading":
             readings[:, entry.channel] = 1.0
-            there = torch.from_numpy(np.array(x))
-            point = there[: problem.num_base], problem.sizes_at(there)
-            left = partial(problem.model.left_of_readings, run, *point, problem.numerics)
+            there, model = torch.from_numpy(np.array(x)), problem.model
+            with torch.no_grad():
+                point = there[: problem.num_base], problem.sizes_at(there)
+                scene = model.scene(run, *point, problem.numerics)
+            left = partial(model.left_of_readings, scene)
             return Gains(np.zeros((count, 0)), readings, left)
         if entry.kind == "number":
             effect = self.terms(entry, Variable("one", "1"), ("1",), "law", _USUAL)

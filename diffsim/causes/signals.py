@@ -228,7 +228,7 @@ def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
     steps, decay = _decay(grid, time_constant)
     target = time_constant[..., None] * u.diff(dim=-1) / steps
     # e = u - y: e' = u' - e / tau, from one time to the next target + (e - target) * decay
-    error = _recursion(decay, target * (1.0 - decay))
+    error = affine_scan(decay, target * (1.0 - decay))
     return u - torch.cat([torch.zeros_like(error[..., :1]), error], -1)
 
 
@@ -245,7 +245,7 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
     steps, decay = _decay(grid, time_constant)
     fall = -u.diff(dim=-1)
     # e = y - u at the start of each step; it jumps where the command does
-    error = _recursion(decay, fall)
+    error = affine_scan(decay, fall)
     error = torch.cat([torch.zeros_like(error[..., :1]), error], -1)
     share = time_constant[..., None] / steps * (1.0 - decay)
     share = torch.cat([share, share[..., -1:]], -1)
@@ -329,7 +329,7 @@ def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     if not _differentiates(u, slowness):
         return follow("slowed", u, most, u[..., 0])
     return _step_through_times(
-        u, most.movedim(-1, 0), lambda now, target, d: _clip(target, now - d, now + d), u[..., 0]
+        u, most.movedim(-1, 0), lambda now, target, d: limited(target, now - d, now + d), u[..., 0]
     )
 
 
@@ -347,7 +347,7 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
         return follow("play", u, half_gap[..., None], first)
     gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
     return _step_through_times(
-        u, gaps, lambda now, target, g: _clip(now, target - g, target + g), first
+        u, gaps, lambda now, target, g: limited(now, target - g, target + g), first
     )
 
 
@@ -390,18 +390,10 @@ def _filter_rows(factor: Tensor, term: Tensor) -> Tensor:
     return torch.from_numpy(out)
 
 
-def _recursion(decay: Tensor, term: Tensor) -> Tensor:
-    return affine_scan(decay, term)
-
-
 def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     steps = grid.times.diff()
     shortest = _SHORTEST * float(steps.min())
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
-
-
-def _clip(value: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(value, low), high)
 
 
 def _differentiates(*signals: Tensor) -> bool:

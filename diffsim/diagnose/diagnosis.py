@@ -53,13 +53,12 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import begin, search_sets, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
-from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.linearization import linearization_at, residuals_by_run
+from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import PredictionError
-from diffsim.identify.setup import DiagnosisSetup, LawPort
+from diffsim.identify.setup import LawPort
 from diffsim.identify.unknown import Unknown, drifts
 
 Array = NDArray[np.float64]
@@ -260,11 +259,7 @@ def _with_laws(
     setup = port.setup_with([port.block(law) for law in found.laws])
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     names = {law.name for law in found.laws}
-    lost = names - _simulable(answer.search.fit_of(NONE), setup, names)
-    names -= lost
-    effects = tuple(e for e in setup.effects if e.name not in lost)
-    if not names:
-        return answer
+    effects = setup.effects
     if budget.until is not None:
         asked = asked.within(max(budget.until - answer.search.steps, 1.0))
     elif budget.is_short:
@@ -274,36 +269,15 @@ def _with_laws(
         effects = tuple(e for e in effects if e.name in kept)
     try:
         again = _answer(asked, setup.model, effects, setup.unknowns)
-    except PredictionError as error:  # near the plain model's fit there: the answer stands
-        lost_gate = unsimulable_gate(error)
-        return replace(
-            answer, frozen=replace(answer.frozen, gates=(*answer.frozen.gates, lost_gate))
-        )
+    except PredictionError as error:  # such as an exponential of what goes far: the answer stands
+        gates = (*answer.frozen.gates, unsimulable_gate(error))
+        return replace(answer, frozen=replace(answer.frozen, gates=gates))
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
     if names & set(held) and _may_take_over(frozen, answer.frozen, names):
         return again
     return answer if again.found is None else _doubted_beside(answer, *again.nats_with(names))
-
-
-def _simulable(plain: Fit, setup: DiagnosisSetup, laws: AbstractSet[str]) -> set[str]:
-    """Laws that the simulator takes where their size is nothing, and a small step from there: the
-    exponential of a variable that goes further than along the recordings may leave the range of
-    numbers."""
-    kept, known = set(), dict(zip(plain.problem.names, plain.x, strict=True))
-    base = np.array([known.get(p.name, 0.0) for p in setup.model.base])
-    for effect in (e for e in setup.effects if e.name in laws):
-        problem = replace(plain.problem, model=setup.model, effects=(effect,))
-        own = len(base) + np.arange(len(effect.components))
-        try:
-            linearization_at(
-                problem, np.concatenate([base, np.zeros(len(own))]), own.tolist(), screen=True
-            )
-        except PredictionError:
-            continue
-        kept.add(effect.name)
-    return kept
 
 
 def _doubted_beside(answer: _Answer, nats: float, of_law: float) -> _Answer:

@@ -351,18 +351,11 @@ class SimModel:
                 out = out.index_add(0, rows, size[rows, :, None] * change)
         return out
 
-    def left_of_readings(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor],
-        numerics: Numerics | None,
-        change: sparse.csr_array,
-    ) -> sparse.csr_array:
+    def left_of_readings(self, scene: Scene, change: sparse.csr_array) -> sparse.csr_array:
         """What is left of changes of all readings where start states are fitted to the record.
 
         Args:
-            run, q, sizes, numerics: As for ``predict``.
+            scene: The run at one point.
             change: Of the readings, sample by sample, (num_samples * num_channels, K).
         """
         return change

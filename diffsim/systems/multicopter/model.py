@@ -159,18 +159,10 @@ class CopterModel(SimModel):
             if count < min(max(FEWEST, round(wished / dt)), len(run.time_s))
         }
 
-    def left_of_readings(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor],
-        numerics: Numerics | None,
-        change: sparse.csr_array,
-    ) -> sparse.csr_array:
+    def left_of_readings(self, scene: Scene, change: sparse.csr_array) -> sparse.csr_array:
         """As of ``SimModel``: each window's start state takes in what it can."""
+        assert isinstance(scene, CopterScene)
         with torch.no_grad():
-            scene = self.scene(run, q, sizes, numerics)
-            assert isinstance(scene, CopterScene)
             shooting = scene.settled()
         return left_by_starts(change, shooting.tangent, shooting.gain)
 

@@ -15,8 +15,7 @@ from diffsim.causes.instruments import InstrumentedScene, Instruments, grid_of
 from diffsim.core.check import did_you_mean
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Channel, Run
-from diffsim.identify.effect import Effect
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import Scene, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.identify.starts import left_by_starts
@@ -201,18 +200,10 @@ class TossModel(SimModel):
         edges = [values["edge" if "edge" in values else f"edge_{a}"] for a in "xyz"]
         return figure_of(self.thrown.layout, torch.stack(edges), channels)
 
-    def left_of_readings(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor],
-        numerics: Numerics | None,
-        change: sparse.csr_array,
-    ) -> sparse.csr_array:
+    def left_of_readings(self, scene: Scene, change: sparse.csr_array) -> sparse.csr_array:
         """As of ``SimModel``: the toss's start state takes in what it can."""
-        scene = self.scene(run, q, sizes, numerics)
         assert isinstance(scene, TossScene)
-        shooting, index = scene.table.shooting, scene.table.place[run.name]
+        shooting, index = scene.table.shooting, scene.table.place[scene.run.name]
         own = slice(index, index + 1)
         return left_by_starts(change, shooting.tangent[own], shooting.gain[own])
 

@@ -61,16 +61,17 @@ class _Relaxation(Force):
         self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
         self._memory: Tensor | None = None
         self._before: Tensor | None = None
-        self._per_step: tuple[Tensor, Tensor] | None = None
+        self._per_step: dict[float, tuple[Tensor, Tensor]] = {}
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         force, _ = self._solid(moment.x)
-        if self._memory is None or self._before is None or self._per_step is None:
-            steps = (self._tau / moment.dt).reshape(-1, *(1 for _ in force.shape))
-            self._per_step = steps, torch.exp(-1.0 / steps)  # the time step is that of the body
+        if self._memory is None or self._before is None:
             self._memory = force.expand(len(self._tau), *force.shape)
         else:
-            steps, decay = self._per_step
+            if moment.dt not in self._per_step:
+                steps = (self._tau / moment.dt).reshape(-1, *(1 for _ in force.shape))
+                self._per_step = {moment.dt: (steps, torch.exp(-1.0 / steps))}
+            steps, decay = self._per_step[moment.dt]
             steady = steps * (force - self._before)
             error = torch.addcmul(steady, self._before - self._memory - steady, decay)
             self._memory = force - error

@@ -1,28 +1,25 @@
-"""A law that leaves the range of numbers is left out, and the answer stands."""
+"""Laws that leave the range of numbers: the answer without them stands, and says so."""
 
-import numpy as np
+import pytest
 
-from diffsim.diagnose.diagnosis import _simulable
-from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.identify import Problem
-from diffsim.identify.linearization import linearization_at
-from diffsim.identify.whitening import WhiteNoise
-from diffsim.systems.registry import setup_of
-from tests.systems.toy_cart import cart_study, described
+from diffsim.diagnose import diagnosis
+from diffsim.identify.problem import PredictionError
+from tests.diagnose.discover.answers import found
+from tests.diagnose.discover.pump_rig import recorded
 
 
-def rows(*laws):
-    return [
-        {"name": name, "adds_to": "v", "term": term, "typical": 1.0, "family": name}
-        for name, term in laws
-    ]
+@pytest.mark.cpu(14)  # a whole diagnosis, laws looked for
+def test_an_answer_stands_where_laws_cannot_be_simulated(monkeypatch):
+    answer, asked = diagnosis._answer, []
 
+    def fails_with_laws(question, model, effects, unknowns):
+        asked.append([e.name for e in effects])
+        if any(name.startswith("law_of") for name in asked[-1]):
+            raise PredictionError("the prediction of run day_1 has 3 NaN entries")
+        return answer(question, model, effects, unknowns)
 
-def test_an_exponential_that_overflows_at_size_zero_is_no_law():
-    own = rows(("soft", "size*(exp(3*x) - 1)"), ("steep", "size*(exp(9e4*x) - 1)"))
-    plain = setup_of(cart_study())
-    setup = setup_of(cart_study(model=described(effects={"own": own})))
-    study = plain.study or cart_study()
-    problem = Problem(plain.model, study.fit_runs, WhiteNoise(study.channels))
-    fit, _ = gauss_newton(problem, linearization_at(problem, np.zeros(problem.num_base)))
-    assert _simulable(fit, setup, {"soft", "steep"}) == {"soft"}
+    monkeypatch.setattr(diagnosis, "_answer", fails_with_laws)
+    report = found(recorded(show=lambda p_a, p_b, temperature: p_a + 1.5 * (temperature - 298.0)))
+    assert len(asked) == 2 and report.verdict == "unknown"
+    (gate,) = [g for g in report.gates if g.name == "laws_in_simulation"]
+    assert not gate.passed and "none is told" in gate.note and "day_1" in gate.note
