@@ -1,19 +1,15 @@
-// Signals on their way; diffsim/causes/signals.py checks the arguments.
+// Signals on their way; diffsim/causes/_ops_signals.py checks the arguments.
 #include "bindings/bindings.h"
 #include "kernels/signals/follow.h"
 
 namespace diffsim {
 
 void bind_signals(nb::module_& m) {
-  m.def("follow_with_play", [](std::int64_t num_rows, std::int64_t num_times, Address targets,
-                               Address room, std::int64_t room_stride, Address states) {
+  m.def("follow", [](bool has_play, std::int64_t num_rows, std::int64_t num_times, Address targets,
+                     Address room, std::int64_t room_stride, Address states) {
     nb::gil_scoped_release release;
-    follow(Follow::play, num_rows, num_times, in(targets), in(room), room_stride, out(states));
-  });
-  m.def("follow_slowly", [](std::int64_t num_rows, std::int64_t num_times, Address targets,
-                            Address room, std::int64_t room_stride, Address states) {
-    nb::gil_scoped_release release;
-    follow(Follow::slowed, num_rows, num_times, in(targets), in(room), room_stride, out(states));
+    follow(has_play ? Follow::play : Follow::slowed, num_rows, num_times, in(targets), in(room),
+           room_stride, out(states));
   });
   m.def("find_intervals", [](std::int64_t num_times, Address times, std::int64_t num_places,
                              Address places, bool of_equal_after, Address found) {

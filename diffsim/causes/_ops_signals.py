@@ -14,8 +14,6 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 
-_FOLLOW = {"play": core.follow_with_play, "slowed": core.follow_slowly}
-
 
 def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start: Tensor) -> Tensor:
     """State after each time of what follows a signal, (..., num_times).
@@ -36,7 +34,8 @@ def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start:
     states[..., 0] = start.expand(lead).numpy()
     num_times = rows.shape[-1]
     sizes = rows.size // num_times, num_times
-    _FOLLOW[how](*sizes, rows.ctypes.data, rooms.ctypes.data, rooms.shape[-1], states.ctypes.data)
+    given = rows.ctypes.data, rooms.ctypes.data, rooms.shape[-1]
+    core.follow(how == "play", *sizes, *given, states.ctypes.data)
     return torch.from_numpy(states)
 
 

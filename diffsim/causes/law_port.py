@@ -186,10 +186,8 @@ class PortLaws:
         readings = np.zeros((count, width))
         if entry.kind == "reading":
             readings[:, entry.channel] = 1.0
-            there, model = torch.from_numpy(np.array(x)), problem.model
-            with torch.no_grad():
-                point = there[: problem.num_base], problem.sizes_at(there)
-                scene = model.scene(run, *point, problem.numerics)
+            model, (q, sizes) = problem.model, _point_of(problem, x)
+            scene = partial(model.scene, run, q, sizes, problem.numerics)
             left = partial(model.left_of_readings, scene)
             return Gains(np.zeros((count, 0)), readings, left)
         if entry.kind == "number":
@@ -228,8 +226,7 @@ class PortLaws:
 
     def _watch(self, problem: Problem, x: Array, run: Run) -> _WatchedRun:
         """One simulation that is listened to at commands and places."""
-        at = torch.from_numpy(np.array(x))
-        q, sizes = at[: problem.num_base], problem.sizes_at(at)
+        q, sizes = _point_of(problem, x)
         forces = {place: WatchedForce() for place in self.ports.places}
         signals = {name: _WatchedSignal() for name in self.ports.commands}
         with torch.no_grad():
@@ -296,6 +293,12 @@ class PortLaws:
         """The system with laws among its candidate causes."""
         frame = {**self.whole.frame, **self.model.frame, LAWS: [dict(b) for b in blocks]}
         return self.make(replace(self.whole, frame=frame))
+
+
+def _point_of(problem: Problem, x: Array) -> tuple[Tensor, dict[Effect, Tensor]]:
+    """Base parameters and sizes at standardized coordinates."""
+    at = torch.from_numpy(np.array(x))
+    return at[: problem.num_base], problem.sizes_at(at)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def interruptible(hint: str = "") -> Iterator[None]:
     """
     terminate_as_interrupt()
     if signal.getsignal(signal.SIGINT) is end_while_loading:  # all is loaded: work is kept now
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
     with ending_in_one_line(hint):
         yield
 

@@ -351,11 +351,13 @@ class SimModel:
                 out = out.index_add(0, rows, size[rows, :, None] * change)
         return out
 
-    def left_of_readings(self, scene: Scene, change: sparse.csr_array) -> sparse.csr_array:
+    def left_of_readings(
+        self, scene: Callable[[], Scene], change: sparse.csr_array
+    ) -> sparse.csr_array:
         """What is left of changes of all readings where start states are fitted to the record.
 
         Args:
-            scene: The run at one point.
+            scene: Makes the run at one point; not asked where nothing is fitted to a run.
             change: Of the readings, sample by sample, (num_samples * num_channels, K).
         """
         return change

@@ -32,11 +32,10 @@ void follow_row(std::int64_t num_times, const double* targets, const double* roo
 void follow(Follow how, std::int64_t num_rows, std::int64_t num_times, const double* targets,
             const double* room, std::int64_t room_stride, double* out) {
   const std::int64_t room_step = room_stride == 1 ? 0 : 1;
-  for (std::int64_t row = 0; row < num_rows; ++row) {
-    const auto walk = how == Follow::play ? follow_row<Follow::play> : follow_row<Follow::slowed>;
+  const auto walk = how == Follow::play ? follow_row<Follow::play> : follow_row<Follow::slowed>;
+  for (std::int64_t row = 0; row < num_rows; ++row)
     walk(num_times, targets + row * num_times, room + row * room_stride, room_step,
          out + row * num_times);
-  }
 }
 
 void find_intervals(std::int64_t num_times, const double* times, std::int64_t num_places,
@@ -45,10 +44,10 @@ void find_intervals(std::int64_t num_times, const double* times, std::int64_t nu
     return of_equal_after ? place >= time : place > time;
   };
   const double* const end = times + num_times;
+  const std::int64_t last = num_times - 2;
   std::int64_t left = 0;
   for (std::int64_t i = 0; i < num_places; ++i) {
     const double place = places[i];
-    const std::int64_t last = num_times - 2;
     const bool begins_before = left == 0 || lies_after(place, times[left]);
     // the interval of the place before, and the two after it
     std::int64_t near = left;

@@ -6,7 +6,7 @@
 namespace diffsim {
 
 /// How a follower keeps to its target.
-enum class Follow : std::int64_t {
+enum class Follow {
   play,    // rests until the target is farther away than half the gap
   slowed,  // goes to the target by at most the given way
 };

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -159,11 +159,14 @@ class CopterModel(SimModel):
             if count < min(max(FEWEST, round(wished / dt)), len(run.time_s))
         }
 
-    def left_of_readings(self, scene: Scene, change: sparse.csr_array) -> sparse.csr_array:
+    def left_of_readings(
+        self, scene: Callable[[], Scene], change: sparse.csr_array
+    ) -> sparse.csr_array:
         """As of ``SimModel``: each window's start state takes in what it can."""
-        assert isinstance(scene, CopterScene)
         with torch.no_grad():
-            shooting = scene.settled()
+            made = scene()
+            assert isinstance(made, CopterScene)
+            shooting = made.settled()
         return left_by_starts(change, shooting.tangent, shooting.gain)
 
     def num_fitted_inside(self, run: Run) -> int:

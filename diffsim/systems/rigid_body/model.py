@@ -200,10 +200,13 @@ class TossModel(SimModel):
         edges = [values["edge" if "edge" in values else f"edge_{a}"] for a in "xyz"]
         return figure_of(self.thrown.layout, torch.stack(edges), channels)
 
-    def left_of_readings(self, scene: Scene, change: sparse.csr_array) -> sparse.csr_array:
+    def left_of_readings(
+        self, scene: Callable[[], Scene], change: sparse.csr_array
+    ) -> sparse.csr_array:
         """As of ``SimModel``: the toss's start state takes in what it can."""
-        assert isinstance(scene, TossScene)
-        shooting, index = scene.table.shooting, scene.table.place[scene.run.name]
+        made = scene()
+        assert isinstance(made, TossScene)
+        shooting, index = made.table.shooting, made.table.place[made.run.name]
         own = slice(index, index + 1)
         return left_by_starts(change, shooting.tangent[own], shooting.gain[own])
 

@@ -6,15 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
-from benchmarks.wind_flights import GUST, LIMIT, STUDY, TYPICAL, fit_own, unexplained
+from benchmarks.wind_flights import GUST, LIMIT, TYPICAL, fit_own, unexplained
 from diffsim.cli.diagnose_inputs import read_study
 from diffsim.data.study import Study
-from diffsim.data.study_file import load_study
 from diffsim.identify.extended import ExtendedModel
 from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
+from tests.systems.published.twins import load_twin, stated_of, write_table
 
 GRAVITY, DRAG, LAG = 9.81, 0.3, 0.06  # as the description believes
 
@@ -44,8 +43,7 @@ def write_flight(path: Path, wind: float, gust: float, period: float, seed: int)
         **{"thrust_command": command, "hover_throttle": 0.46 + nothing},
         **{f"residual_{axis}": rng.normal(size=len(t)) for axis in "xyz"},
     }
-    rows = np.column_stack(list(table.values()))
-    np.savetxt(path, rows, delimiter=",", header=",".join(table), comments="", fmt="%.6f")
+    write_table(path, table)
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +54,9 @@ def study(tmp_path_factory) -> Study:
     write_flight(folder / "flight_01.csv", -6.0, 2.0, 4.4, 1)
     write_flight(folder / "flight_02.csv", -6.0, 2.0, 2.0 * np.pi, 2)
     write_flight(folder / "flight_03.csv", -6.0, 0.0, 5.0, 3)
-    stated = yaml.safe_load(STUDY.read_text())
-    stated |= {"data": str(folder), "runs": [{"file": "flight_{number}.csv"}]}
-    (folder / "study.yaml").write_text(yaml.safe_dump(stated, sort_keys=False))
-    return load_study(folder / "study.yaml")
+    return load_twin(
+        folder, stated_of("wind_flights") | {"runs": [{"file": "flight_{number}.csv"}]}
+    )
 
 
 @pytest.fixture(scope="module")
