@@ -34,6 +34,7 @@ MOST_WORK = 1e9  # wave numbers by samples, over all variables at all entries: s
 SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a period
 CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
+ONE_TURN = 1.0  # wave number of what an angle brings back after a turn, as weight on a lever
 FLAT = 1e-9  # of its size, below which a variable rests
 NUM_POINTS = 81  # over the range of a variable, at which forms are held against the record
 TOLD = 1e-9  # of what the record tells best, below which it tells nothing
@@ -335,7 +336,8 @@ class _AtEntry:
     def weigh(
         self, variable: Variable, u: Sequence[Array], waves: Sequence[float]
     ) -> Iterator[Candidate]:
-        """Laws of one variable with bumps, and with the waves that repeat best.
+        """Laws of one variable with bumps, with the waves that repeat best, and, of an angle, with
+        that of one turn: known beforehand, it holds where bumps have no samples.
 
         Args:
             variable: On what they depend.
@@ -348,6 +350,8 @@ class _AtEntry:
         reach = self.reach
         assert reach is not None
         laws = [bumps(*found)]
+        is_angle = variable.is_turn and variable.unit == "rad"
+        waves = [*waves, ONE_TURN] if is_angle else waves
         laws += [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in waves]
         for law in laws:
             yield from self._weigh(

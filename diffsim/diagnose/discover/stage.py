@@ -22,7 +22,7 @@ from scipy import linalg
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
-from diffsim.diagnose.discover.screen import Candidate, Screen, screen_laws
+from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -48,6 +48,7 @@ NUM_POINTS = 101  # of a curve
 BEHIND_NATS = 30.0  # behind the best fitted law: formulas of others are not weighed
 MOST_LAWS = (6, 3)  # formulas of each round that the search weighs: so many laws act at once
 FITTED_SHARE = 0.5  # of the best law's nats, that a law needs to be fitted in the simulator
+TURN_SD = 0.02  # of a wave number that is one turn's: as well as scales of angles are known
 NEXT_SHARE = 0.1  # of the first law's nats, that one beside it must explain
 
 
@@ -239,7 +240,8 @@ def _rounds(
         fitted: list[FittedLaw] = []
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
-            best = max((f.nats for f in fitted), default=0.0)
+            # along the recordings nats are others than in the simulator: like is held against like
+            best = max((min(f.nats, f.candidate.nats) for f in fitted), default=0.0)
             is_fitted = candidate is screened.candidate  # it costs nothing more
             if candidate.nats < FITTED_SHARE * best or not (is_fitted or may_fit()):
                 continue
@@ -317,7 +319,12 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
         at = sum(c.entry == other.entry for other in chosen)
         on = sum(c.variable.name == other.variable.name for other in chosen)
         if at < ALIKE and on < ALIKE and not any(_is_twin(c, other) for other in chosen):
-            chosen += [c, *(p for p in best if _is_plain_of(p, c) and p not in chosen)]
+            told = [c, *(p for p in best if _is_plain_of(p, c))]
+            same = {(one.entry, one.variable.name) for one in told}
+            turns = [
+                t for t in kept if t.basis.wave == ONE_TURN and (t.entry, t.variable.name) in same
+            ]
+            chosen += [one for one in dict.fromkeys((*told, *turns)) if one not in chosen]
     return chosen[:NUM_FITTED]
 
 
@@ -462,8 +469,9 @@ def _repeating(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law
     c, (a, b) = fitted.candidate, fitted.curve.factors
     k, reach = c.basis.wave, float(fitted.curve.u[-1] - fitted.curve.u[0])
     phase = float(np.arctan2(b, a))
+    sd = TURN_SD if k == ONE_TURN else np.pi / reach
     shapes = {
-        "wave_number": Shape(k, np.pi / reach),
+        "wave_number": Shape(k, sd),
         "phase": Shape(phase, 1.0, "rad"),
     }
     size = max(float(np.hypot(a, b)), 1e-300)

@@ -239,3 +239,20 @@ def test_a_saved_law_judges_another_study(cogs, tmp_path, capsys):
     # a third of a turn below all fitted angles the wave number's own error shows
     assert second["after"] < 2.0 * NOISE and second["before"] > 20.0 * NOISE
     assert "confirmed" in capsys.readouterr().out
+
+
+@pytest.mark.cpu(12)  # a whole diagnosis
+def test_weight_off_the_shaft_is_told_in_less_than_a_turn():
+    """Bumps follow it where runs went, and lead elsewhere; what an angle brings back holds."""
+    noise = 1e-3  # [rad]
+    report = found(
+        turntable_study(
+            lambda angle, speed, temp: -0.2 * np.sin(angle + 0.4), noise=noise, count=200
+        )
+    )
+    (law,) = report.described.laws
+    assert law.entry == {"kind": "force", "target": "shaft"} and law.variables == ("angle",)
+    assert law.form == "periodic" and "unbalance" in law.looks_like
+    assert law.numbers["amplitude"].value == pytest.approx(0.2, rel=0.02)
+    (row,) = report.errors
+    assert row.after < 1.5 * noise < 100.0 * noise < row.before
