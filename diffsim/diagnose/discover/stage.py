@@ -133,8 +133,8 @@ def find_laws(
     num_tried = 0
     rounds: list[list[FittedLaw]] = []
     for fit in fits:
-        if rounds and max(_nats(f.fit) for f in rounds[0]) > _nats(fit):
-            break  # a law explains more than the best set of causes
+        if any(f.evidence > _nats(fit) for fitted in rounds for f in fitted):
+            break  # laws explain more than the best set of causes
         if not may_fit():
             break
         screened = _screen(fit, port, progress, SCREEN_SHARE * most_steps)
