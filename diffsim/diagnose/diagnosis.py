@@ -218,7 +218,7 @@ class _LawBudget:
         until: Count of weighted steps at which the search with laws ends; None: it has ``steps``,
             too.
         is_short: Whether the first answer has spent much of the budget: then the search with laws
-            is among causes of its best sets.
+            is among causes of its best sets and those that act where laws do.
     """
 
     steps: float
@@ -265,7 +265,7 @@ def _with_laws(
     elif budget.is_short:
         asked = asked.within(budget.steps)
     if budget.is_short:
-        kept = names | _names_near_best(answer)
+        kept = names | _names_near_best(answer, {law.entry.target for law in found.laws})
         effects = tuple(e for e in effects if e.name in kept)
     try:
         again = _answer(asked, setup.model, effects, setup.unknowns)
@@ -324,12 +324,20 @@ def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> boo
     return is_alone and again.gain.value >= before.gain.value
 
 
-def _names_near_best(answer: _Answer) -> set[str]:
-    """Names of the causes of sets that are about as good as the best one."""
+def _names_near_best(answer: _Answer, targets: AbstractSet[str] = frozenset()) -> set[str]:
+    """Names of the causes of sets that are about as good as the best one, and of all causes where
+    laws enter: beside a law elsewhere one of these may do what a law was found for.
+
+    Args:
+        answer: Without laws.
+        targets: What laws act on.
+    """
     search = answer.search
     nats = {members: search.nats(Hypothesis(members)) for members in search.fits}
     least = nats[answer.best] - search.settings.rival_nats
-    return {search.wide.effects[i].name for m, n in nats.items() if n >= least for i in m}
+    near = {search.wide.effects[i].name for m, n in nats.items() if n >= least for i in m}
+    ends = tuple(f"_at_{target}" for target in targets)
+    return near | {e.name for e in search.wide.effects if e.name.endswith(ends)}
 
 
 def _answer(

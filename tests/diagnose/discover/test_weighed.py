@@ -78,6 +78,24 @@ def test_laws_with_a_budget_of_their_own_have_it_whatever_was_spent(spent, is_sh
     assert budget == diagnosis._LawBudget(2.0 * GIVEN, None, is_short)
 
 
+def test_beside_a_law_all_causes_that_act_where_it_does_are_asked_again():
+    """A gimbal's dry friction in pan was told as a memory of its speed: weight off the tilt axis
+    had hidden it from the first search."""
+    names = ["dry_friction_at_pan", "play_at_pan", "dry_friction_at_tilt", "command_gain", "lag"]
+    nats = {(): 0.0, (3,): 90.0, (4,): 88.0}
+    search = SimpleNamespace(
+        fits=dict.fromkeys(nats),
+        nats=lambda hypothesis: nats[tuple(hypothesis.effects)],
+        settings=SearchSettings(),
+        wide=SimpleNamespace(effects=[SimpleNamespace(name=name) for name in names]),
+    )
+    answer = SimpleNamespace(search=search, best=(3,))
+    near = diagnosis._names_near_best(answer)
+    assert near == {"command_gain", "lag"}
+    asked = diagnosis._names_near_best(answer, {"pan", "angle"})
+    assert asked == near | {"dry_friction_at_pan", "play_at_pan"}
+
+
 def test_laws_that_share_a_budget_have_what_is_left_of_it():
     budget = diagnosis._budget_of_laws(spending(0.2, law_steps=None), 5)
     # half to find them, the rest for the search with them
