@@ -2,7 +2,8 @@
 
 For each seed a rig is recorded and diagnosed; commands are found with the plain model, domain
 randomization, a learned residual, the extended model, its posterior, and on the rig itself, and
-executed on the rig. Writes a table and a picture; what is done is kept, and a second call goes on.
+executed on the rig. Writes a table, a picture and a film; what is done is kept, and a second call
+goes on.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pays.film import film
 from benchmarks.pays.rigs import RIGS
 from benchmarks.pays.trial import METHODS, Trial, run
 from diffsim.core.files import write_json_atomic, write_text_atomic
@@ -152,7 +154,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             by_rig.setdefault(rig, []).append(row)
             said = ", ".join(f"{m} {row['scores'][m]:.3g}" for m in METHODS)
             print(f"{rig} {seed}: {row['headline']}\n  {said}", flush=True)
-        print(f"wrote {draw(by_rig[rig][0], args.out)}")
+        for picture in (draw, film):
+            print(f"wrote {picture(by_rig[rig][0], args.out)}")
     text = table(by_rig)
     print("\n" + text)
     print(f"wrote {write_text_atomic(args.out / 'table.md', text + chr(10))}")

@@ -1,4 +1,4 @@
-"""Rigs in MuJoCo, which shares no code with the simulators here; each hides what its sheet omits.
+"""Rigs of simulators that share no code with ours, most in MuJoCo; each hides what its sheet omits.
 
 A rig takes commands and gives what its sensors show. True parameters lie within about one standard
 deviation of the data sheet's (RIG.yaml), hidden causes within a quarter of their usual size; both
@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from benchmarks.pays.draws import about, off
+from benchmarks.pays.quadrotor import quadrotor
 
 Array = NDArray[np.float64]
 FINE = 1e-3  # MuJoCo's step [s]
@@ -20,8 +23,20 @@ SHARP = 'solreffriction="0.003 1" solimpfriction="0.99 0.99 0.001"'  # friction 
 STIFF = 'solreflimit="0.003 1" solimplimit="0.99 0.99 0.0001"'  # a stop without give
 
 
+class Rig(Protocol):
+    """What stands for the hardware."""
+
+    def record(self, time_s: Array, commands: Sequence[Array]) -> Array:
+        """What the sensors show without noise, (num_samples, num_channels).
+
+        Args:
+            time_s: Evenly spaced, (num_samples,) [s].
+            commands: Each (num_samples,), linear between samples.
+        """
+
+
 @dataclass(frozen=True, eq=False)
-class Rig:
+class Mechanism:
     """A MuJoCo model with what was hidden in it.
 
     Attributes:
@@ -67,15 +82,6 @@ class Rig:
         return rows
 
 
-def _off(rng: np.random.Generator, value: float, percent: float) -> float:
-    return value * float(np.exp(percent / 100.0 * np.clip(rng.standard_normal(), -1.5, 1.5)))
-
-
-def _about(rng: np.random.Generator, value: float) -> float:
-    """A hidden size within a quarter of the usual one."""
-    return value * float(rng.uniform(0.75, 1.25))
-
-
 def _world(option: str, body: str, more: str) -> str:
     return (
         f'<mujoco><option timestep="{FINE}" {option}/><worldbody>{body}</worldbody>{more}</mujoco>'
@@ -86,87 +92,89 @@ def _angles(*names: str) -> str:
     return "".join(f'<jointpos name="{name}" joint="{name}"/>' for name in names)
 
 
-def arm(rng: np.random.Generator) -> Rig:
+def arm(rng: np.random.Generator) -> Mechanism:
     """Two links in a vertical plane; the elbow rubs, and commands come late."""
-    lower = _off(rng, 0.6, 5.0)
+    lower = off(rng, 0.6, 5.0)
     body = f"""
     <body><inertial mass="1.0" pos="0 0 -0.15" diaginertia="0.008 0.008 0.001"/>
-      <joint name="shoulder" axis="0 -1 0" damping="{_off(rng, 0.25, 30.0)}"/>
+      <joint name="shoulder" axis="0 -1 0" damping="{off(rng, 0.25, 30.0)}"/>
       <body pos="0 0 -0.3">
         <inertial mass="{lower}" pos="0 0 -0.12" diaginertia="{lower / 150} {lower / 150} 0.0005"/>
-        <joint name="elbow" axis="0 -1 0" damping="{_off(rng, 0.1, 30.0)}"
-               frictionloss="{_about(rng, 0.12)}" {SHARP}/></body></body>"""
+        <joint name="elbow" axis="0 -1 0" damping="{off(rng, 0.1, 30.0)}"
+               frictionloss="{about(rng, 0.12)}" {SHARP}/></body></body>"""
     more = f"""<actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>
     <sensor>{_angles("shoulder", "elbow")}</sensor>"""
-    return Rig(_world('integrator="RK4"', body, more), ("shoulder", "elbow"), _about(rng, 0.03))
+    return Mechanism(
+        _world('integrator="RK4"', body, more), ("shoulder", "elbow"), about(rng, 0.03)
+    )
 
 
-def spindle(rng: np.random.Generator) -> Rig:
+def spindle(rng: np.random.Generator) -> Mechanism:
     """A table on a belt, driven by a spindle whose nut has play and stays where it is left."""
-    gap = _about(rng, 0.004)
+    gap = about(rng, 0.004)
     body = f"""
     <body><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
       <joint name="drive" type="slide" axis="1 0 0" armature="1e5"/></body>
     <body><inertial mass="0.05" pos="0 0 0" diaginertia="1 1 1"/>
       <joint name="nut" type="slide" axis="1 0 0" frictionloss="20" damping="20"
              {SHARP}/></body>
-    <body><inertial mass="{_off(rng, 1.5, 5.0)}" pos="0 0 0" diaginertia="1 1 1"/>
-      <joint name="table" type="slide" axis="1 0 0" damping="{_off(rng, 6.0, 30.0)}"/></body>"""
+    <body><inertial mass="{off(rng, 1.5, 5.0)}" pos="0 0 0" diaginertia="1 1 1"/>
+      <joint name="table" type="slide" axis="1 0 0" damping="{off(rng, 6.0, 30.0)}"/></body>"""
     more = f"""<tendon>
       <fixed name="gap" limited="true" range="{-gap} {gap}" {STIFF}>
         <joint joint="nut" coef="1"/><joint joint="drive" coef="-1"/></fixed>
-      <fixed name="belt" stiffness="{_off(rng, 150.0, 10.0)}" springlength="0">
+      <fixed name="belt" stiffness="{off(rng, 150.0, 10.0)}" springlength="0">
         <joint joint="nut" coef="1"/><joint joint="table" coef="-1"/></fixed></tendon>
     <sensor>{_angles("table")}</sensor>"""
     world = _world('integrator="implicitfast" gravity="0 0 0"', body, more)
-    return Rig(world, ("table",), led={"drive": 0})
+    return Mechanism(world, ("table",), led={"drive": 0})
 
 
-def gimbal(rng: np.random.Generator) -> Rig:
+def gimbal(rng: np.random.Generator) -> Mechanism:
     """A camera that pans and tilts; its center of mass lies off the axes, and pan rubs."""
-    forward, down = _about(rng, 0.01), _about(rng, 0.02)
+    forward, down = about(rng, 0.01), about(rng, 0.02)
     body = f"""
     <body><inertial mass="0.3" pos="0 0 0" diaginertia="0.002 0.002 0.004"/>
-      <joint name="pan" axis="0 0 1" damping="{_off(rng, 0.05, 30.0)}"
-             frictionloss="{_about(rng, 0.03)}" {SHARP}/>
+      <joint name="pan" axis="0 0 1" damping="{off(rng, 0.05, 30.0)}"
+             frictionloss="{about(rng, 0.03)}" {SHARP}/>
       <body><inertial mass="0.8" pos="{forward} 0 -{down}" diaginertia="0.006 0.006 0.006"/>
-        <joint name="tilt" axis="0 -1 0" damping="{_off(rng, 0.05, 30.0)}"/></body></body>"""
+        <joint name="tilt" axis="0 -1 0" damping="{off(rng, 0.05, 30.0)}"/></body></body>"""
     more = f"""<actuator><motor joint="pan"/><motor joint="tilt"/></actuator>
     <sensor>{_angles("pan", "tilt")}</sensor>"""
-    return Rig(_world('integrator="RK4"', body, more), ("pan", "tilt"))
+    return Mechanism(_world('integrator="RK4"', body, more), ("pan", "tilt"))
 
 
-def crane(rng: np.random.Generator) -> Rig:
+def crane(rng: np.random.Generator) -> Mechanism:
     """A trolley with a load on a rod; its motor lags, and the rail rubs."""
-    lag = _about(rng, 0.06)
+    lag = about(rng, 0.06)
     body = f"""
-    <body><inertial mass="{_off(rng, 2.0, 5.0)}" pos="0 0 0" diaginertia="1 1 1"/>
-      <joint name="trolley" type="slide" axis="1 0 0" damping="{_off(rng, 3.0, 30.0)}"
-             frictionloss="{_about(rng, 1.5)}" {SHARP}/>
-      <body><inertial mass="{_off(rng, 0.8, 5.0)}" pos="0 0 -0.5" diaginertia="1e-4 1e-4 1e-4"/>
-        <joint name="rod" axis="0 -1 0" damping="{_off(rng, 0.01, 30.0)}"/></body></body>"""
+    <body><inertial mass="{off(rng, 2.0, 5.0)}" pos="0 0 0" diaginertia="1 1 1"/>
+      <joint name="trolley" type="slide" axis="1 0 0" damping="{off(rng, 3.0, 30.0)}"
+             frictionloss="{about(rng, 1.5)}" {SHARP}/>
+      <body><inertial mass="{off(rng, 0.8, 5.0)}" pos="0 0 -0.5" diaginertia="1e-4 1e-4 1e-4"/>
+        <joint name="rod" axis="0 -1 0" damping="{off(rng, 0.01, 30.0)}"/></body></body>"""
     more = f"""<actuator><general joint="trolley" dyntype="filter" dynprm="{lag}"
       gainprm="1"/></actuator><sensor>{_angles("trolley", "rod")}</sensor>"""
-    return Rig(_world('integrator="RK4"', body, more), ("trolley", "rod"))
+    return Mechanism(_world('integrator="RK4"', body, more), ("trolley", "rod"))
 
 
-def finger(rng: np.random.Generator) -> Rig:
+def finger(rng: np.random.Generator) -> Mechanism:
     """A finger that a tendon bends against a spring; the tendon hangs slack, the joint rubs."""
-    slack = _about(rng, 0.003)
+    slack = about(rng, 0.003)
     body = f"""
     <body><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
       <joint name="motor" type="slide" axis="1 0 0" armature="1e5"/></body>
     <body><inertial mass="0.1" pos="0 0 -0.05" diaginertia="5e-4 5e-4 5e-4"/>
-      <joint name="finger" axis="0 -1 0" damping="{_off(rng, 0.012, 30.0)}"
-             stiffness="{_off(rng, 0.25, 10.0)}" frictionloss="{_about(rng, 0.015)}"
+      <joint name="finger" axis="0 -1 0" damping="{off(rng, 0.012, 30.0)}"
+             stiffness="{off(rng, 0.25, 10.0)}" frictionloss="{about(rng, 0.015)}"
              {SHARP}/></body>"""
     more = f"""<tendon><fixed name="tendon" stiffness="4000" springlength="-1 {slack}">
       <joint joint="motor" coef="1"/><joint joint="finger" coef="-0.01"/></fixed></tendon>
     <sensor>{_angles("finger")}</sensor>"""
     world = _world('integrator="RK4" gravity="0 0 0"', body, more)
-    return Rig(world, ("finger",), led={"motor": 0})
+    return Mechanism(world, ("finger",), led={"motor": 0})
 
 
 RIGS: Mapping[str, Callable[[np.random.Generator], Rig]] = {
-    f.__name__: f for f in (arm, spindle, gimbal, crane, finger)
+    f.__name__: f for f in (arm, spindle, gimbal, crane, finger, quadrotor)
 }
