@@ -23,6 +23,7 @@ void bind_soft(nb::module_& m);
 void bind_soft_contact(nb::module_& m);
 void bind_stokes(nb::module_& m);
 void bind_svd(nb::module_& m);
+void bind_water(nb::module_& m);
 
 inline const double* in(Address a) { return reinterpret_cast<const double*>(a); }
 inline double* out(Address a) { return reinterpret_cast<double*>(a); }

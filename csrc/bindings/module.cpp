@@ -19,4 +19,5 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   diffsim::bind_soft_contact(m);
   diffsim::bind_stokes(m);
   diffsim::bind_svd(m);
+  diffsim::bind_water(m);
 }

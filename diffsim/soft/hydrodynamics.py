@@ -12,7 +12,8 @@ from diffsim.core.check import require, require_choice, require_number, require_
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
-from diffsim.soft.inputs import broadcast
+from diffsim.soft._ops_water import water_force_layer
+from diffsim.soft.inputs import broadcast, flat
 from diffsim.soft.parameters import Value, as_tensor, hold
 
 LIMITS = ("isotropic", "component")
@@ -153,10 +154,16 @@ class Hydrodynamics(Float64Module):
         if water_velocity is not None:
             water = require("water_velocity", water_velocity, ("...", 3))
         water = broadcast("water_velocity", water, (*x.shape[:-2], 3))
-        corners = self.faces.shape[1]
-        per_face = self._face_forces(self._at_corners(x), self._at_corners(v), water) / corners
-        shares = per_face.transpose(-1, -2).repeat_interleave(corners, dim=-2)
-        forces = torch.zeros_like(x).index_add(-2, self.faces.flatten(), shares)
+        forces = water_force_layer(
+            flat(x),
+            flat(v),
+            flat(water, 1),
+            self.density,
+            self.drag_coefficients.contiguous(),
+            self.thrust_coefficients.contiguous(),
+            self.faces,
+            fade_angle=self.fade_angle,
+        ).reshape(x.shape)
         return self._limit_forces(forces)
 
     def drag_coefficient(self, alpha: Tensor) -> Tensor:
@@ -179,33 +186,6 @@ class Hydrodynamics(Float64Module):
         require("thrust_coefficients", self.thrust_coefficients, (4,))
         if not torch.compiler.is_compiling():
             require_range("density", self.density, above=0.0, hint="unit is kg/m^3")
-
-    def _at_corners(self, nodal: Tensor) -> Tensor:
-        """(..., num_nodes, 3) -> (..., corners, 3, num_faces).
-
-        Faces come last: operations along three components are slow where these come last.
-        """
-        rows = nodal.transpose(-1, -2).contiguous()
-        picked = rows.index_select(-1, self.faces.T.flatten())  # faster than advanced indexing
-        num_faces, corners = self.faces.shape
-        return picked.reshape(*rows.shape[:-1], corners, num_faces).transpose(-2, -3)
-
-    def _face_forces(self, x: Tensor, v: Tensor, water: Tensor) -> Tensor:
-        """Forces (..., 3, num_faces) on faces with corners x, v (..., corners, 3, num_faces)."""
-        area, normal = _area_and_normal(x)
-        v_rel = water[..., None] - _sum(v, -3) / v.shape[-3]
-        speed = _norm(v_rel)
-        head_on = -_sum(normal * v_rel, -2)
-        wet = head_on > 0.0
-        # asin(head_on / speed) without its infinite slope at head-on flow
-        along = _norm(v_rel + head_on[..., None, :] * normal)
-        alpha = torch.atan2(torch.where(wet, head_on, 1.0), torch.where(wet, along, 0.0))
-        pressure = torch.where(wet, 0.5 * self.density * area, 0.0)
-        if self.fade_angle > 0.0:
-            pressure = pressure * _smooth_step(alpha / self.fade_angle)
-        drag = (pressure * self.drag_coefficient(alpha) * speed)[..., None, :] * v_rel
-        thrust = (pressure * self.thrust_coefficient(alpha) * speed**2)[..., None, :] * normal
-        return drag - thrust
 
     def _limit_forces(self, forces: Tensor) -> HydroForces:
         if self.max_force is None:
@@ -247,49 +227,3 @@ def _bezier(ordinates: Tensor, t: Tensor) -> Tensor:
     p0, p1, p2, p3 = ordinates
     s = 1.0 - t
     return s**3 * p0 + 3.0 * s**2 * t * p1 + 3.0 * s * t**2 * p2 + t**3 * p3
-
-
-def _smooth_step(s: Tensor) -> Tensor:
-    """0 up to s = 0, 1 from s = 1 on, twice continuously differentiable."""
-    s = s.clamp(0.0, 1.0)
-    return s**3 * (10.0 - s * (15.0 - 6.0 * s))
-
-
-def _area_and_normal(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Area (..., F) and unit normal (..., 3, F) of faces with corners (..., 3 or 4, 3, F).
-
-    A quad's area is the mean over its two triangulations, its normal that of their summed area
-    vectors; a collapsed face has normal 0.
-    """
-    first, *others = x.unbind(-3)
-    edges = [corner - first for corner in others]
-    total = _cross(edges[0], edges[1])  # twice the triangle's area vector
-    if len(edges) == 2:
-        area = 0.5 * _norm(total)
-    else:  # triangles 012 and 023, or 013 and 312: both pairs have the same sum
-        triangles = (total, _cross(edges[1], edges[2]), _cross(edges[0], edges[2]))
-        total = triangles[0] + triangles[1]
-        area = 0.25 * _sum(_norm(torch.stack((*triangles, total - triangles[2]))), 0)
-    length = _norm(total)
-    return area, total / torch.where(length > 0.0, length, 1.0)[..., None, :]
-
-
-def _cross(a: Tensor, b: Tensor) -> Tensor:
-    """a x b, vectors along the last axis but one."""
-    (a0, a1, a2), (b0, b1, b2) = a.unbind(-2), b.unbind(-2)
-    return torch.stack((a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0), dim=-2)
-
-
-def _sum(terms: Tensor, dim: int) -> Tensor:
-    """Sum over few terms along an axis that is not the last, where ``torch.sum`` is slow."""
-    first, *others = terms.unbind(dim)
-    for term in others:
-        first = first + term
-    return first
-
-
-def _norm(vectors: Tensor) -> Tensor:
-    """|v| over the last axis but one, with gradient 0 at v = 0."""
-    square = _sum(vectors * vectors, -2)
-    some = square > 0.0
-    return torch.where(some, torch.where(some, square, 1.0).sqrt(), 0.0)

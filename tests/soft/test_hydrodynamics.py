@@ -171,10 +171,12 @@ def test_terminal_velocity():
 
 @pytest.mark.grad
 @pytest.mark.parametrize("kind", ["hex", "tet"])
-@pytest.mark.parametrize("limit", [None, "isotropic", "component"])
+@pytest.mark.parametrize("limit", [None, "isotropic", "component", "fade"])
 def test_gradients(kind, limit):
     m, x, v = case(kind)
-    options = {} if limit is None else {"max_force": 0.4, "limit": limit, "warn": False}
+    options = {"max_force": 0.4, "limit": limit, "warn": False}
+    if limit in (None, "fade"):
+        options = {"fade_angle": 0.9 if limit else 0.0}
 
     def force(x, v, water, density, drag, thrust):
         hydro = soft.Hydrodynamics(
@@ -187,8 +189,8 @@ def test_gradients(kind, limit):
     out = force(*args)
     grads = torch.autograd.grad(out, args, torch.linspace(1, 2, out.numel()).double().view_as(out))
     assert all(g.abs().max() > 0 for g in grads)
-    assert torch.autograd.gradcheck(force, args)
-    if limit:
+    assert torch.autograd.gradcheck(force, args, check_forward_ad=limit != "component")
+    if "limit" in options:
         limited = out.detach().norm(dim=-1) > 0.4 * (1 - 1e-12)
         assert 0 < limited.sum() < limited.numel()  # limited and free nodes both checked
 
@@ -248,6 +250,42 @@ def test_kink_at_head_on_flow():
     # differences err by h times the curvature, some 1e4 * 1e-6
     assert slope.item() == pytest.approx(((left + right) / 2).item(), abs=0.05)
     assert slope.abs() > 1e3
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+def test_a_member_feels_what_it_feels_alone(kind):
+    """Bits depend neither on who else is in a batch nor on the order."""
+    m, x, v = case(kind, batch=(3,))
+    hydro = soft.Hydrodynamics(m, fade_angle=0.2)
+    many = [leaf(x), leaf(v)]
+    forces = hydro(*many)
+    weights = noise(*x.shape, seed=5)
+    grads = torch.autograd.grad(forces, many, weights)
+    for k in (2, 0, 1):
+        one = [leaf(x[k]), leaf(v[k])]
+        alone = hydro(*one)
+        assert torch.equal(alone, forces[k])
+        for mine, all_ in zip(torch.autograd.grad(alone, one, weights[k]), grads, strict=True):
+            assert torch.equal(mine, all_[k])
+
+
+@pytest.mark.property
+def test_angles_of_attack_are_exact():
+    """Kernels compute their own arctangent: a curve that is the angle shows its error."""
+    m = plate("hex")
+    line = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)  # C_d = 2 alpha / pi
+    hydro = soft.Hydrodynamics(
+        m, density=2.0, drag_coefficients=line, thrust_coefficients=(0.0, 0.0, 0.0, 0.0)
+    )
+    still = torch.zeros_like(m.x_rest)
+    for angle in torch.linspace(1e-3, math.pi / 2 - 1e-3, 57, dtype=torch.float64).tolist():
+        way = torch.tensor([math.cos(angle), 0.0, math.sin(angle)], dtype=torch.float64)
+        share = 2.0 * angle / math.pi
+        # the plate of 4 m^2, and its rim of 0.2 m^2 that faces the flow along x
+        expected = (4.0 * share + 0.2 * (1.0 - share)) * way
+        force = hydro(m.x_rest, still, water_velocity=way).sum(0)
+        torch.testing.assert_close(force, expected, rtol=1e-14, atol=1e-14)
 
 
 @pytest.mark.property
