@@ -235,6 +235,11 @@ def require_range(
     """``require_number`` for every entry of a tensor; the message shows the worst entry."""
     require_tensor(name, value)
     v = values_of(value)
+    if not v.numel():
+        return value
+    low, high = (float(extreme) for extreme in torch.aminmax(v))  # NaN where an entry is
+    if above < low and high < below and at_least <= low and high <= at_most:
+        return value
     bad = ~((v > above) & (v < below) & (v >= at_least) & (v <= at_most))
     if bool(bad.any()):
         worst = float(v[bad].flatten()[0])

@@ -272,7 +272,12 @@ def is_kernel_alone(tensors: Sequence[Tensor]) -> bool:
     """
     if torch.compiler.is_compiling() or not _is_unwatched() or not _are_plain(tensors):
         return False
-    return not (may_be_differentiated() and _is_differentiated(tensors))
+    return not is_followed(tensors)
+
+
+def is_followed(tensors: Sequence[Tensor]) -> bool:
+    """Whether a derivative by one of some tensors, or a mapping, may be asked for now."""
+    return may_be_differentiated() and _is_differentiated(tensors)
 
 
 def _is_unwatched() -> bool:

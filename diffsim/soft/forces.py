@@ -10,7 +10,7 @@ from diffsim.core.layer import is_kernel_alone
 from diffsim.soft import _ops_elastic
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, energy_arrays, flat
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.prepared import prepare
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
@@ -130,5 +130,5 @@ def _check_state(
 ) -> tuple[Tensor, Loads]:
     x = require("x", x, ("...", body.mesh.num_nodes, 3))
     state = State(x, torch.zeros_like(x))
-    prepared = PreparedBody(body, physics)
+    prepared = prepare(body, physics)
     return check_inputs(prepared, state, activation=activation, pressure=pressure)

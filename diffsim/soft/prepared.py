@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require_constant
-from diffsim.core.layer import is_kernel_alone
+from diffsim.core.layer import is_followed, is_kernel_alone
 from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
 from diffsim.soft._ops_step import LINEAR, BoundStep
@@ -95,7 +97,7 @@ class PreparedBody:
             rates: StageTerms.of(physics, rates) for rates in rates_of(body.integrator, body.dt)
         }
         self._arguments = {"handle": body.handle, **body.solver.arguments()}
-        self._bound: BoundStep | None = None
+        self._bound: list[BoundStep] = []  # none or one, that all copies share
 
     @property
     def is_linear(self) -> bool:
@@ -129,6 +131,51 @@ class PreparedBody:
 
     def bound(self, arrays: StepArrays) -> BoundStep:
         """The kernel with the parameters of a problem, made where the last one had others."""
-        if self._bound is None or not self._bound.shares(arrays):
-            self._bound = BoundStep(arrays, **self._arguments)
-        return self._bound
+        for known in self._bound:
+            if known.shares(arrays):
+                return known
+        made = BoundStep(arrays, **self._arguments)
+        self._bound[:] = [made]
+        return made
+
+
+class KeptBody(NamedTuple):
+    """What was prepared last with a body's own parameters, and what they were.
+
+    Attributes:
+        settings: Integrator, time step, solver, handle and names of the parameters.
+        values: Copies of the parameters.
+        prepared: What was prepared, without its body, which it would keep alive.
+    """
+
+    settings: tuple[Any, ...]
+    values: tuple[Tensor, ...]
+    prepared: PreparedBody
+
+
+def prepare(body: Solid, physics: Physics | None) -> PreparedBody:
+    """A body with parameters, see :class:`PreparedBody`; with its own ones only where one has
+    changed since the last call.
+
+    Numbers may change in place behind every counter (``.data``, NumPy), so they are compared.
+    Where a derivative may be asked for, or a mode or compiler follows the calls, all is computed
+    anew.
+    """
+    if physics is not None or torch.compiler.is_compiling() or torch.is_inference_mode_enabled():
+        return PreparedBody(body, physics)
+    own = body.own_values()
+    values = tuple(own.values())
+    if is_followed(values) or torch._C._len_torch_dispatch_stack():
+        return PreparedBody(body, None)
+    settings = (body.integrator, body.dt, body.solver, body.handle, *own)
+    kept = body.kept
+    if kept is None or kept.settings != settings or not all(map(torch.equal, kept.values, values)):
+        made = PreparedBody(body, None)
+        alone = copy(made)
+        del alone.body
+        body.kept = KeptBody(settings, tuple(v.detach().clone() for v in values), alone)
+        return made
+    _require_own_shape(body)
+    prepared = copy(kept.prepared)
+    prepared.body = body
+    return prepared

@@ -13,7 +13,7 @@ from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.check import require_number
 from diffsim.soft.inputs import LOADS, Loads, check_load, check_state, make_loads
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.prepared import PreparedBody, prepare
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.step import advance
@@ -68,7 +68,7 @@ def rollout(
         require_number("checkpoint_every", checkpoint_every, at_least=1)
     if keep is not None and not callable(keep):
         raise TypeError(f"keep must be a function of a State, got {type(keep).__name__}")
-    prepared = PreparedBody(body, physics)
+    prepared = prepare(body, physics)
     state = check_state(prepared, state)
     signals = {
         "external_force": external_force,

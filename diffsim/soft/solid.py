@@ -125,6 +125,7 @@ class Solid(Float64Module):
         modulus = as_tensor("youngs_modulus", youngs_modulus)
         warn_of_units(self.x_rest, modulus, as_tensor("density", density))
         self._context = self._make_context()
+        self.kept: Any = None  # see prepared.py
 
     def _make_context(self) -> SoftContext:
         with on_constants():
@@ -145,11 +146,12 @@ class Solid(Float64Module):
             )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k != "_context"}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_context", "kept")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         self._context = self._make_context()  # compiled objects are made anew in this process
+        self.kept = None
 
     @property
     def handle(self) -> int:
@@ -188,6 +190,11 @@ class Solid(Float64Module):
         constants = {name: values.pop(name) for name in own}
         given = PhysicalValues(**values, constants=constants)
         return make_physics(given, volume, self.material, self.muscles.num_muscles, members)
+
+    def own_values(self) -> dict[str, Tensor]:
+        """The body's parameters by name, as they were given; what it does not have is missing."""
+        names = (*PARAMETERS, *self.material.constants)
+        return {n: v for n in names if (v := getattr(self, n)) is not None}
 
     def rest_state(self, batch: int | None = None) -> State:
         """The rest shape without motion; ``batch`` adds a leading axis."""

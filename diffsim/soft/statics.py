@@ -8,7 +8,7 @@ from torch import Tensor
 from diffsim.core.check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.prepared import prepare
 from diffsim.soft.problem import StepProblem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
@@ -60,7 +60,7 @@ def static_equilibrium(
             start = start.expand(*given.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
     x, loads = check_inputs(
-        PreparedBody(body, physics),
+        prepare(body, physics),
         state,
         external_force=external_force,
         activation=activation,

@@ -23,7 +23,7 @@ from diffsim.soft.integrators import (
     make_stage,
 )
 from diffsim.soft.physics import Physics
-from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.prepared import prepare
 from diffsim.soft.problem import StepProblem, solve
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
@@ -71,7 +71,7 @@ def step(
         TypeError, ValueError: wrong shape, dtype or non-finite input.
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
-    prepared = PreparedBody(body, physics)
+    prepared = prepare(body, physics)
     state = check_state(prepared, state)
     given = {
         "external_force": external_force,

@@ -1,6 +1,9 @@
 """Rollouts are prepared once: with and without gradient, and step by step, they are the same."""
 
+import gc
+import pickle
 import sys
+import weakref
 
 import pytest
 import torch
@@ -10,7 +13,7 @@ from diffsim.soft import _ops_contact, _ops_elastic, _ops_step
 from diffsim.soft.forces import ElasticGradient, elastic_gradient
 from diffsim.soft.inputs import check_loads
 from diffsim.soft.integrators import IMPLICIT, INTEGRATORS
-from diffsim.soft.prepared import PreparedBody
+from diffsim.soft.prepared import PreparedBody, prepare
 from tests.soft.cases import irregular_mesh, leaf, noise, soft_body, two_muscles
 from tests.soft.test_chambers import hollow
 
@@ -223,3 +226,39 @@ def test_a_bound_energy_refuses_what_the_op_refuses():
         bound(body.x_rest[:-1])
     with pytest.raises(TypeError):
         bound(body.x_rest.float())
+
+
+def test_a_body_is_prepared_anew_where_a_number_changed():
+    body, _ = forced()
+    first = prepare(body, None)
+    assert prepare(body, None).physics is first.physics
+    body.density.data.mul_(2.0)  # behind PyTorch's counters
+    second = prepare(body, None)
+    torch.testing.assert_close(second.physics.mass, 2.0 * first.physics.mass)
+    state = body.rest_state()
+    anew, _ = forced(density=body.density.clone())
+    assert torch.equal(body(state).x, anew(state).x)
+    body.dt = 0.5 * body.dt
+    assert prepare(body, None)._terms.keys() != second._terms.keys()
+    with pytest.raises(ValueError, match="density"):
+        body.density.data.fill_(-1.0)
+        body(state)
+
+
+def test_what_is_kept_has_no_gradient_and_keeps_no_body():
+    body, _ = forced(density=torch.nn.Parameter(leaf(900.0).detach()))
+    with torch.no_grad():
+        plain = prepare(body, None)
+    followed = prepare(body, None)
+    assert followed.physics is not plain.physics
+    assert followed.physics.mass.requires_grad
+    with torch.inference_mode():
+        assert prepare(body, None).physics is not plain.physics
+    assert pickle.loads(pickle.dumps(body)).kept is None
+    gone = weakref.ref(body)
+    gc.disable()
+    try:
+        del body, plain, followed
+        assert gone() is None
+    finally:
+        gc.enable()

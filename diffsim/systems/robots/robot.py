@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -30,6 +30,7 @@ class SoftRobot:
         water: Drag and thrust of the water around the robot; None: the robot is in air.
         obstacles: Obstacles that the robot stands on.
         upright_axis: Axis of the robot, x, y or z (0-2), that must not tip over; None: no axis.
+        shares: Share of each node in the volume at rest, (num_nodes, 1) [-].
     """
 
     name: str
@@ -41,6 +42,7 @@ class SoftRobot:
     water: soft.Hydrodynamics | None = None
     obstacles: tuple[Obstacle, ...] = ()
     upright_axis: int | None = None
+    shares: Tensor = field(init=False)
 
     def __post_init__(self) -> None:
         want = (len(self.command_names), len(self.body.muscles.rest_activation))
@@ -48,6 +50,8 @@ class SoftRobot:
             raise ValueError(
                 f"drive must have shape {want} (commands, muscles), got {tuple(self.drive.shape)}"
             )
+        volume = self.body.nodal_volume
+        object.__setattr__(self, "shares", (volume / volume.sum())[:, None])
 
     @property
     def num_dofs(self) -> int:
@@ -85,8 +89,7 @@ class SoftRobot:
 
     def center(self, x: Tensor) -> Tensor:
         """Center of volume at rest weights, (..., 3) [m]."""
-        weights = self.body.nodal_volume / self.body.nodal_volume.sum()
-        return (weights[:, None] * x).sum(-2)
+        return (self.shares * x).sum(-2)
 
     def attitude(self, x: Tensor) -> Tensor:
         """Mean deformation gradient, (..., 3, 3) [-]: least squares fit of x to the rest shape.
@@ -94,7 +97,7 @@ class SoftRobot:
         Its columns are where the robot's axes point, stretched as the body is.
         """
         rest = self.body.x_rest - self.center(self.body.x_rest)
-        weighted = (self.body.nodal_volume / self.body.nodal_volume.sum())[:, None] * rest
+        weighted = self.shares * rest
         return x.mT @ weighted @ torch.linalg.inv(rest.T @ weighted)
 
 
