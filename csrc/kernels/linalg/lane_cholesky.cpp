@@ -11,6 +11,9 @@ namespace {
 
 constexpr int kWidth = LaneCholesky::kCount;
 constexpr int kBlockSize = 9 * kWidth;  // doubles of a block
+// Columns that are updated together: each column to their left is read from afar once for all of
+// them, and they stay in the nearest cache meanwhile.
+constexpr int kPanel = 4;
 
 DIFFSIM_INLINE void load_block(const double* from, Native out[9]) {
 #pragma GCC unroll 9
@@ -72,6 +75,7 @@ LanePattern::LanePattern(const std::vector<std::int64_t>& row_start,
   std::vector<int> mark(at(n), -1);
   std::vector<std::pair<int, std::int64_t>> entries;
   start_.assign(1, 0);
+  a_start_.assign(1, 0);
   for (int j = 0; j < n; ++j) {
     std::vector<int>& own = rows[at(j)];
     const auto add = [&](int row) {
@@ -103,6 +107,7 @@ LanePattern::LanePattern(const std::vector<std::int64_t>& row_start,
       a_column_.push_back(j);
       a_slot_.push_back(start_[at(j)] + slot);
     }
+    a_start_.push_back(static_cast<int>(a_row_.size()));
   }
   // The other triangle's entries: the same blocks as they are, row first.
   for (int i = 0; i < n; ++i)
@@ -114,10 +119,10 @@ LanePattern::LanePattern(const std::vector<std::int64_t>& row_start,
       const auto mirror = std::find(begin, end, i) - column.begin();
       place_[at(k)] = {place_[at(mirror)].block, false};
     }
-  std::vector<std::vector<Update>> updates(at(n));
+  std::vector<std::vector<Update>> updates(at((n + kPanel - 1) / kPanel));
   for (int k = 0; k < n; ++k)
     for (int s = start_[at(k)] + 1; s < start_[at(k + 1)]; ++s) {
-      updates[at(row_[at(s)])].push_back({k, s});
+      updates[at(row_[at(s)] / kPanel)].push_back({k, s});
       num_products_ += start_[at(k + 1)] - s;
     }
   update_start_.assign(1, 0);
@@ -137,10 +142,12 @@ void LaneCholesky::clear_lane(const LanePattern& pattern, int lane) {
   for (std::int64_t i = 0; i < 9 * pattern.num_blocks(); ++i) entry[i * kWidth] = 0.0;
 }
 
-void LaneCholesky::fill_factor(const LanePattern& pattern, const std::uint8_t* fixed) {
-  const std::size_t size = at(pattern.num_factor_blocks() * kBlockSize);
-  std::memset(factor_.resize(size), 0, size * sizeof(double));
-  for (std::size_t b = 0; b < pattern.a_row_.size(); ++b) {
+// A column is filled just before it is factored: it is then in the nearest cache.
+void LaneCholesky::fill_column(const LanePattern& pattern, const std::uint8_t* fixed, int j) {
+  const std::ptrdiff_t begin = pattern.start_[at(j)], end = pattern.start_[at(j + 1)];
+  std::memset(factor_.data() + begin * kBlockSize, 0,
+              at((end - begin) * kBlockSize) * sizeof(double));
+  for (std::size_t b = at(pattern.a_start_[at(j)]); b < at(pattern.a_start_[at(j + 1)]); ++b) {
     double* block = factor_.data() + at(pattern.a_slot_[b]) * kBlockSize;
     std::memcpy(block, matrix_.data() + b * kBlockSize, kBlockSize * sizeof(double));
     const std::uint8_t* row = fixed + 3 * pattern.order_[at(pattern.a_row_[b])];
@@ -155,34 +162,58 @@ void LaneCholesky::fill_factor(const LanePattern& pattern, const std::uint8_t* f
 }
 
 unsigned LaneCholesky::factor(const LanePattern& pattern, const std::uint8_t* fixed) {
-  fill_factor(pattern, fixed);
-  slot_of_row_.assign(pattern.order_.size(), 0);
+  const int n = static_cast<int>(pattern.num_nodes());
+  factor_.resize(at(pattern.num_factor_blocks() * kBlockSize));
+  slot_of_row_.assign(at(kPanel * n), 0);
   NativeMask good = ~NativeMask{};
-  for (int j = 0; j < static_cast<int>(pattern.num_nodes()); ++j) good &= factor_column(pattern, j);
+  for (int first = 0; first < n; first += kPanel) {
+    for (int j = first; j < std::min(n, first + kPanel); ++j) fill_column(pattern, fixed, j);
+    good &= factor_panel(pattern, first);
+  }
   unsigned bits = 0;
   for (int lane = 0; lane < kWidth; ++lane) bits |= (good[lane] ? 1u : 0u) << lane;
   return bits;
 }
 
-NativeMask LaneCholesky::factor_column(const LanePattern& pattern, int j) {
+NativeMask LaneCholesky::factor_panel(const LanePattern& pattern, int first) {
   double* L = factor_.data();
   const int* row = pattern.row_.data();
-  const int begin = pattern.start_[at(j)], end = pattern.start_[at(j + 1)];
-  for (int s = begin; s < end; ++s) slot_of_row_[at(row[s])] = s;
+  const int n = static_cast<int>(pattern.num_nodes()), last = std::min(n, first + kPanel);
   // As in CholeskyFactor: below this of its diagonal entry a pivot is noise.
   const double relative = 4.0 * std::numeric_limits<double>::epsilon() *
                           std::sqrt(9.0 * static_cast<double>(pattern.place_.size()));
-  Native floor[3];
-  for (int i = 0; i < 3; ++i)
-    floor[i] = relative * load<Native>(L + begin * std::ptrdiff_t{kBlockSize} + 4 * i * kWidth);
-  for (int u = pattern.update_start_[at(j)]; u < pattern.update_start_[at(j + 1)]; ++u) {
-    const auto [k, first] = pattern.update_[at(u)];
-    Native b[9];
-    load_block(L + first * std::ptrdiff_t{kBlockSize}, b);
-    for (int s = first; s < pattern.start_[at(k + 1)]; ++s)
-      subtract_product(L + s * std::ptrdiff_t{kBlockSize}, b,
-                       L + slot_of_row_[at(row[s])] * std::ptrdiff_t{kBlockSize});
+  Native floor[kPanel][3];
+  for (int j = first; j < last; ++j) {
+    const int begin = pattern.start_[at(j)];
+    for (int i = 0; i < 3; ++i)
+      floor[j - first][i] =
+          relative * load<Native>(L + begin * std::ptrdiff_t{kBlockSize} + 4 * i * kWidth);
+    int* slots = slot_of_row_.data() + std::ptrdiff_t{j - first} * n;
+    for (int s = begin; s < pattern.start_[at(j + 1)]; ++s) slots[row[s]] = s;
   }
+  NativeMask good = ~NativeMask{};
+  int next = first;  // columns before it are factored
+  const auto factor_up_to = [&](int column) {
+    for (; next <= column; ++next) good &= factor_column(pattern, next, floor[next - first]);
+  };
+  const int panel = first / kPanel;
+  for (int u = pattern.update_start_[at(panel)]; u < pattern.update_start_[at(panel + 1)]; ++u) {
+    const auto [k, slot] = pattern.update_[at(u)];
+    factor_up_to(std::min(k, last - 1));  // none of those to the left
+    const int* slots = slot_of_row_.data() + std::ptrdiff_t{row[slot] - first} * n;
+    Native b[9];
+    load_block(L + slot * std::ptrdiff_t{kBlockSize}, b);
+    for (int s = slot; s < pattern.start_[at(k + 1)]; ++s)
+      subtract_product(L + s * std::ptrdiff_t{kBlockSize}, b,
+                       L + slots[row[s]] * std::ptrdiff_t{kBlockSize});
+  }
+  factor_up_to(last - 1);
+  return good;
+}
+
+NativeMask LaneCholesky::factor_column(const LanePattern& pattern, int j, const Native floor[3]) {
+  double* L = factor_.data();
+  const int begin = pattern.start_[at(j)], end = pattern.start_[at(j + 1)];
   Native a[9], inverse[9];
   double* diagonal = L + begin * std::ptrdiff_t{kBlockSize};
   load_block(diagonal, a);

@@ -46,8 +46,9 @@ class LanePattern {
   std::vector<int> order_, position_;
   std::vector<Place> place_;
   std::vector<int> a_row_, a_column_, a_slot_;  // of A's blocks, by elimination order; slot in L
+  std::vector<int> a_start_;                    // where each column's begin
   std::vector<int> start_, row_;                // columns of L, diagonal first, rows ascending
-  std::vector<int> update_start_;
+  std::vector<int> update_start_;               // of panels of columns
   std::vector<Update> update_;
   std::int64_t num_products_ = 0;
 };
@@ -79,8 +80,9 @@ class LaneCholesky {
   void multiply(const LanePattern& pattern, const Columns& x, Columns& y) const;
 
  private:
-  void fill_factor(const LanePattern& pattern, const std::uint8_t* fixed);
-  NativeMask factor_column(const LanePattern& pattern, int column);
+  void fill_column(const LanePattern& pattern, const std::uint8_t* fixed, int column);
+  NativeMask factor_panel(const LanePattern& pattern, int first);
+  NativeMask factor_column(const LanePattern& pattern, int column, const Native floor[3]);
 
   AlignedBuffer<double> matrix_, factor_;
   std::vector<int> slot_of_row_;

@@ -22,6 +22,10 @@ struct HexMatrices {
   static void read(const double* matrix, int, int a, int b, double out[9]) {
     element_block(matrix, a, b, out);
   }
+  /// Where entry (i, k) of the block of nodes a <= b lies.
+  static Index place(int, int a, int b, int i, int k) {
+    return 64 * kComponentPair[i][k] + (i <= k ? 8 * a + b : 8 * b + a);
+  }
 };
 struct TetMatrices {
   static constexpr Index kSize = kTetMatrixSize, kElements = kLanes;
@@ -32,6 +36,9 @@ struct TetMatrices {
   static void read(const double* matrix, int lane, int a, int b, double out[9]) {
     const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
     for (int i = 0; i < 9; ++i) out[i] = from[i * kLanes];
+  }
+  static Index place(int lane, int a, int b, int i, int k) {
+    return (9 * (b * (b + 1) / 2 + a) + 3 * i + k) * kLanes + lane;
   }
 };
 template <typename Group>
@@ -158,31 +165,48 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
   assemble<Group>(model, model.fiber, model.fiber_slot, fiber, values, scratch, pool);
 }
 
-/// Adds the matrices of one block to one lane; fill(first, count, tangents) as in assemble().
+/// Adds the matrices of one block to all lanes at once; fill(lane, first, count, tangents) as in
+/// assemble(), for lanes whose bit is set.
 template <typename Group, typename Fill>
-void add_to_lane(const ElementBlock& block, const std::vector<std::int32_t>& places, Fill&& fill,
-                 LaneCholesky& to, int lane) {
+void add_to_lanes(const ElementBlock& block, const std::vector<std::int32_t>& places,
+                  unsigned active, Fill&& fill, LaneCholesky& to) {
   using Matrices = MatricesOf<Group>;
   constexpr int n = Group::kNodes, kPairs = n * (n + 1) / 2, kStep = LaneCholesky::kCount;
+  static_assert(kStep == kNativeLanes && Matrices::kSize % kStep == 0);
+  // Members that have nothing to add stay zero: sums that begin at +0 never become -0, so that
+  // adding zero changes no bit of theirs.
+  alignas(64) double matrix[kStage][kStep][Matrices::kSize] = {};
+  alignas(64) double sides[Matrices::kSize * kStep];  // the same entry of all members in a row
   for_stages(0, block.num_groups, [&](Index first, int count) {
-    GroupTangent tangents[kStage];
-    fill(first, count, tangents);
+    for (int lane = 0; lane < kStep; ++lane) {
+      if (!(active >> lane & 1u)) continue;
+      GroupTangent tangents[kStage];
+      fill(lane, first, count, tangents);
+      for (int k = 0; k < count; ++k)
+        Matrices::make(block, first + k, tangents[k], matrix[k][lane]);
+    }
     for (int k = 0; k < count; ++k) {
-      const Index g = first + k, begin = g * Matrices::kElements;
-      alignas(64) double matrix[Matrices::kSize];
-      Matrices::make(block, g, tangents[k], matrix);
+      for (Index i = 0; i < Matrices::kSize; i += kStep) {
+        Native square[kStep];
+        for (int lane = 0; lane < kStep; ++lane) square[lane] = load<Native>(matrix[k][lane] + i);
+        detail::transpose_square(square);
+        for (int j = 0; j < kStep; ++j) store(sides + (i + j) * kStep, square[j]);
+      }
+      const Index begin = (first + k) * Matrices::kElements;
       const Index end = std::min(block.num_elements, begin + Matrices::kElements);
       for (Index e = begin; e < end; ++e) {
         const std::int32_t* place = places.data() + e * kPairs;
         for (int b = 0; b < n; ++b)
           for (int a = 0; a <= b; ++a, ++place) {
-            double K[9];
-            Matrices::read(matrix, static_cast<int>(e - begin), a, b, K);
             const bool transposed = *place < 0;
-            double* out = to.block(transposed ? ~*place : *place, lane);
+            double* out = to.block(transposed ? ~*place : *place, 0);
             const int row = transposed ? 1 : 3, column = transposed ? 3 : 1;
             for (int i = 0; i < 3; ++i)
-              for (int j = 0; j < 3; ++j) out[(row * i + column * j) * kStep] += K[3 * i + j];
+              for (int j = 0; j < 3; ++j) {
+                double* entry = out + (row * i + column * j) * kStep;
+                const Index at_side = Matrices::place(static_cast<int>(e - begin), a, b, i, j);
+                store(entry, load<Native>(entry) + load<Native>(sides + at_side * kStep));
+              }
           }
       }
     }
@@ -190,17 +214,28 @@ void add_to_lane(const ElementBlock& block, const std::vector<std::int32_t>& pla
 }
 
 template <typename Group, typename M>
-void tangent_in_lane_of(const SoftModel& model, const SoftParameters& p,
-                        const std::vector<DampingFrame>& frames, const double* x,
-                        const LanePlaces& places, ElasticityScratch& scratch, LaneCholesky& to,
-                        int lane) {
-  const TangentFill<Group, M> fill{model, p, frames, x, false, kept_frames(scratch, model, x)};
-  add_to_lane<Group>(
-      model.solid, places.solid,
-      [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); }, to, lane);
-  add_to_lane<Group>(
-      model.fiber, places.fiber,
-      [&](Index g, int count, GroupTangent* out) { fill.fiber(g, count, out); }, to, lane);
+void add_lane_tangents_of(const SoftModel& model, const std::vector<LaneTangent>& members,
+                          const LanePlaces& places, LaneCholesky& to) {
+  std::vector<TangentFill<Group, M>> fills;
+  unsigned active = 0;
+  for (std::size_t l = 0; l < members.size(); ++l) {
+    const LaneTangent& m = members[l];
+    const KeptFrames kept = m.x ? kept_frames(*m.scratch, model, m.x) : KeptFrames{};
+    fills.push_back({model, m.parameters, *m.frames, m.x, false, kept});
+    if (m.x) active |= 1u << l;
+  }
+  add_to_lanes<Group>(
+      model.solid, places.solid, active,
+      [&](int lane, Index g, int count, GroupTangent* out) {
+        fills[at(lane)].solid(g, count, out);
+      },
+      to);
+  add_to_lanes<Group>(
+      model.fiber, places.fiber, active,
+      [&](int lane, Index g, int count, GroupTangent* out) {
+        fills[at(lane)].fiber(g, count, out);
+      },
+      to);
 }
 
 std::vector<std::int32_t> places_of(const SoftModel& model, const ElementBlock& block,
@@ -226,13 +261,10 @@ LanePlaces lane_places(const SoftModel& model, const LanePattern& pattern) {
           places_of(model, model.fiber, model.fiber_slot, pattern)};
 }
 
-void tangent_in_lane(const SoftModel& model, const SoftParameters& p,
-                     const std::vector<DampingFrame>& frames, const double* x,
-                     const LanePlaces& places, ElasticityScratch& scratch, LaneCholesky& to,
-                     int lane) {
+void add_lane_tangents(const SoftModel& model, const std::vector<LaneTangent>& members,
+                       const LanePlaces& places, LaneCholesky& to) {
   with_types(model, [&](auto group, auto material) {
-    tangent_in_lane_of<decltype(group), decltype(material)>(model, p, frames, x, places, scratch,
-                                                            to, lane);
+    add_lane_tangents_of<decltype(group), decltype(material)>(model, members, places, to);
   });
 }
 

@@ -9,6 +9,20 @@ constexpr int kMostSolves = 5;
 
 }  // namespace
 
+void LaneSolver::assemble(const std::vector<LanePoint>& points) {
+  static const std::vector<DampingFrame> kNone;
+  std::vector<LaneTangent> tangents;
+  for (const LanePoint& point : points) {
+    tangents.emplace_back();
+    tangents.back().frames = &kNone;
+    if (point.problem) tangents.back() = point.problem->lane_tangent(*point.x);
+  }
+  add_lane_tangents(system_.model(), tangents, tables().places, memory_->matrices);
+  for (std::size_t l = 0; l < points.size(); ++l)
+    if (points[l].problem)
+      points[l].problem->add_inertia(tables(), memory_->matrices, static_cast<int>(l));
+}
+
 void LaneSolver::solve_refined(std::vector<LaneSystem>& systems, unsigned definite,
                                VectorOps& ops) {
   const auto each = [&](auto&& f) {

@@ -15,6 +15,12 @@ struct LaneSystem {
   bool is_active() const { return !result.converged && !result.negative_curvature; }
 };
 
+/// A problem and where its tangent is asked for.
+struct LanePoint {
+  StepProblem* problem = nullptr;
+  const Vector* x = nullptr;
+};
+
 /// Matrices of a system's members with their memory, which is given back at the end.
 class LaneSolver {
  public:
@@ -26,10 +32,9 @@ class LaneSolver {
   LaneSolver(const LaneSolver&) = delete;
   LaneSolver& operator=(const LaneSolver&) = delete;
 
-  /// Adds the tangent of a problem at x to a lane that is still zero.
-  void assemble(StepProblem& problem, const Vector& x, int lane) {
-    problem.assemble_lane(x, tables(), memory_->matrices, lane);
-  }
+  /// Adds tangents to lanes that are still zero.
+  /// @param points  problem and where, by lane; a lane without a problem stays as it is
+  void assemble(const std::vector<LanePoint>& points);
   void clear(int lane) { memory_->matrices.clear_lane(tables().pattern, lane); }
   /// Bit l is set where the matrix of lane l is positive definite.
   unsigned factor() { return memory_->matrices.factor(tables().pattern, system_.fixed()); }

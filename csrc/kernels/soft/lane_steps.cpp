@@ -66,7 +66,7 @@ struct Member {
 /// Factors anew for the members that want it.
 void refactor(std::vector<std::unique_ptr<Member>>& members, LaneSolver& lanes) {
   const auto wants = [](const Member& m) { return m.is_active() && m.wants_factor; };
-  bool any = false;
+  std::vector<LanePoint> points(members.size());
   for (std::size_t l = 0; l < members.size(); ++l) {
     Member& m = *members[l];
     if (!wants(m)) continue;
@@ -74,11 +74,12 @@ void refactor(std::vector<std::unique_ptr<Member>>& members, LaneSolver& lanes) 
       m.is_left = true;
       continue;
     }
-    any = true;
     if (m.stats.num_factorizations > 0.0) lanes.clear(static_cast<int>(l));
-    lanes.assemble(m.problem, m.x, static_cast<int>(l));
+    points[l] = {&m.problem, &m.x};
   }
-  if (!any) return;
+  const auto is_asked = [](const LanePoint& point) { return point.problem != nullptr; };
+  if (std::none_of(points.begin(), points.end(), is_asked)) return;
+  lanes.assemble(points);
   const unsigned definite = lanes.factor();
   for (std::size_t l = 0; l < members.size(); ++l) {
     Member& m = *members[l];
@@ -168,9 +169,11 @@ void lane_linear_steps(const ConstantSystem& system, const StepInputs& inputs,
   for (std::size_t l = 0; l < many; ++l) {
     problems.push_back(std::make_unique<StepProblem>(system, in[l], pool));
     linear.emplace_back(system, *problems[l], in[l]);
-    lanes.assemble(*problems[l], linear[l].q, static_cast<int>(l));
     lanes.put(linear[l].moved, static_cast<int>(l));
   }
+  std::vector<LanePoint> points(many);
+  for (std::size_t l = 0; l < many; ++l) points[l] = {problems[l].get(), &linear[l].q};
+  lanes.assemble(points);
   const unsigned definite = lanes.factor();
   if (std::any_of(linear.begin(), linear.end(), [](const auto& p) { return p.is_pushed; }))
     lanes.multiply();
@@ -211,19 +214,21 @@ void lane_adjoints(const ConstantSystem& system, const StepInputs& inputs,
   std::vector<StepInputs> in;
   for (int l = 0; l < count; ++l) in.push_back(batch_item(inputs, model, first + l));
   std::vector<std::unique_ptr<StepProblem>> problems;
-  std::vector<Vector> answers(many);
+  std::vector<Vector> answers(many), starts(many);
   std::vector<LaneSystem> systems(many);
+  std::vector<LanePoint> points(many);
   VectorOps ops(pool);
   for (std::size_t l = 0; l < many; ++l) {
     const Index at = (first + static_cast<Index>(l)) * size;
     answers[l].assign(x + at, x + at + size);
     problems.push_back(std::make_unique<StepProblem>(system, in[l], pool));
-    const double* point = by_linear ? in[l].guess : answers[l].data();
-    lanes.assemble(*problems[l], Vector(point, point + size), static_cast<int>(l));
+    if (by_linear) starts[l].assign(in[l].guess, in[l].guess + size);
+    points[l] = {problems[l].get(), by_linear ? &starts[l] : &answers[l]};
     systems[l].b.assign(grad_x + at, grad_x + at + size);
     problems[l]->zero_fixed(systems[l].b);
     systems[l].tolerance = options.rtol * ops.norm(systems[l].b) + options.atol;
   }
+  lanes.assemble(points);
   lanes.solve_refined(systems, lanes.factor(), ops);
   for (std::size_t l = 0; l < many; ++l) {
     const Index k = first + static_cast<Index>(l), at = k * size;

@@ -1,4 +1,4 @@
-// The tangent of a small body as one lane of several (lane_cholesky.h): no rows, no export.
+// The tangents of small bodies in lanes (lane_cholesky.h): no rows, no export.
 #pragma once
 
 #include "kernels/linalg/lane_cholesky.h"
@@ -13,10 +13,17 @@ struct LanePlaces {
 };
 LanePlaces lane_places(const SoftModel& model, const LanePattern& pattern);
 
-/// Adds d^2(E + D)/dx^2 [N/m] to one lane, not clamped; pressures are not part of it.
-void tangent_in_lane(const SoftModel& model, const SoftParameters& parameters,
-                     const std::vector<DampingFrame>& frames, const double* x,
-                     const LanePlaces& places, ElasticityScratch& scratch, LaneCholesky& to,
-                     int lane);
+/// Of whom a tangent is asked, and where; nothing where x is null.
+struct LaneTangent {
+  SoftParameters parameters;
+  const std::vector<DampingFrame>* frames = nullptr;
+  const double* x = nullptr;
+  ElasticityScratch* scratch = nullptr;
+};
+
+/// Adds d^2(E + D)/dx^2 [N/m] of each member to its lane, not clamped; pressures are not part of
+/// it.
+void add_lane_tangents(const SoftModel& model, const std::vector<LaneTangent>& members,
+                       const LanePlaces& places, LaneCholesky& to);
 
 }  // namespace diffsim

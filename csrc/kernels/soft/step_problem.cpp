@@ -77,11 +77,12 @@ void StepProblem::assemble(const Vector& x, bool clamp) {
                          pool_);
 }
 
-void StepProblem::assemble_lane(const Vector& x, const LaneTables& tables, LaneCholesky& to,
-                                int lane) {
+LaneTangent StepProblem::lane_tangent(const Vector& x) {
+  return {in_.parameters, &frames_, x.data(), &memory_->elastic};
+}
+
+void StepProblem::add_inertia(const LaneTables& tables, LaneCholesky& to, int lane) const {
   const SoftModel& model = system_.model();
-  tangent_in_lane(model, in_.parameters, frames_, x.data(), tables.places, memory_->elastic, to,
-                  lane);
   for (std::int64_t i = 0; i < model.num_nodes; ++i) {
     double* block = to.block(tables.pattern.place(model.diagonal[at(i)]).block, lane);
     for (int axis = 0; axis < 3; ++axis) block[4 * axis * LaneCholesky::kCount] += inertia()[i];

@@ -41,8 +41,10 @@ class StepProblem {
   void assemble(const Vector& x, bool clamp);
   /// Where it was assembled last, or what multigrid is kept of (num_nodes, 3) [m].
   const Vector& assembled_at() const { return assembled_at_; }
-  /// Adds the same, not clamped, to one lane; of bodies without chambers.
-  void assemble_lane(const Vector& x, const LaneTables& tables, LaneCholesky& to, int lane);
+  /// What the same is made of in a lane, not clamped; of bodies without chambers. x must live on.
+  LaneTangent lane_tangent(const Vector& x);
+  /// Adds the inertia's part of it.
+  void add_inertia(const LaneTables& tables, LaneCholesky& to, int lane) const;
   /// out = H in on free unknowns; fixed entries of `in` must be zero, those of `out` are zeroed.
   void multiply(const Vector& in, Vector& out);
   /// The same without zeroing: forces that fixed unknowns feel.
