@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from diffsim.core.check import require_indices
 from diffsim.core.compiled import core
 from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
 from diffsim.soft._arrays import require_array
@@ -28,6 +29,16 @@ def _call(faces: Tensor, tensors: Sequence[Tensor], fade_angle: float) -> dict[s
     shapes = (nodal, nodal, (batch, 3), (), (4,), (4,))
     for name, tensor, shape in zip(INPUTS, tensors, shapes, strict=True):
         require_array(name, tensor, shape)
+    if (
+        faces.dtype != torch.int64
+        or not faces.is_contiguous()
+        or faces.shape[1:] not in ((3,), (4,))
+    ):
+        raise TypeError(
+            f"faces must be contiguous int64 of shape (num_faces, 3 or 4), got {faces.dtype} of "
+            f"shape {tuple(faces.shape)}"
+        )
+    require_indices("faces", faces, num_nodes, "nodes")
     surface = core.WaterFaces(
         nodes=faces.data_ptr(),
         num_faces=faces.shape[0],
@@ -61,7 +72,7 @@ def water_force(
         water: Velocity of the water, (batch, 3) [m/s].
         density: Density of the water, () [kg/m^3].
         drag, thrust: Ordinates of the curves of both coefficients, (4,) [-].
-        faces: Nodes of each face, outward, (num_faces, 3 or 4) int64; checked by the caller.
+        faces: Nodes of each face, outward, (num_faces, 3 or 4) int64.
         fade_angle: Angle of attack below which the force fades [rad]; 0: it does not.
 
     Returns:

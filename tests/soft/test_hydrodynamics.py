@@ -341,6 +341,18 @@ def test_turns_with_the_body_and_scales_with_speed_squared(kind):
     torch.testing.assert_close(free(x, v + drift, water_velocity=drift), free(x, v))
 
 
+def test_faces_of_other_nodes_are_refused():
+    m, x, v = case("hex")
+    hydro = soft.Hydrodynamics(m)
+    faces = hydro.faces
+    hydro.faces = faces + 1
+    with pytest.raises(ValueError, match="indices of nodes"):
+        hydro(x, v)
+    hydro.faces = faces.int()
+    with pytest.raises(TypeError, match="int64"):
+        hydro(x, v)
+
+
 def test_compiles_whole():
     m, x, v = case("tet")
     hydro = soft.Hydrodynamics(m, max_force=100.0, warn=False)
