@@ -62,7 +62,7 @@ def _read_inputs(args: argparse.Namespace) -> tuple[Twin, TrackingTask, Path]:
 
     study, given = read_study(args.study), Tracking.read(args.task)
     out: Path = args.out or Path(DIAGNOSES) / study.name
-    twin = Twin.read(args.saved or out, study, given.time_s, given.setup)
+    twin = Twin.read(args.saved or out, study, given.time_s, given.setup, given.start)
     if twin.saved.verdict in UNSETTLED:
         print(
             f"{twin.saved.path}: verdict {twin.saved.verdict}, so its causes may be the wrong ones "

@@ -6,6 +6,7 @@
     every: 0.02                  # between its samples [s]
     knots: 16                    # of each command, straight lines between
     commands: {moment_Nm: {least: -2, most: 2}}      # default: limits of the study's commands
+    start: {z_m: 1.0}            # of a multicopter; default: at rest, level, at the origin
     wanted:
       angle_rad: {course: "0.8*(1 - cos(pi*min(t/1.2, 1)))/2", miss: 0.01, since: 0.0}
     calm: 0.001                  # price of a change over the whole range from knot to knot
@@ -22,7 +23,7 @@ from typing import Annotated, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 from torch import Tensor
 
 from diffsim import optim
@@ -46,6 +47,25 @@ class Bounds(FinitePart):
 
     least: float = Field(description="Least value")
     most: float = Field(description="Greatest value")
+    rest: float | None = Field(None, description="At which it begins; default: 0, else the middle")
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Bounds:
+        rest = self.least if self.rest is None else self.rest
+        if not self.least <= rest <= self.most:
+            raise ValueError(
+                f"least, rest, most must rise, got {self.least:g}, {self.rest}, {self.most:g}"
+            )
+        return self
+
+    @property
+    def rest_share(self) -> float:
+        """Share of the range at which the command is at rest."""
+        rest = self.rest
+        if rest is None:
+            rest = 0.0 if self.least <= 0.0 <= self.most else 0.5 * (self.least + self.most)
+        span = self.most - self.least
+        return (rest - self.least) / span if span else 0.0
 
 
 class Course(FinitePart):
@@ -66,6 +86,9 @@ class Tracking(FinitePart):
     wanted: dict[str, Course] = Field(min_length=1, description="Courses of channels, by name")
     calm: float = Field(1e-3, ge=0, description="Price of a change from knot to knot")
     setup: dict[str, Any] = Field({}, description="Facts of the run")
+    start: dict[str, float] = Field(
+        {}, description="What channels of a multicopter show at first; default: at rest, level, 0"
+    )
 
     @classmethod
     def read(cls, path: str | Path) -> Tracking:
@@ -102,16 +125,16 @@ class Tracking(FinitePart):
         bounds = {name: self._bounds_of(name, study) for name in study.runs[0].command}
         return TrackingTask(self, bounds, courses, counts / miss / counts.sum().sqrt())
 
-    def _bounds_of(self, name: str, study: Study) -> tuple[float, float]:
+    def _bounds_of(self, name: str, study: Study) -> Bounds:
         if name in self.commands:
-            return self.commands[name].least, self.commands[name].most
+            return self.commands[name]
         given = next((c for c in study.commands if c.name == name), None)
         if given is None or given.lower is None or given.upper is None:
             raise ValueError(
                 f"command {name} has no bounds; give `commands: {{{name}: {{least: ..., most: "
                 "...}}` in the task, or lower and upper in the study"
             )
-        return given.lower, given.upper
+        return Bounds(least=given.lower, most=given.upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,13 +143,13 @@ class TrackingTask:
 
     Attributes:
         given: The task as stated.
-        bounds: Least and greatest value of every command of the study.
+        bounds: Of every command of the study.
         courses: What channels shall show, (num_samples, num_channels).
         weights: Of misses, so that the sum of their squares is a mean, (num_samples, num_channels).
     """
 
     given: Tracking
-    bounds: Mapping[str, tuple[float, float]]
+    bounds: Mapping[str, Bounds]
     courses: Tensor
     weights: Tensor
 
@@ -138,15 +161,16 @@ class TrackingTask:
     def commands(self, knots: Tensor) -> dict[str, Tensor]:
         """Commands by name, (num_samples,) each, from knots within 0 and 1, (num_knots,).
 
-        The first knot of each command is at rest, as lags and delays have it before.
+        The first knot of each command is at rest, as lags and delays have it before: at zero, or
+        at the middle of bounds that leave zero out, if ``rest`` does not say where.
         """
         rows = torch.from_numpy(_lines(self.given.knots, len(self.given.time_s)))
         own = knots.reshape(len(self.bounds), -1)
         begin = torch.tensor(self._rest, dtype=torch.float64)[:, None]
         shares = torch.cat([begin, own[:, 1:]], 1) @ rows.mT
         return {
-            name: low + (high - low) * share
-            for (name, (low, high)), share in zip(self.bounds.items(), shares, strict=True)
+            name: b.least + (b.most - b.least) * share
+            for (name, b), share in zip(self.bounds.items(), shares, strict=True)
         }
 
     def misses(self, channels: Tensor) -> Tensor:
@@ -164,14 +188,12 @@ class TrackingTask:
 
     @property
     def _rest(self) -> list[float]:
-        """Share of each command's range at which it is zero; 0.5 where it is never."""
-        return [
-            -low / (high - low) if low <= 0.0 <= high else 0.5 for low, high in self.bounds.values()
-        ]
+        """Share of each command's range at which it is at rest."""
+        return [bounds.rest_share for bounds in self.bounds.values()]
 
     @property
     def near_rest(self) -> Array:
-        """Knots of commands about zero, or about the middle of bounds that leave zero out.
+        """Knots of commands about rest.
 
         They move a little: at rest in a play, or in dry friction, a command has no slope.
         """

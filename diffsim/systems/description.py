@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import torch
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -201,7 +201,15 @@ class Effort(Part):
 
 
 class Description(Part):
-    """``model:`` of a study; one subclass per kind of system."""
+    """``model:`` of a study; one subclass per kind of system.
+
+    Attributes:
+        commands_have_gradients: Whether commands of a run may be tensors, with gradients.
+        starts_as_shown: Whether a run without further readings starts as its first one shows.
+    """
+
+    commands_have_gradients: ClassVar[bool] = False
+    starts_as_shown: ClassVar[bool] = False
 
     system: str = Field(description="Kind of system")
     effects: EffectChoice = Field(EffectChoice(), description="Which candidate causes are judged")

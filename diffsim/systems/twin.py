@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -21,10 +22,10 @@ from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.model_file import SavedModel, read_extended, rebuilt, without_effects
-from diffsim.systems.registry import setup_of
+from diffsim.systems.description import Description
+from diffsim.systems.registry import description_class, known_systems, setup_of
 
 PLANNED = "planned"  # name of the run that was never recorded
-WITH_GRADIENTS = ("ode",)  # systems whose commands may be tensors
 Array = NDArray[np.float64]
 
 
@@ -51,29 +52,41 @@ class Twin:
         study: str | Path | Study,
         time_s: Array,
         setup: Mapping[str, Any] | None = None,
+        start: Mapping[str, float] | None = None,
     ) -> Twin:
         """Make a twin of an ``extended_model.yaml``.
 
         Args:
             path: The file, or the folder that holds it, or its content.
-            study: Study that it was fitted to, or its file; ``model.system`` must be "ode".
+            study: Study that it was fitted to, or its file: of formulas, of a multicopter, or of a
+                soft body.
             time_s: Sample times of the run that is planned, (num_samples,) [s].
             setup: Facts of that run; what is not given is as in the first run of the study.
+            start: What channels of a multicopter show where it starts, by name; what is not given
+                is as at rest, level, at the origin. Its first commands have been held before.
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: a system whose commands have no gradient, or parts that the study's
-                description does not have.
+            ValueError: a system whose commands have no gradient, or that starts as its description
+                says; parts that the study's description does not have.
         """
         saved = path if isinstance(path, SavedModel) else read_extended(path)
         study = study if isinstance(study, Study) else load_study(study)
-        kind = str((study.model or {}).get("system"))
-        require_choice(f"twin of study {study.name}: model.system", kind, WITH_GRADIENTS)
+        described = _described(study)
         first, time_s = study.runs[0], np.asarray(time_s, dtype=np.float64)
+        shown = np.full((len(time_s), len(study.channels)), np.nan)
+        if start and not described.starts_as_shown:
+            raise ValueError(
+                f"study {study.name} says itself how its runs start; leave out "
+                f"`start: {{{', '.join(start)}}}`"
+            )
+        names = [c.name for c in study.channels]
+        for name, value in (start or {}).items():
+            shown[0, names.index(require_choice("start: channel", name, names))] = value
         run = Run(
             PLANNED,
             time_s,
-            np.full((len(time_s), len(study.channels)), np.nan),
+            shown,
             {name: np.zeros(len(time_s)) for name in first.command},
             PLANNED,
             setup={**first.setup, **(setup or {})},
@@ -111,7 +124,10 @@ class Twin:
             require_choice("commands: command of the study", name, commands)
         q = self.model.at_prior() if at is None else at
         given: Any = {name: commands[name] for name in self.run.command}
-        return self.model.predict(replace(self.run, command=given), q)
+        run = replace(self.run, command=given)
+        if q.ndim == 1 or self.model.batched:
+            return self.model.predict(run, q)
+        return torch.stack([self.model.predict(run, one) for one in q])
 
     def draw(self, count: int, rng: np.random.Generator) -> Tensor:
         """Standardized parameters and sizes that the data allow, (count, num_base)."""
@@ -133,3 +149,16 @@ class Twin:
         mine = [c for c in self.saved.components if not causes or c.partition(".")[0] in causes]
         values = {n: share * v if n in mine else v for n, v in self.saved.values.items()}
         return self._of(replace(self.saved, values=values), self.study, self.run)
+
+
+def _described(study: Study) -> type[Description]:
+    """How the study describes its system, whose commands must have gradients."""
+    kind = str((study.model or {}).get("system"))
+    what = f"twin of study {study.name}: model.system"
+    described = description_class(require_choice(what, kind, known_systems()))
+    if not described.commands_have_gradients:
+        raise ValueError(
+            f"{what} is {kind}, whose commands have no gradients; take one of formulas (ode), a "
+            "multicopter, or a soft body"
+        )
+    return described

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.errors import DiffsimError
+from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.flight import SENSORS
 from diffsim.systems.multicopter.frames import RecordingFrames
@@ -42,6 +43,21 @@ def spacing(run: Run) -> float:
             f"to {steps.max():.4g} s; resample the record"
         )
     return dt
+
+
+def is_planned(run: Run) -> bool:
+    """Whether a run was never recorded: at most its first readings are given, where it starts."""
+    return not np.isfinite(run.measured[1:]).any()
+
+
+def thrusts_before(run: Run, asked: Tensor) -> Tensor:
+    """Guess of the thrusts before a record, (1, n_rotors) [N].
+
+    Args:
+        run: Recorded run, or a planned one, whose first command has been held.
+        asked: Thrusts that its commands ask for, (1, num_samples, n_rotors) [N].
+    """
+    return (asked[:, 0] if is_planned(run) else asked.mean(1)).detach()
 
 
 def idle_thrusts(vehicle: Fleet) -> Tensor | None:
@@ -108,6 +124,8 @@ class Cutter:
         """
         idle = None if vehicle is None else idle_thrusts(vehicle)
         dt = spacing(run)
+        if is_planned(run):
+            return self._cut_windows(run, past, len(run.time_s), idle)
         length = min(max(FEWEST, round((self.window_s or self.longest_s) / dt)), len(run.time_s))
         windows = self._cut_windows(run, past, length, idle)
         while self.window_s is None and length > FEWEST:
@@ -133,7 +151,8 @@ class Cutter:
             )
         windows = -(-len(measured) // length)
         record = torch.full((windows * length, len(self.sd)), np.nan, dtype=torch.float64)
-        record[: len(measured)] = measured
+        if not is_planned(run):
+            record[: len(measured)] = measured
         motion = self.record(run)
         states = motion.states
         before = (torch.arange(windows) * length - 1).clamp(min=0)
@@ -149,10 +168,15 @@ class Cutter:
             idle=idle,
         )
 
+    def kept(self, run: Run, known: Memo[Windows], cut: Callable[[], Windows]) -> Windows:
+        """Windows of a run; those of a planned one are cut anew, as its commands change."""
+        return cut() if is_planned(run) else known(run, cut)
+
     def record(self, run: Run) -> RecordedFlights:
-        """The motion that a run's record shows by itself."""
+        """The motion that a run's record shows by itself; a planned run rests where it starts."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
-        dt, groups = spacing(run), self._group_readings(filled(measured))
+        whole = measured[:1].expand_as(measured) if is_planned(run) else filled(measured)
+        dt, groups = spacing(run), self._group_readings(whole)
         states = states_of(groups, self.frames, dt)
         return RecordedFlights(states, acceleration_of(groups, self.frames, states, dt))
 

@@ -16,7 +16,7 @@ from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in
-from diffsim.systems.multicopter.cutting import MOST_RUNS, Cutter, spacing
+from diffsim.systems.multicopter.cutting import MOST_RUNS, Cutter, spacing, thrusts_before
 from diffsim.systems.multicopter.keys import RotorKeys
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.scene import CopterScene
@@ -70,11 +70,11 @@ class DescribedFlights:
 
     def windows(self, run: Run) -> Windows:
         """The record of a run in windows."""
-        return self.known(run, lambda: self._cut_run(run))
+        return self.cutter.kept(run, self.known, lambda: self._cut_run(run))
 
     def _cut_run(self, run: Run) -> Windows:
         nominal = {**self.nominal(), **self.cut_at}
-        past = self.asked(run, self.in_run(nominal, run)).mean(1)
+        past = thrusts_before(run, self.asked(run, self.in_run(nominal, run)))
         return self.cutter.cut(
             run, past, partial(self._build_scene, nominal, run, Numerics()), self.nominal_fleet()
         )

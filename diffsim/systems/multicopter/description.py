@@ -48,6 +48,8 @@ from diffsim.systems.multicopter.unknown import wrench_of
 class MulticopterDescription(MulticopterKeys):
     """A multicopter under recorded commands of its rotors."""
 
+    commands_have_gradients, starts_as_shown = True, True
+
     def problems(self, study: Study) -> list[Problem]:
         """Channels, commands and facts that the description and the study disagree on."""
         found = [

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from scipy import sparse
 from torch import Tensor
@@ -24,6 +23,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import TOGETHER, Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.starts import left_by_starts
+from diffsim.systems.commands import command_of
 from diffsim.systems.multicopter.cutting import (
     FEWEST,
     LONGEST,
@@ -313,10 +313,10 @@ class Flights:
 
     def windows(self, run: Run) -> Windows:
         """The record of a run in windows."""
-        return self.known(run, lambda: self._cut_run(run))
+        return self.cutter.kept(run, self.known, lambda: self._cut_run(run))
 
     def _cut_run(self, run: Run) -> Windows:
-        past = _stack_columns(run, self.commands).mean(1)
+        past = thrusts_before(run, _stack_columns(run, self.commands))
         nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
         nominal |= self.cut_at
         return self.cutter.cut(
@@ -358,7 +358,4 @@ class Flights:
 
 def _stack_columns(run: Run, names: Sequence[str]) -> Tensor:
     """(1, num_samples, n_rotors) [N]."""
-    for name in names:
-        require_choice(f"run {run.name}: command", name, run.command)
-    rows = [np.asarray(run.command[name], dtype=np.float64) for name in names]
-    return torch.from_numpy(np.stack(rows, -1))[None]
+    return torch.stack([command_of(run, name) for name in names], -1)[None]

@@ -158,6 +158,8 @@ class Windows:
             ConvergenceError: the model is too far from the record for windows of this length.
         """
         with torch.no_grad():
+            if not bool(torch.isfinite(self.measured).any()):
+                return FlightShooting.unfitted(self, predict)
             starts = [(self, self.guess)]
             near = self.start if near is None else near
             if near is not None:
@@ -343,6 +345,19 @@ class FlightShooting:
     tangent: Tensor
     gain: Tensor
     here: Tensor
+
+    @classmethod
+    def unfitted(cls, windows: Windows, predict: Predict) -> FlightShooting:
+        """Of windows without readings: they start as guessed, whatever the model.
+
+        Args:
+            windows: Windows of a run that was never recorded.
+            predict: As of ``Windows.settled``.
+        """
+        here = predict(windows.guess[None])[0].flatten(1)[..., None]
+        change = torch.zeros_like(windows.guess)[..., None]
+        still = here.new_zeros(*here.shape[:2], change.shape[1])
+        return cls(windows, torch.zeros_like(here), change, still, still.mT, here)
 
     @property
     def states(self) -> Tensor:

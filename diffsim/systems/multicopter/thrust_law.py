@@ -12,8 +12,8 @@ from torch import Tensor
 from diffsim.copter import Multicopter
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.copter.vehicle.rotor import RotorModel
-from diffsim.core.check import require_choice
 from diffsim.data.study import Run
+from diffsim.systems.commands import command_of, interpolated
 from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.keys import CommandKeys, RotorKeys, ThrustKeys
 from diffsim.systems.multicopter.vectors import stack_points
@@ -52,8 +52,7 @@ class ThrustLaw:
             return self.rotor.thrust(u).clamp(min=0.0)
         if self.thrust.curve:
             rows = np.asarray(self.thrust.curve, dtype=np.float64)
-            found = np.interp(u.numpy(), rows[:, 0], rows[:, 1])
-            return torch.from_numpy(found).clamp(min=0.0)
+            return interpolated(u, rows[:, 0], rows[:, 1]).clamp(min=0.0)
         power = u.clamp(min=0.0) ** self.exponent
         coefficient = values["thrust_coefficient"].reshape(-1, 1, 1)
         turning = torch.where(power > 0.0, self.thrust.offset, 0.0)
@@ -94,14 +93,10 @@ class ThrustLaw:
     def _compute_input(self, run: Run) -> Tensor:
         """The law's u, (1, num_samples, n_rotors)."""
         keys = self.commands
-        for name in (*keys.columns, *([self.battery] if self.battery else [])):
-            require_choice(f"run {run.name}: command", name, run.command)
-        rows = [np.asarray(run.command[name], dtype=np.float64) for name in keys.columns]
-        u = torch.from_numpy(np.stack(rows, -1))[None]
+        u = torch.stack([command_of(run, name) for name in keys.columns], -1)[None]
         voltage = None
         if self.battery is not None:
-            given = np.asarray(run.command[self.battery], dtype=np.float64)
-            voltage = torch.from_numpy(given)[None, :, None]
+            voltage = command_of(run, self.battery)[None, :, None]
         if keys.meaning == "throttle":
             u = (u - keys.low) / (keys.high - keys.low)
             if keys.per_voltage is not None and voltage is not None:

@@ -49,6 +49,8 @@ from diffsim.systems.quantities import Time
 class OdeDescription(FormulaKeys):
     """States with rates, driven by inputs, read by formulas; everything in SI units."""
 
+    commands_have_gradients = True
+
     system: Literal["ode"] = Field("ode", description="Kind of system: `ode`")
     states: States = Field(
         description="Start value of every state: a number with unit, a formula of parameters and "

@@ -15,6 +15,7 @@ from diffsim import contact
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.identify.numerics import Numerics
 from diffsim.soft.materials import CONSTANTS
+from diffsim.systems.commands import command_of, interpolated
 from diffsim.systems.description import fact_in
 from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.model import SoftModel
@@ -211,16 +212,17 @@ class DescribedModel:
         grid = start + dt * np.arange(count)
         columns = []
         for name in self.commands:
-            given = np.asarray(run.command[name], dtype=np.float64)
-            known = np.isfinite(given)
-            column = np.interp(grid, times[known], given[known])
+            given = command_of(run, name)
+            known = given.detach().isfinite()
+            column = interpolated(torch.from_numpy(grid), times[known.numpy()], given[known])
             lead = self.given.start.lead_in
             if lead > 0.0:
-                column = column * np.clip((grid - start) / (LEAD_RAMP * lead), 0.0, 1.0)
+                rise = np.clip((grid - start) / (LEAD_RAMP * lead), 0.0, 1.0)
+                column = column * torch.from_numpy(rise)
             columns.append(column)
         actuate, pressurize = self._make_drives(rig, own)
         return {
-            "command": torch.from_numpy(np.stack(columns, 1)),
+            "command": torch.stack(columns, 1),
             "command_names": self.commands,
             "command_dt": dt,
             "actuate": actuate,

@@ -44,6 +44,8 @@ DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut agai
 class SoftBodyDescription(SoftBodyKeys):
     """A described soft body, checked against recordings and made into a model."""
 
+    commands_have_gradients = True
+
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands without a meaning, regions without nodes, points outside."""
         found = [
