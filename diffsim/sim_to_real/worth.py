@@ -51,12 +51,12 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         groups["all"] = list(twin.causes)
     whole = best_command(twin, task, evaluations=evaluations)
     for name, causes in groups.items():
-        half, none = (
-            best_command(
-                twin.with_share(share, causes), task, starts=[whole.knots], evaluations=evaluations
-            )
-            for share in SHARES[1:]
-        )
+        best = [whole]
+        for share in SHARES[1:]:  # each from where the one before ended: least left to chance
+            mended = twin.with_share(share, causes)
+            start = best[-1].knots
+            best.append(best_command(mended, task, starts=[start], evaluations=evaluations))
+        _, half, none = best
         with torch.no_grad():
             seen = twin.simulate(task.commands(torch.from_numpy(none.knots)))
         unaware = float(task.score(seen))

@@ -31,6 +31,7 @@ from diffsim.systems.multicopter.cutting import (
     MOST_RUNS,
     Cutter,
     spacing,
+    thrusts_before,
 )
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
