@@ -15,7 +15,7 @@ from diffsim.sim_to_real.records import Iteration, LoopResult, LoopSettings
 from diffsim.sim_to_real.rod_swimmer import Truth
 from diffsim.sim_to_real.tracking import BestCommand, Tracking, TrackingTask, best_command
 from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, speed, travel_loss
-from diffsim.sim_to_real.worth import Worth, worth
+from diffsim.sim_to_real.worth import Worth, worth, worth_of_travel
 
 __all__ = [
     "CHANNELS",
@@ -49,4 +49,5 @@ __all__ = [
     "speed",
     "travel_loss",
     "worth",
+    "worth_of_travel",
 ]

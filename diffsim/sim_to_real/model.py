@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,14 +14,17 @@ from torch import Tensor
 
 from diffsim import soft
 from diffsim.data.importers.starfish import COMMAND, MARKERS
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Parameter
+from diffsim.identify.effect import Effect, effect_coordinates
+from diffsim.identify.model_file import SavedModel
 from diffsim.identify.numerics import Numerics
 from diffsim.mesh import HexMesh, TetMesh
 from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
 from diffsim.systems.soft_body import SoftModel, SoftScene
 from diffsim.systems.starfish.body import LEAD, TENDON, Quarter, quarter, water
+from diffsim.systems.twin import PLANNED, Twin
 
 Array = NDArray[np.float64]
 CHANNELS = tuple(f"{marker}_{axis}_m" for marker in MARKERS for axis in "xz")
@@ -70,6 +74,9 @@ class Starfish:
         added_mass: Inertia of the water, in volumes of the body, held fixed [-].
         clock_sd_s: Prior of the offset between the clocks of command and camera [s].
         rtol: Tolerance of a step.
+        causes: What a diagnosis found between command and body, or in it, as ``extended`` sets it;
+            sizes are among ``parameters``, by name.
+        command: What their study calls the contraction.
     """
 
     parameters: tuple[Parameter, ...] = field(default_factory=table_5_1)
@@ -80,6 +87,69 @@ class Starfish:
     added_mass: float = 1.0
     clock_sd_s: float = 0.05
     rtol: float = 1e-4
+    causes: tuple[Effect, ...] = ()
+    command: str = COMMAND
+
+    def extended(self, path: str | Path | SavedModel, study: str | Path | Study) -> Starfish:
+        """The robot with the causes of an ``extended_model.yaml``.
+
+        Their sizes become parameters, with the file's posterior as prior: a later identification
+        goes on from there. Causes in the recording's instruments are left out, as are parameters
+        of the study's own body.
+
+        Args:
+            path: The file, or the folder that holds it, or its content.
+            study: Study that it was fitted to, or its file; of a soft body with one command, the
+                contraction of the tendons [m].
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: a study of another system, or of several commands.
+        """
+        twin = Twin.read(path, study, np.arange(2) / RATE_HZ)
+        kind, names = (twin.study.model or {}).get("system"), list(twin.run.command)
+        if kind != "soft_body" or len(names) != 1:
+            raise ValueError(
+                f"study {twin.study.name}: a {kind} with the commands {names}; the starfish takes "
+                "causes of a soft_body whose only command is the contraction of its tendons"
+            )
+        causes = tuple(e for e in twin.model.effects if e.kind != "sensor")
+        sizes = {p.name: p for p in twin.model.base}
+        known = {p.name for p in self.parameters}
+        more = [sizes[name] for name in effect_coordinates(causes) if name not in known]
+        parameters = (*self.parameters, *more)
+        return replace(self, parameters=parameters, causes=causes, command=names[0])
+
+    def mended(
+        self, values: Mapping[str, float], share: float, causes: Collection[str] = ()
+    ) -> dict[str, float]:
+        """Values with which causes act with a share of their sizes; 0: mended.
+
+        Args:
+            values: Values of ``parameters``, by name.
+            share: Factor on the sizes.
+            causes: Names of causes; empty: all.
+        """
+        mine = [e for e in self.causes if not causes or e.name in causes]
+        sizes = effect_coordinates(mine)
+        return {n: share * v if n in sizes else v for n, v in values.items()}
+
+    def draw(
+        self, values: Mapping[str, float], saved: SavedModel, count: int, rng: np.random.Generator
+    ) -> list[dict[str, float]]:
+        """Values whose sizes of causes are drawn from what the data of a diagnosis allow.
+
+        Args:
+            values: Values of ``parameters``, by name; those of the body stay.
+            saved: Content of the file that the causes are of.
+            count: Number of draws.
+            rng: Source of chance.
+        """
+        known = {p.name: p for p in self.parameters}
+        names = effect_coordinates(self.causes)
+        drawn = saved.draw(names, count, rng)
+        at = torch.stack([known[n].value_at(drawn[:, k]) for k, n in enumerate(names)], -1)
+        return [dict(values) | dict(zip(names, row, strict=True)) for row in at.tolist()]
 
     @cached_property
     def quarter(self) -> Quarter:
@@ -122,7 +192,7 @@ class Starfish:
         """One run: tendons are tightened to the first value, and held, before the record begins.
 
         Args:
-            values: Values of ``parameters``, by name.
+            values: Values of ``parameters``, by name, sizes of causes among them.
             contraction: Commanded at ``times``, (n,) [m]. Carries gradients.
             times: Evenly spaced from 0, (n,) [s]; when ``observe`` is asked for.
             clock_offset: The record's clock is late by this, () [s].
@@ -135,7 +205,7 @@ class Starfish:
             torch.stack([values[f"{name}_{i}"] for i in range(1, 5)]) for name in ("drag", "thrust")
         )
         volume = made.body.nodal_volume
-        return SoftScene(
+        scene = SoftScene(
             body=made.body,
             sample_times=times + count * dt,
             observe=self.observe,
@@ -148,6 +218,7 @@ class Starfish:
                 "added_mass": 1000.0 * self.added_mass * volume,
             },
             command=torch.cat([ramp * contraction[0], contraction])[:, None],
+            command_names=(self.command,),
             command_dt=dt,
             actuate=_compute_activation,
             water=water_of(made.body.mesh, drag, thrust),
@@ -155,6 +226,21 @@ class Starfish:
             if clock_offset is None
             else clock_offset,
         )
+        return self._with_causes(scene, values, times)
+
+    def _with_causes(
+        self, scene: SoftScene, values: Mapping[str, Tensor], times: Tensor
+    ) -> SoftScene:
+        """The scene with the diagnosed causes at their sizes."""
+        if not self.causes:
+            return scene
+        seconds = times.numpy()
+        none = np.full((len(seconds), len(CHANNELS)), np.nan)
+        run = Run(PLANNED, seconds, none, {COMMAND: np.zeros(len(seconds))}, PLANNED)
+        for effect in self.causes:
+            size = torch.stack([values[c] for c in effect_coordinates([effect])], -1)
+            scene = effect.act(scene, size, run, values)
+        return scene
 
     def motion(self, values: Mapping[str, float | Tensor], contraction: Tensor) -> Tensor:
         """What ``observe`` says of a command at ``RATE_HZ``, (num_samples, 9) [m].

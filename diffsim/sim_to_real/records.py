@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +136,7 @@ def open_loop(
             "duration_s": hardware.duration_s,
             "limits": asdict(hardware.limits),
             "settings": asdict(settings),
-            "model": asdict(model),
+            "model": _plain_model(model),
         }
     )
     if not file.exists():
@@ -153,6 +153,14 @@ def open_loop(
             f"{folder} holds a loop with another {' and '.join(changed)}; resume it with the same, "
             "or take another folder"
         )
+
+
+def _plain_model(model: Starfish) -> dict[str, Any]:
+    """The model for JSON; of causes their names, for sizes are parameters."""
+    plain = asdict(replace(model, causes=()))
+    del plain["causes"], plain["command"]
+    causes = [effect.name for effect in model.causes]
+    return {**plain, "causes": causes} if causes else plain
 
 
 def load_plan(place: Path) -> IterationPlan | None:

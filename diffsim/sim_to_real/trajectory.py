@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -83,7 +83,7 @@ def travel_loss(
 
 def optimize(
     model: Starfish,
-    values: Mapping[str, float],
+    values: Mapping[str, float] | Sequence[Mapping[str, float]],
     start: Command,
     limits: Limits,
     settings: TrajectorySettings,
@@ -95,11 +95,12 @@ def optimize(
 
     Args:
         model: Model of the robot.
-        values: Identified parameters theta, by name.
+        values: Identified parameters theta, by name; several: draws, to travel far in the mean.
         start: Command to start at; its period is kept.
         limits: Limits of the servo.
         settings: Periods, knots and budget of the search.
     """
+    thetas = [values] if isinstance(values, Mapping) else list(values)
     num_samples = len(start.contraction_m)
     rows = interpolation(min(settings.num_knots, num_samples), num_samples)
     lines = torch.from_numpy(rows)
@@ -108,7 +109,8 @@ def optimize(
     def cost(u: Array) -> optim.Sample:
         leaf = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         period = followed(lines @ leaf * limits.contraction_m, limits)
-        loss = travel_loss(model, values, period, settings.periods) / _UNIT_M
+        each = [travel_loss(model, one, period, settings.periods) for one in thetas]
+        loss = torch.stack(each).mean() / _UNIT_M
         (slope,) = torch.autograd.grad(loss, leaf)
         return optim.Sample(loss.item(), slope.numpy(), {"period": period.detach().numpy()})
 

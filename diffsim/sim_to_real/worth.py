@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import torch
 
+from diffsim.sim_to_real.command import Command, Limits
+from diffsim.sim_to_real.model import Starfish
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
+from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, travel_loss
 from diffsim.systems.twin import Twin
 
 SHARES = (1.0, 0.5, 0.0)  # of a cause's size: as it is, half mended, mended
+ALL = "all"
+MISS = "miss"  # root mean square, in units of ``miss``
+_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
 class Worth:
-    """A task's optimum, a cause mended in part; root mean squares of misses in units of ``miss``.
+    """A task's optimum, a cause mended in part.
 
     Attributes:
         cause: Its name; "all" for all together.
         whole, half, none: With the cause, with half of it, and without it, each with the command
             that is best then.
         unaware: With the cause, under the command that is best without it.
+        of: What these are: "miss", root mean squares in units of ``miss``, less is better; or
+            "travel" [m], more is better.
     """
 
     cause: str
@@ -28,14 +38,48 @@ class Worth:
     half: float
     none: float
     unaware: float
+    of: str = MISS
 
     @property
     def words(self) -> str:
         """A line for people."""
+        unit = "" if self.of == MISS else " m"
         return (
-            f"{self.cause}: best miss {self.whole:.3g} with it, {self.half:.3g} with half, "
-            f"{self.none:.3g} without; {self.unaware:.3g} if the command does not know of it"
+            f"{self.cause}: best {self.of} {self.whole:.3g}{unit} with it, {self.half:.3g}{unit} "
+            f"with half, {self.none:.3g}{unit} without; {self.unaware:.3g}{unit} if the command "
+            "does not know of it"
         )
+
+
+@dataclass(frozen=True)
+class _Task(Generic[_Found]):
+    """What is asked of a model in which causes act with a share of their sizes.
+
+    Attributes:
+        best: Function (share, causes, best command so far or None) -> the best command.
+        score: Function of it: what it reached in its own model.
+        unaware: Function of it: what it reaches where causes act in full.
+        of: What scores are.
+    """
+
+    best: Callable[[float, Collection[str], _Found | None], _Found]
+    score: Callable[[_Found], float]
+    unaware: Callable[[_Found], float]
+    of: str = MISS
+
+    def worth(self, causes: Sequence[str]) -> tuple[Worth, ...]:
+        """What each cause costs, and all causes together where there are several."""
+        groups: dict[str, Sequence[str]] = {name: [name] for name in causes}
+        if len(groups) > 1:
+            groups[ALL] = causes
+        rows, whole = [], self.best(SHARES[0], (), None)
+        for name, mine in groups.items():
+            found = [whole]
+            for share in SHARES[1:]:  # each from where the one before ended: least left to chance
+                found.append(self.best(share, mine, found[-1]))
+            scores = [self.score(f) for f in found]
+            rows.append(Worth(name, *scores, self.unaware(found[-1]), self.of))
+        return tuple(rows)
 
 
 def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> tuple[Worth, ...]:
@@ -46,19 +90,55 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         task: What is wanted.
         evaluations: Of each search for a command.
     """
-    found, groups = [], {name: [name] for name in twin.causes}
-    if len(groups) > 1:
-        groups["all"] = list(twin.causes)
-    whole = best_command(twin, task, evaluations=evaluations)
-    for name, causes in groups.items():
-        best = [whole]
-        for share in SHARES[1:]:  # each from where the one before ended: least left to chance
-            mended = twin.with_share(share, causes)
-            start = best[-1].knots
-            best.append(best_command(mended, task, starts=[start], evaluations=evaluations))
-        _, half, none = best
+
+    def unaware(knots: torch.Tensor) -> float:
         with torch.no_grad():
-            seen = twin.simulate(task.commands(torch.from_numpy(none.knots)))
-        unaware = float(task.score(seen))
-        found.append(Worth(name, whole.score, half.score, none.score, unaware))
-    return tuple(found)
+            return float(task.score(twin.simulate(task.commands(knots))))
+
+    return _Task(
+        best=lambda share, causes, last: best_command(
+            twin if last is None else twin.with_share(share, causes),
+            task,
+            starts=None if last is None else [last.knots],
+            evaluations=evaluations,
+        ),
+        score=lambda found: found.score,
+        unaware=lambda found: unaware(torch.from_numpy(found.knots)),
+    ).worth(twin.causes)
+
+
+def worth_of_travel(
+    model: Starfish,
+    values: Mapping[str, float],
+    start: Command,
+    limits: Limits,
+    settings: TrajectorySettings | None = None,
+) -> tuple[Worth, ...]:
+    """What each cause of a swimmer costs its travel: the farthest way with it, half, and none [m].
+
+    Args:
+        model: Robot with causes, as ``Starfish.extended`` makes it.
+        values: Values of its parameters, by name, sizes of causes among them.
+        start: Command to start at; its period is kept.
+        limits: Limits of the servo.
+        settings: Periods, knots and budget of each search.
+    """
+    chosen = settings or TrajectorySettings()
+
+    def unaware(command: Command) -> float:
+        with torch.no_grad():
+            period = torch.from_numpy(command.contraction_m)
+            return -float(travel_loss(model, values, period, chosen.periods))
+
+    return _Task(
+        best=lambda share, causes, last: optimize(
+            model,
+            model.mended(values, share, causes),
+            start if last is None else last.command,
+            limits,
+            chosen,
+        ),
+        score=lambda found: -found.loss_after,
+        unaware=lambda found: unaware(found.command),
+        of="travel",
+    ).worth([effect.name for effect in model.causes])
