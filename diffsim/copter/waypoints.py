@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -51,6 +52,8 @@ class WaypointTask:
         dt: Control period [s].
         motor_time_constant: Lag of thrust behind its command [s].
         free_gain: Whether the controller's numbers include every entry of the feedback gain.
+        flies: How vehicles fly: ``fly``, or that of a diagnosed copter, whose members are one, or
+            as many as episodes. The controller is that of the vehicle as designed.
     """
 
     airframe: Airframe = field(default_factory=Airframe)
@@ -62,6 +65,7 @@ class WaypointTask:
     dt: float = 0.01
     motor_time_constant: float = 0.04
     free_gain: bool = False
+    flies: Callable[..., Flight] = fly
 
     @property
     def num_design(self) -> int:
@@ -116,7 +120,7 @@ class WaypointTask:
         lag = torch.full((vehicle.num_rotors,), self.motor_time_constant, dtype=q.dtype)
         level = torch.cat([trim.attitude, trim.attitude.new_zeros(1)])
         begin = FlightState.at_rest(torch.zeros(1, 3, dtype=q.dtype), level[None])
-        return fly(
+        return self.flies(
             vehicle,
             begin,
             trim.thrusts.expand(1, steps, -1),

@@ -27,10 +27,11 @@ from diffsim.copter import (
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
-from diffsim.envs.copter_model import CopterSizes, delayed, queue_length
+from diffsim.envs.copter_delay import delayed, queue_length
 from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomizing, Task, TaskState
+from diffsim.systems.multicopter.extended import CopterSizes
 
 T = TypeVar("T")
 _ORIGIN = torch.zeros(1, 3, dtype=torch.float64)

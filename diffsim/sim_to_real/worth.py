@@ -72,14 +72,20 @@ class _Task(Generic[_Found]):
         groups: dict[str, Sequence[str]] = {name: [name] for name in causes}
         if len(groups) > 1:
             groups[ALL] = causes
-        rows, whole = [], self.best(SHARES[0], (), None)
+        whole, mended = [self.best(SHARES[0], (), None)], {}
         for name, mine in groups.items():
-            found = [whole]
-            for share in SHARES[1:]:  # each from where the one before ended: least left to chance
-                found.append(self.best(share, mine, found[-1]))
-            scores = [self.score(f) for f in found]
-            rows.append(Worth(name, *scores, self.unaware(found[-1]), self.of))
-        return tuple(rows)
+            # each from where the one before ended, with the cause once more: left to chance, what
+            # has the cause might do worse than by the command that does not know of it
+            half = self.best(SHARES[1], mine, whole[0])
+            none = self.best(SHARES[2], mine, half)
+            mended[name] = half, none
+            whole.append(self.best(SHARES[0], (), none))
+        choose = min if self.of == MISS else max
+        best = choose(self.score(found) for found in whole)
+        return tuple(
+            Worth(name, best, self.score(half), self.score(none), self.unaware(none), self.of)
+            for name, (half, none) in mended.items()
+        )
 
 
 def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> tuple[Worth, ...]:
@@ -97,7 +103,7 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
 
     return _Task(
         best=lambda share, causes, last: best_command(
-            twin if last is None else twin.with_share(share, causes),
+            twin.with_share(share, causes) if causes else twin,
             task,
             starts=None if last is None else [last.knots],
             evaluations=evaluations,

@@ -124,11 +124,11 @@ def test_the_legs_close_by_the_diagnosed_models_command(starfish):
     assert misses[0] < 0.5 * misses[1]
 
 
-@pytest.mark.cpu(12)
+@pytest.mark.cpu(40)
 @pytest.mark.parametrize("case", CASES)
 def test_what_it_buys_to_mend_the_cause(case, request):
     twin, task = request.getfixturevalue(case)
-    found = {row.cause: row for row in worth(twin, task, evaluations=30)}
+    found = {row.cause: row for row in worth(twin, task, evaluations=80)}
     row = found[CASES[case][1]]
     assert 1.01 * row.none < row.whole < row.unaware and row.half < row.whole
 

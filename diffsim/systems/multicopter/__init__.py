@@ -1,6 +1,7 @@
 """Multicopters under recorded commands, and what real ones add to the model."""
 
 from diffsim.systems.multicopter.candidates import copter_library
+from diffsim.systems.multicopter.extended import ExtendedCopter
 from diffsim.systems.multicopter.model import CopterModel, flight_model, flight_nuisances
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.unknown import unknown_wrench
@@ -8,6 +9,7 @@ from diffsim.systems.multicopter.unknown import unknown_wrench
 __all__ = [
     "CopterModel",
     "CopterScene",
+    "ExtendedCopter",
     "copter_library",
     "flight_model",
     "flight_nuisances",

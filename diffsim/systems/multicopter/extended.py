@@ -1,4 +1,9 @@
-"""A copter as a diagnosis found it: sizes of an ``extended_model.yaml`` put into a vehicle."""
+"""A copter as a diagnosis found it: sizes of an ``extended_model.yaml`` put into a vehicle.
+
+>>> copter = ExtendedCopter.read("runs/quad", vehicle)
+>>> copter.fly(vehicle, start, thrusts, dt=0.01)  # in place of ``diffsim.copter.fly``
+>>> copter.drawn(16, rng).fly(vehicle, start, thrusts, dt=0.01)  # 16, as the data allow
+"""
 
 from __future__ import annotations
 
@@ -6,12 +11,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.copter import Fleet, FlightEffects, Multicopter
+from diffsim.copter import Feedback, Fleet, Flight, FlightEffects, FlightState, Multicopter, fly
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag, RotorDrag
 from diffsim.identify.model_file import FARTHEST, SavedModel, read_extended
 from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
@@ -78,7 +84,7 @@ class CopterSizes:
         if saved.model != SYSTEM:
             raise ValueError(
                 f"{saved.path}: a model of {saved.model or 'an unnamed system'}, not of a "
-                "multicopter; a copter's environment needs one that was fitted to flights"
+                "multicopter; a copter needs one that was fitted to flights"
             )
         names, aside, refused = [], [], []
         for name in saved.values:
@@ -91,8 +97,8 @@ class CopterSizes:
         if refused:
             raise ValueError(
                 f"{saved.path}: {', '.join(refused)} cannot be simulated in a copter's "
-                "environment; diagnose without it (diffsim diagnose explain STUDY --without CAUSE, "
-                "or state the number in the study)"
+                "environment or by `fly`; diagnose without it (diffsim diagnose explain STUDY "
+                "--without CAUSE, or state the number in the study)"
             )
         return cls(
             saved=saved,
@@ -157,17 +163,25 @@ class CopterSizes:
         return self._by_name(sizes).get("delay", sizes.new_zeros(len(sizes)))
 
     def vehicles(
-        self, vehicle: Multicopter, effects: FlightEffects, sizes: Tensor
+        self,
+        vehicle: Multicopter,
+        effects: FlightEffects,
+        sizes: Tensor,
+        described: Multicopter | None = None,
     ) -> tuple[Fleet, FlightEffects]:
         """The vehicles, one per row of sizes, and what they feel in flight.
 
         Args:
-            vehicle: As the study describes it.
+            vehicle: As the study describes it, or another of its kind.
             effects: What it feels beside what the file says.
             sizes: (batch, num_sizes).
+            described: As the study describes it, where ``vehicle`` is another: mass and inertia
+                are then off by the share by which they were off there.
         """
         v, n = self._by_name(sizes), vehicle.num_rotors
         fleet = Fleet.of([vehicle])
+        if described is not None:
+            v = _of_another(v, vehicle, described)
         one = sizes.new_ones(len(sizes))
         mass = v.get("mass", fleet.mass * one) * v.get("mass_gain", one) + v.get("extra_mass", 0.0)
         fleet = fleet.replace(
@@ -213,24 +227,120 @@ class CopterSizes:
         return self.frames.in_body(torch.stack(parts, 1))
 
 
-def queue_length(delay: float, dt: float) -> int:
-    """Commands to be kept for a delay [s] with steps of dt [s]."""
-    return int(np.ceil(delay / dt - 1e-9)) + 1
+@dataclass(frozen=True, eq=False)
+class ExtendedCopter:
+    """A diagnosed copter for whatever flies vehicles: its ``fly`` stands in for the plain one.
+
+    Attributes:
+        sizes: What the file says.
+        described: Vehicle as the study describes it.
+        at: Sizes of each member of a batch, (batch, num_sizes); may carry gradients.
+    """
+
+    sizes: CopterSizes
+    described: Multicopter
+    at: Tensor
+
+    @classmethod
+    def read(cls, path: str | Path, described: Multicopter) -> ExtendedCopter:
+        """Read an ``extended_model.yaml``.
+
+        Args:
+            path: The file, or the folder that holds it.
+            described: Vehicle as the study describes it.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: a file of another system, or parts that a flight of ``fly`` does not have.
+        """
+        sizes = CopterSizes.read(path, described.num_rotors)
+        return cls(sizes, described, sizes.values[None])
+
+    def drawn(self, count: int, rng: np.random.Generator) -> ExtendedCopter:
+        """As many members, each as the posterior allows."""
+        return replace(self, at=self.sizes.draw(count, rng))
+
+    def fly(
+        self,
+        vehicle: Multicopter,
+        start: FlightState,
+        commands: Tensor,
+        *,
+        dt: float,
+        feedback: Feedback | None = None,
+        effects: FlightEffects | None = None,
+        **options: Any,
+    ) -> Flight:
+        """As :func:`diffsim.copter.fly`, but as the diagnosis found that vehicles fly.
+
+        Args:
+            vehicle: As described, or another design of the same kind, with as many rotors.
+            start: Leading axis (batch or 1,).
+            commands: Thrusts that are asked for, (batch or 1, steps, n_rotors) [N].
+            dt: Control period [s].
+            feedback: Makes the commands a feed-forward.
+            effects: What is there beside what the file says.
+            **options: Further ones of ``fly``.
+
+        Raises:
+            ValueError: a delay of the file with a feedback, which ``fly`` cannot delay.
+
+        Gradients: as of ``fly``, and sizes.
+        """
+        late = self.sizes.delay(self.at)
+        if bool(late.detach().any()):
+            if feedback is not None:
+                raise ValueError(
+                    f"{self.sizes.saved.path}: thrusts come late there, and a feedback of `fly` "
+                    "cannot; fly it as an environment, make_task('CopterHover', model=FILE)"
+                )
+            commands = _held_late(commands, late / dt)
+        gains = self.sizes.thrust_gains(self.at, vehicle.num_rotors)
+        if feedback is not None:
+            gain = feedback.gain if feedback.gain.dim() == 3 else feedback.gain[None]
+            feedback = replace(feedback, gain=gains[..., None] * gain)
+        fleet, felt = self.sizes.vehicles(
+            vehicle, effects or FlightEffects(), self.at, self.described
+        )
+        return fly(
+            fleet,
+            start,
+            gains[:, None] * commands,
+            dt=dt,
+            feedback=feedback,
+            effects=felt,
+            **options,
+        )
 
 
-def delayed(queue: Tensor, asked: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
-    """What acts over a step, in the mean, when commands come late; and the commands kept.
+def _held_late(commands: Tensor, steps: Tensor) -> Tensor:
+    """Held commands (batch, num_steps, width) that come late, in the mean over each step.
 
     Args:
-        queue: Commands of the steps before, the oldest first, (batch, length, width).
-        asked: Command of this step, (batch, width).
-        steps: Delay in steps, at most length, (batch or 1,).
+        commands: The first has been held before.
+        steps: Delay in steps, (batch,).
     """
-    kept = torch.cat([queue, asked[:, None]], 1)
-    ages = torch.arange(kept.shape[1] - 1, -1, -1, dtype=steps.dtype)
-    # a command held over its step and late by 2.3 steps: 0.7 of that two steps ago, 0.3 of three
-    shares = (1.0 - (ages - steps[:, None]).abs()).clamp(min=0.0)
-    return (shares[..., None] * kept).sum(1), kept[:, 1:]
+    count = commands.shape[1]
+    late: Tensor | float = 0.0
+    for age in range(int(steps.detach().max()) + 2):
+        kept = torch.cat([commands[:, :1].expand(-1, min(age, count), -1), commands], 1)[:, :count]
+        # late by 2.3 steps: 0.7 of what was asked two steps ago, 0.3 of three
+        late = late + (1.0 - (age - steps).abs()).clamp(min=0.0)[:, None, None] * kept
+    assert isinstance(late, Tensor)
+    return late
+
+
+def _of_another(
+    v: Mapping[str, Tensor], vehicle: Multicopter, described: Multicopter
+) -> dict[str, Tensor]:
+    """Sizes in which mass and inertia are those of another vehicle, off by the same shares."""
+    out = dict(v)
+    if "mass" in v:
+        out["mass"] = v["mass"] * (vehicle.mass / described.mass)
+    for i, axis in enumerate("xyz"):
+        if (name := f"inertia_{axis}{axis}") in v:
+            out[name] = v[name] * (vehicle.inertia[i, i] / described.inertia[i, i])
+    return out
 
 
 def _is_known(name: str, num_rotors: int) -> bool:
