@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffsim.copter.design.design import Design
@@ -35,6 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stick-mode", default="position", help="position or attitude (default: %(default)s)"
     )
     parser.add_argument("--controller", default="lqr", help="lqr or pid (default: %(default)s)")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="fly as a diagnosis of this design's flights found: its extended_model.yaml or folder",
+    )
     parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="load carried")
     parser.add_argument(
         "--pwm-max", type=float, default=1800.0, metavar="US", help="clamp (default: %(default)g)"
@@ -63,6 +69,7 @@ def command(args: argparse.Namespace) -> None:
         payload=args.payload,
         pwm_max=args.pwm_max,
         seed=args.seed,
+        **_diagnosed(flown, args.model),
     )
     pilot = _pilot(args)
     live = args.view or args.input is not None
@@ -91,6 +98,20 @@ def _load_design_or_vehicle(name: str) -> Design | FlyingVehicle:
     if vehicle.assumed:
         print(f"assumed, as usual for its size: {', '.join(vehicle.assumed)}")
     return vehicle
+
+
+def _diagnosed(flown: Design | FlyingVehicle, model: Path | None) -> dict[str, Any]:
+    """How the vehicle flies, where a diagnosis says so."""
+    if model is None:
+        return {}
+    from diffsim.copter.design.design import Design
+    from diffsim.systems.multicopter import ExtendedCopter
+
+    vehicle = flown.multicopter() if isinstance(flown, Design) else flown.vehicle
+    copter = ExtendedCopter.read(model, vehicle)
+    saved = copter.sizes.saved
+    print(f"as {saved.path} says: {', '.join(saved.components) or 'no cause'}")
+    return {"flies": copter.stepwise}
 
 
 def _pilot(args: argparse.Namespace) -> Pilot:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.design.design import Design
-from diffsim.copter.dynamics.flight import FlightError, fly
+from diffsim.copter.dynamics.flight import Flight, FlightError, fly
 from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.simulator.controllers import (
     Controller,
@@ -58,6 +58,8 @@ class FlightSimulator:
         substeps: Integration steps per control period.
         idle_power: Electric power of everything on board but the motors [W].
         seed: Seed of the noise: equal seeds, equal flights.
+        flies: How the vehicle flies a step: ``fly``, or that of a diagnosed copter
+            (``ExtendedCopter.stepwise``), of which the controllers named above know nothing.
 
     Attributes:
         log: Log of the flight so far.
@@ -83,7 +85,9 @@ class FlightSimulator:
         substeps: int = 2,
         idle_power: float = 3.0,
         seed: int = 0,
+        flies: Callable[..., Flight] = fly,
     ):
+        self._flies = flies
         vehicle, known, pack = _unpack_vehicle(design)
         rotors = known or flight_rotors(vehicle) if rotors is None else tuple(rotors)
         battery = pack if battery is None else battery
@@ -205,7 +209,7 @@ class FlightSimulator:
     def _move(self, thrusts: Tensor) -> None:
         before = self.state
         effects = _at_step(self._effects, self._step)
-        flight = fly(
+        flight = self._flies(
             self.vehicle,
             before,
             thrusts[None, None],

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -259,6 +259,20 @@ class ExtendedCopter:
     def drawn(self, count: int, rng: np.random.Generator) -> ExtendedCopter:
         """As many members, each as the posterior allows."""
         return replace(self, at=self.sizes.draw(count, rng))
+
+    @property
+    def stepwise(self) -> Callable[..., Flight]:
+        """``fly`` for whoever flies one step after the other, as ``FlightSimulator`` does.
+
+        Raises:
+            ValueError: a delay of the file, which such a step knows nothing of.
+        """
+        if bool(self.sizes.delay(self.at).detach().any()):
+            raise ValueError(
+                f"{self.sizes.saved.path}: thrusts come late there, which a flight step by step "
+                "does not know; fly it as an environment, make_task('CopterHover', model=FILE)"
+            )
+        return self.fly
 
     def fly(
         self,
