@@ -1,10 +1,13 @@
 """From CSV files to a flown path: a quadrotor with a weak rotor is diagnosed, then sent along it.
 
 RotorPy's Hummingbird stands for the rig. Its second rotor gives 12 % less thrust than asked for,
-and its air brakes; the description knows neither. Two flights under a controller are recorded. The
-command is then sought with the plain model and with the diagnosed one, and flown open loop.
+which the description does not know. Two flights under a controller are recorded. Then a command is
+sought with the plain model, with the diagnosed one, and with four draws of what the data allow;
+each is flown open loop.
 
-Expected: the cause "weak_rotor_2", 11.5 to 12.5 %. EXPECTED
+Expected: the cause "weak_rotor_2", 11.8 to 12.2 %. The rig misses its path by 66 cm under the plain
+model's command, by 1.7 cm under the diagnosed model's, by 1.9 cm under that of the draws. Running
+time: 60 s. Needs ``pip install rotorpy``.
 
     python examples/sim_to_real/copter_from_csv.py runs/quad
     diffsim diagnose worth runs/quad --task runs/quad/task.yaml --out runs/quad/answer
@@ -65,8 +68,7 @@ model:                                      # the data sheet of AscTec's Humming
     quaternion: {columns: [qx, qy, qz, qw], order: xyzw}
     body_rates: [p, q, r]
   effects:
-    only: [weak_rotor_1, weak_rotor_2, weak_rotor_3, weak_rotor_4, rotor_drag, parasitic_drag,
-           center_of_mass]
+    only: [weak_rotor_1, weak_rotor_2, weak_rotor_3, weak_rotor_4, center_of_mass, body_drag]
 """
 HOVER = float(np.sqrt(0.5 * 9.81 / 4 / 5.57e-6))  # rad/s
 TASK = f"""
@@ -96,7 +98,7 @@ class Rig:
         from rotorpy.vehicles.multirotor import Multirotor
 
         self.parameters = quad_params
-        self.vehicle = Multirotor(quad_params, aero=True)
+        self.vehicle = Multirotor(quad_params, aero=False)
         zero = np.zeros(3)
         self.state = {"x": np.array([0.0, 0.0, 1.0]), "v": zero, "q": np.array([0.0, 0, 0, 1.0])}
         self.state |= {"w": zero, "wind": zero, "rotor_speeds": np.full(4, HOVER)}
