@@ -30,3 +30,10 @@ def test_a_rig_is_told_what_to_execute(tmp_path, capsys):
 def test_a_diagnosed_delay_makes_a_better_command(tmp_path):
     misses = load_story("sim_to_real/command_from_csv.py").main(tmp_path)
     assert misses["diagnosed"] < 0.25 * misses["plain"]
+
+
+@pytest.mark.slow
+def test_a_diagnosed_rotor_makes_a_better_flight(tmp_path):
+    pytest.importorskip("rotorpy", reason="flies RotorPy's quadrotor")
+    misses = load_story("sim_to_real/copter_from_csv.py").main(tmp_path)
+    assert max(misses["diagnosed"], misses["drawn"]) < 0.1 * misses["plain"]

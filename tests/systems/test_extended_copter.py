@@ -10,7 +10,7 @@ import pytest
 import torch
 import yaml
 
-from diffsim import optim
+from diffsim import cli, optim
 from diffsim.copter import (
     BodyDrag,
     Feedback,
@@ -178,3 +178,19 @@ def test_a_design_for_the_diagnosed_copter_serves_it_better_than_one_for_the_pla
     }
     assert loss["diagnosed"] < 0.95 * loss["plain"]
     assert loss["drawn"] < 0.95 * loss["plain"]
+
+
+def test_the_simulator_flies_it_step_by_step(tmp_path, capsys):
+    out = tmp_path / "flight"
+    argv = ["fly", "quadcopter", "--seconds", "1.5", "--out", str(out)]
+    path = written(tmp_path, {"weak_rotor_1": (0.15, 0.0)})
+    errors = []
+    for more in ([], ["--model", str(path)]):
+        assert cli.main([*argv, *more]) == 0
+        said = capsys.readouterr().out
+        errors.append(float(said.split("rms_position_error_m")[1].split()[0]))
+    assert "says: weak_rotor_1" in said
+    assert errors[1] > 1.3 * errors[0]
+    late = written(tmp_path, {"delay": (0.02, 0.0)})
+    assert cli.main([*argv, "--model", str(late)]) == 2
+    assert "make_task" in capsys.readouterr().err

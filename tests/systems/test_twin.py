@@ -7,6 +7,7 @@ import torch
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model_file import read_extended
 from diffsim.sim_to_real import Tracking, best_command, worth
+from diffsim.sim_to_real.tracking import Bounds
 from diffsim.systems import Twin
 from tests.systems.late_cart import MODEL, NEW, TASK, T, fitted_cart
 
@@ -109,3 +110,18 @@ def test_refuses_other_systems_and_commands_without_bounds(fitted):
         TASK.for_study(study.__class__(**{**vars(study), "commands": ()}))
     with pytest.raises(ValueError, match="command of the study"):
         Twin.read(path, study, NEW).simulate({"moment": torch.zeros(len(NEW)).double()})
+
+
+def test_a_command_begins_at_rest_wherever_that_is(fitted):
+    def first(**bounds):
+        given = TASK.model_copy(update={"commands": {"force": Bounds(**bounds)}})
+        task = given.for_study(fitted[0])
+        knots = torch.full((task.num_knots,), 0.9, dtype=torch.float64)
+        return float(task.commands(knots)["force"][0])
+
+    assert first(least=-4.0, most=4.0) == pytest.approx(0.0)
+    assert first(least=1.0, most=2.0) == pytest.approx(1.5)
+    assert first(least=1.0, most=2.0, rest=1.2) == pytest.approx(1.2)
+    assert first(least=3.0, most=3.0) == 3.0
+    with pytest.raises(ValueError, match="least, rest, most must rise"):
+        Bounds(least=1.0, most=2.0, rest=3.0)
