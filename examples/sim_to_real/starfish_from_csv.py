@@ -49,8 +49,8 @@ STROKES = {
     "slow_strokes": SLOW,
     "plain_0": open_close(period_s=0.8, high_m=0.016, limits=LIMITS),  # judges the answer
 }
-FIT = FitSettings(duration_s=2.2, max_evaluations=6, method="gauss_newton")
-SEARCH = TrajectorySettings(periods=2, num_knots=20, max_evaluations=12)
+FIT = FitSettings(duration_s=1.1, max_evaluations=4, method="gauss_newton")
+SEARCH = TrajectorySettings(periods=1, num_knots=20, max_evaluations=8)
 SOFT = {"youngs_modulus": 5e5, "axial_stiffness": 600.0}  # data sheet of foam and tendon
 
 

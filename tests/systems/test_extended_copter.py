@@ -180,6 +180,7 @@ def test_a_design_for_the_diagnosed_copter_serves_it_better_than_one_for_the_pla
     assert loss["drawn"] < 0.95 * loss["plain"]
 
 
+@pytest.mark.cpu(20)  # pictures of two flights
 def test_the_simulator_flies_it_step_by_step(tmp_path, capsys):
     out = tmp_path / "flight"
     argv = ["fly", "quadcopter", "--seconds", "1.5", "--out", str(out)]
