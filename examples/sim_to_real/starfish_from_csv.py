@@ -5,7 +5,10 @@ follows at no more than 110 mm/s, as the diagnosis of the real robot has them; t
 neither. Three strokes are recorded and diagnosed. Body and water are identified, and a stroke is
 optimized, once with the plain model and once with the causes built in; the laboratory swims both.
 
-Expected: "6.9 mm of slack and a speed limit near 106 mm/s". What it buys is told by `worth`, not yet by a swim.
+Expected: "6.9 mm of slack and a speed limit near 106 mm/s"; what the identified model leaves of the
+markers falls from 3.1 to 1.8 mm. The robot gains nothing by these short searches: it swims 0.51 cm/s
+by the diagnosed model's stroke and 0.78 by the plain one's. What mending buys is told by ``worth``.
+Running time: 5 min and more.
 
     python examples/sim_to_real/starfish_from_csv.py runs/starfish
     diffsim diagnose worth runs/starfish --task runs/starfish/task.yaml --out runs/starfish/answer
