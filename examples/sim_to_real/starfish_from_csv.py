@@ -6,8 +6,8 @@ neither. Three strokes are recorded and diagnosed. Body and water are identified
 optimized, once with the plain model and once with the causes built in; the laboratory swims both.
 
 Expected: "6.9 mm of slack and a speed limit near 106 mm/s"; what the identified model leaves of the
-markers falls from 3.1 to 1.8 mm. The robot gains nothing by these short searches: it swims 0.51 cm/s
-by the diagnosed model's stroke and 0.78 by the plain one's. What mending buys is told by ``worth``.
+markers falls from 3.1 to 1.8 mm. Nothing is gained by these short searches: the robot swims 0.51
+cm/s by the diagnosed stroke, 0.78 by the plain one. ``worth`` says what mending buys.
 Running time: 5 min and more.
 
     python examples/sim_to_real/starfish_from_csv.py runs/starfish
