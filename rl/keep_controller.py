@@ -18,7 +18,8 @@ from pathlib import Path
 import torch
 
 from diffsim.control import MLPController
-from diffsim.learn.run import read_checkpoint
+from diffsim.envs.task_file import require_unchanged
+from diffsim.learn.run import read_checkpoint, task_file_of
 from diffsim.learn.setup import Setup, evaluate
 from diffsim.learn.trained import FOLDER, Trained, stored, write_trained
 
@@ -35,6 +36,7 @@ def main(argv: Sequence[str] | None = None) -> Path:
     torch.set_num_threads(1)
     saved = read_checkpoint(args.run)
     setup = Setup(**json.loads(saved["setup"]))
+    require_unchanged(setup.task, task_file_of(saved), str(args.run))
     task = setup.make_task()
     net = MLPController(task.num_observations, task.num_actions)
     net.load_state_dict(saved["controller"])
@@ -46,10 +48,11 @@ def main(argv: Sequence[str] | None = None) -> Path:
         reward=0.0,
         made_by=made_by,
         state=stored(net),
+        task_file=task_file_of(saved),
     )
     reward = evaluate(task, kept.controller(task), setup.evaluation_episodes)
     path = write_trained(
-        args.out / f"{setup.task}.npz", Trained(**{**vars(kept), "reward": reward})
+        args.out / f"{setup.label}.npz", Trained(**{**vars(kept), "reward": reward})
     )
     size = path.stat().st_size / 1e3
     print(

@@ -109,7 +109,10 @@ def test_a_system_of_another_package_is_diagnosed_by_its_name(package):
     [
         ("Linger = lingering:Lingr", "Linger = lingering:Lingr of lingering cannot be imported"),
         ("Linger = nowhere:Linger", "cannot be imported: No module named 'nowhere'"),
-        ("Linger = lingering:text", "must be a subclass of Task, got 'no class'"),
+        (
+            "Linger = lingering:text",
+            "must be a subclass of Task, or the path of a YAML file, got 'no class'",
+        ),
         ("CopterHover = lingering:Linger", "'CopterHover' is a task of diffsim already"),
     ],
 )

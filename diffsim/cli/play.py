@@ -27,6 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "name", metavar="NAME", nargs="?", help="a task, such as SharkSwim; none: list them"
     )
     parser.add_argument("--file", type=Path, help="a controller of your own instead")
+    parser.add_argument(
+        "--changed", action="store_true", help="play although the task's file has changed"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/play"), help="default: %(default)s")
     parser.add_argument("--no-film", action="store_true", help="only the reward and the recording")
 
@@ -48,20 +51,20 @@ def command(args: argparse.Namespace) -> None:
             print(f"{name:<14} reward {kept.reward:.3f} a step; {kept.made_by}")
         return
     kept = load_trained(args.name) if args.file is None else read_trained(args.file)
-    folder = args.out / kept.task
+    folder = args.out / kept.label
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written costs no episode
-    _play(kept, folder, film=not args.no_film)
+    _play(kept, folder, film=not args.no_film, changed=args.changed)
 
 
-def _play(kept: Trained, folder: Path, *, film: bool) -> None:
+def _play(kept: Trained, folder: Path, *, film: bool, changed: bool) -> None:
     import torch
 
     from diffsim.learn.trained import replay
 
     torch.set_num_threads(1)  # a network of 64 units gains nothing from more
-    task = kept.make_task()
+    task = kept.make_task(changed=changed)
     print(
-        f"{kept.task}: {kept.episodes} episodes of {task.max_steps} steps of "
+        f"{kept.label}: {kept.episodes} episodes of {task.max_steps} steps of "
         f"{1e3 * task.dt:.3g} ms ...",
         flush=True,
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -40,13 +41,14 @@ def find_plugins(group: str) -> Mapping[str, EntryPoint]:
     return MappingProxyType(found)
 
 
-def load_plugin(group: str, name: str, kind: type) -> Any:
+def load_plugin(group: str, name: str, kind: type, *, or_file: bool = False) -> Any:
     """What another package adds under a name.
 
     Args:
         group: Group of entry points.
         name: Name of the entry.
         kind: Class that it must be a subclass of; ``object``: any callable.
+        or_file: Whether it may be the path of a YAML file instead, which describes one.
 
     Raises:
         ValueError: it cannot be imported, or is something else; the message names the package.
@@ -58,7 +60,10 @@ def load_plugin(group: str, name: str, kind: type) -> Any:
         made = entry.load()
     except (ImportError, AttributeError) as error:
         raise ValueError(f"{where} cannot be imported: {error}") from error
+    if or_file and isinstance(made, (str, Path)) and Path(made).suffix in (".yaml", ".yml"):
+        return Path(made)
     is_kind = isinstance(made, type) and issubclass(made, kind) if kind is not object else True
     if not is_kind or not callable(made):
-        raise ValueError(f"{where} must be a subclass of {kind.__name__}, got {made!r}")
+        more = ", or the path of a YAML file" if or_file else ""
+        raise ValueError(f"{where} must be a subclass of {kind.__name__}{more}, got {made!r}")
     return made

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     Ratio: TypeAlias = float
     Seconds: TypeAlias = float
     Volts: TypeAlias = float
+    Watts: TypeAlias = float
 else:
     Degrees = number("deg")
     DegreesPerSecond = number("deg/s")
@@ -46,6 +47,7 @@ else:
     Ratio = number("-")
     Seconds = number("s")
     Volts = number("V")
+    Watts = number("W")
 
 __all__ = [
     "Degrees",
@@ -67,4 +69,5 @@ __all__ = [
     "Ratio",
     "Seconds",
     "Volts",
+    "Watts",
 ]

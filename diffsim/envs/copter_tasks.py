@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from diffsim.copter import (
     PreparedFlight,
     hover,
     load_design,
+    load_vehicle,
     prepare_flight,
 )
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag
@@ -29,16 +29,17 @@ from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
 from diffsim.envs.copter_delay import delayed, queue_length
 from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors
+from diffsim.envs.kept import ValueOfTensors
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 from diffsim.systems.multicopter.extended import CopterSizes
 
-T = TypeVar("T")
 _ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
 # a figure of eight, along x, y and z: amplitudes over its half length, turns per round
 _WIDTHS = torch.tensor([1.0, 0.5, 0.0], dtype=torch.float64)
 _LOOPS = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
 _STATE = ("position", "quaternion", "velocity", "body_rates", "thrusts")
+USUAL_LAG = 0.03  # of a thrust behind its command [s]
 REACH = 3.0  # from the reference [m], beyond which an episode ends
 MAX_RATE = 30.0  # of turning, beyond which an episode ends [rad/s]
 # flying at all, position error, velocity, turning, thrust away from hover; per step: perfect
@@ -57,6 +58,8 @@ class CopterHover(Task):
 
     Args:
         design: Name of a shipped design, a design file, or a vehicle.
+        vehicle: Instead of a design, a vehicle file: YAML of numbers, MJCF or SDF, see
+            :func:`diffsim.copter.load_vehicle`; its rotors say how the motors lag.
         dt: Control period [s].
         seconds: Length of an episode [s].
         start_spread: Standard deviations of the start, in m, m/s, and tenths of a radian [-].
@@ -64,7 +67,8 @@ class CopterHover(Task):
             holds it: its sizes change the copter. Hover thrust stays that of the design.
         posterior: Whether each episode of each member draws its sizes from the file's posterior,
             by the seed of the start; otherwise they are its values.
-        motor_time_constant: Lag of the thrust behind its command [s]; None: the model's, else 0.03.
+        motor_time_constant: Lag of the thrust behind its command [s]; None: the model's or
+            the vehicle file's, else 0.03.
         drag: Linear drag of the body [N s/m]; None: 0.1, with a model its own drag alone.
         wind_speed: Standard deviation of each horizontal component of the episode's wind [m/s].
         battery: Sags under the rotors' currents (their models are the design's); None: a voltage
@@ -76,11 +80,21 @@ class CopterHover(Task):
     """
 
     name = "CopterHover"
+    length_option = "seconds"
+    file_options = ("vehicle", "design", "model")
+
+    @classmethod
+    def find_file(cls, option: str, stated: Any, folder: Path, source: str) -> Any:
+        """See ``Task``; a design without a suffix is a shipped one."""
+        if option == "design" and isinstance(stated, str) and not Path(stated).suffix:
+            return stated
+        return super().find_file(option, stated, folder, source)
 
     def __init__(
         self,
         design: str | Path | Multicopter = "quadcopter",
         *,
+        vehicle: str | Path | None = None,
         dt: float = 0.02,
         seconds: float = 4.0,
         start_spread: float = 0.5,
@@ -95,7 +109,14 @@ class CopterHover(Task):
     ):
         self.randomizable = randomizable(battery, randomization)
         super().__init__(action_delay=action_delay, randomization=randomization)
-        if not isinstance(design, Multicopter):
+        lags: Tensor | None = None
+        if vehicle is not None:
+            if not (isinstance(design, str) and design == "quadcopter"):
+                raise ValueError(f"give vehicle or design, not both, got {vehicle} and {design}")
+            flying = load_vehicle(vehicle)
+            design = flying.vehicle
+            lags = torch.tensor([r.time_constant for r in flying.rotors], dtype=torch.float64)
+        elif not isinstance(design, Multicopter):
             design = load_design(design).multicopter()
         self.vehicle = design
         self.dt = require_number("dt", dt, above=0.0)
@@ -107,7 +128,7 @@ class CopterHover(Task):
         self.posterior = posterior
         if posterior and self.sizes is None:
             raise ValueError("posterior needs a model to draw from; give model=FILE as well")
-        motor_time_constant, drag = self._lag_and_drag(motor_time_constant, drag)
+        drag = self._usual_drag(motor_time_constant, drag)
         self._queue = 0
         if self.sizes is not None and "delay" in self.sizes.names:
             self._queue = queue_length(self.sizes.most_delay, self.dt)
@@ -116,21 +137,21 @@ class CopterHover(Task):
         self.level = torch.tensor([*trim.attitude.tolist(), 0.0], dtype=torch.float64)
         # as far up as down, so that actions act linearly
         self.span = torch.minimum(self.trim, design.max_thrusts - self.trim).detach()
-        lag = MotorLag(
-            time_constants=torch.full(
-                (n,), require_number("motor_time_constant", motor_time_constant, above=0.0)
-            ).double()
-        )
+        if lags is None or motor_time_constant is not None:
+            one = USUAL_LAG if motor_time_constant is None else motor_time_constant
+            one = require_number("motor_time_constant", one, above=0.0)
+            lags = torch.full((n,), one).double()
+        lag = MotorLag(time_constants=lags)
         linear = torch.full((3,), require_number("drag", drag, at_least=0.0), dtype=torch.float64)
         body_drag = BodyDrag(linear=linear, quadratic=torch.zeros(3, dtype=torch.float64))
         self.sag = None if battery is None else sag_of(battery, design)
         self._effects = FlightEffects(motor_lag=lag, body_drag=body_drag, battery=self.sag)
-        self._packed: _ValueOfTensors[PreparedFlight] | None = None
+        self._packed: ValueOfTensors[PreparedFlight] | None = None
         self.actions = tuple(Entry(f"thrust of rotor {i}", -1.0, 1.0) for i in range(n))
         self.observations = tuple(self._entries())
 
-    def _lag_and_drag(self, lag: float | None, drag: float | None) -> tuple[float, float]:
-        """Both as stated, as usual, or 0.0 for a drag that the model's stands for."""
+    def _usual_drag(self, lag: float | None, drag: float | None) -> float:
+        """The drag as stated, as usual, or 0.0 where the model's stands for it."""
         sizes = self.sizes
         if sizes is not None:
             if lag is not None and sizes.has_lag:
@@ -138,7 +159,7 @@ class CopterHover(Task):
             if drag is not None and sizes.has_drag:
                 raise ValueError(f"drag is that of {sizes.saved.path}; leave it out")
         usual = 0.1 if sizes is None else 0.0
-        return 0.03 if lag is None else lag, usual if drag is None else drag
+        return usual if drag is None else drag
 
     def rest(self, batch: int, rng: np.random.Generator) -> TaskState:
         """Near the reference, motors at hover thrust."""
@@ -265,7 +286,7 @@ class CopterHover(Task):
         vehicles, effects = with_factors(nominal, effects, factors)
         flights = prepare_flight(vehicles, dt=self.dt, effects=effects)
         if not any(t.requires_grad for t in tensors):
-            self._packed = _ValueOfTensors(flights, tensors)
+            self._packed = ValueOfTensors(flights, tensors)
         return flights
 
     def _reference(self, state: TaskState) -> tuple[Tensor, Tensor]:
@@ -320,7 +341,7 @@ class CopterTrack(CopterHover):
     ):
         self.size = require_number("size", size, above=0.0)
         self.period = require_number("period", period, above=0.0)
-        self._asked: _ValueOfTensors[tuple[Tensor, Tensor]] | None = None
+        self._asked: ValueOfTensors[tuple[Tensor, Tensor]] | None = None
         super().__init__(design, **options)  # type: ignore[arg-type]
 
     def _reference(self, state: TaskState) -> tuple[Tensor, Tensor]:
@@ -332,7 +353,7 @@ class CopterTrack(CopterHover):
         slope = self.size * _WIDTHS * _LOOPS * torch.cos(turns)
         asked = self.size * _WIDTHS * torch.sin(turns), 2.0 * math.pi / self.period * slope
         if not asked[0].requires_grad:
-            self._asked = _ValueOfTensors(asked, of)
+            self._asked = ValueOfTensors(asked, of)
         return asked
 
     def _places(self, state: TaskState, ahead: Sequence[float]) -> Tensor:
@@ -344,25 +365,6 @@ class CopterTrack(CopterHover):
         now = (state["step"].double() * self.dt)[:, None] + ahead
         along = 2.0 * math.pi / self.period * now + state["phase"][:, None]
         return along[..., None] * _LOOPS
-
-
-class _ValueOfTensors(Generic[T]):
-    """A value and the tensors that it was made of, as they were then."""
-
-    def __init__(self, value: T, tensors: list[Tensor]):
-        self.value = value
-        self._tensors, self._versions = tensors, _versions(tensors)
-
-    def is_of(self, tensors: list[Tensor]) -> bool:
-        """Whether it was made of these, and none has changed since."""
-        same = len(tensors) == len(self._tensors)
-        same = same and all(map(operator.is_, tensors, self._tensors))
-        return same and _versions(tensors) == self._versions
-
-
-def _versions(tensors: list[Tensor]) -> list[int]:
-    """How often each was changed in place; tensors of inference mode do not count it."""
-    return [-1 if t.is_inference() else t._version for t in tensors]
 
 
 def _smooth_norm(vector: Tensor, width: float = 0.1) -> Tensor:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
@@ -16,10 +17,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from diffsim.core.check import require_choice, require_number, require_options
+from diffsim.core.check import require_choice, require_number
 from diffsim.core.plugins import ENVIRONMENTS, find_plugins, load_plugin
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
+from diffsim.envs.task_file import TaskFile, is_task_file, read_task_file
 from diffsim.envs.vector_env import TaskVectorEnv
 
 
@@ -51,6 +53,9 @@ _TASKS = {
     "SoftJumper": NamedTask(_SOFT, 300),
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
+#: Tasks that are nothing without options: no environment is registered for them.
+_OF_FILES = {"SoftBody": NamedTask("diffsim.envs.soft_body")}
+FILE_ID = "diffsim/Task-v0"  # any task by its file: gymnasium.make(FILE_ID, name="eel.yaml")
 
 
 def known_tasks() -> Mapping[str, NamedTask]:
@@ -59,13 +64,13 @@ def known_tasks() -> Mapping[str, NamedTask]:
     Raises:
         ValueError: another package gives a task the name of one of this package.
     """
-    added = find_plugins(ENVIRONMENTS)
-    if taken := sorted(set(added) & set(_TASKS)):
+    added, own = find_plugins(ENVIRONMENTS), {**_TASKS, **_OF_FILES}
+    if taken := sorted(set(added) & {*own, "Task"}):
         raise ValueError(
             f"{ENVIRONMENTS}: {taken[0]!r} is a task of diffsim already; give "
             f"{added[taken[0]].value} another name"
         )
-    return {**_TASKS, **dict.fromkeys(added, NamedTask())}
+    return {**own, **dict.fromkeys(added, NamedTask())}
 
 
 def short_name(name: str) -> str:
@@ -79,8 +84,14 @@ def short_name(name: str) -> str:
 
 def register() -> None:
     """Tell gymnasium of the environments."""
+    if FILE_ID not in gymnasium.registry:
+        gymnasium.register(
+            FILE_ID,
+            entry_point=f"{__name__}:make_env",
+            vector_entry_point=f"{__name__}:make_vector",
+        )
     for name, named in known_tasks().items():
-        if f"diffsim/{name}-v0" not in gymnasium.registry:
+        if name not in _OF_FILES and f"diffsim/{name}-v0" not in gymnasium.registry:
             own = named.module is not None
             gymnasium.register(
                 f"diffsim/{name}-v0",
@@ -93,42 +104,69 @@ def register() -> None:
             )
 
 
-def task_class(name: str) -> type[Task]:
+def task_class(name: str | Path) -> type[Task]:
     """Class of a task.
 
     Args:
-        name: Such as "CopterHover"; also the environment's id.
+        name: Such as "CopterHover"; also the environment's id, or a task file.
 
     Raises:
+        FileNotFoundError: no such file.
         ValueError: no such task, or one that another package cannot give.
     """
-    short = short_name(name)
+    return _find_task(name)[0]
+
+
+def _find_task(name: str | Path) -> tuple[type[Task], TaskFile | None]:
+    """Class of a task, and the file that describes it; None: it is made of options alone."""
+    if is_task_file(name):
+        file = read_task_file(name)
+        try:
+            short = require_choice("task", file.task, known_tasks())
+        except ValueError as error:
+            raise ValueError(f"{file.path}: {error}") from None
+        kind, inner = _find_named(short)
+        if inner is not None:
+            raise ValueError(
+                f"{file.path}: task must be a kind of task, got {short}, which is a file itself, "
+                f"{inner.path}"
+            )
+        return kind, file
+    return _find_named(short_name(str(name)))
+
+
+def _find_named(short: str) -> tuple[type[Task], TaskFile | None]:
     module = known_tasks()[short].module
     if module is None:
-        added: type[Task] = load_plugin(ENVIRONMENTS, short, Task)
-        return added
+        added = load_plugin(ENVIRONMENTS, short, Task, or_file=True)
+        return _find_task(added) if isinstance(added, Path) else (added, None)
     own: type[Task] = getattr(import_module(module), short)
-    return own
+    return own, None
 
 
-def make_task(name: str, **options: Any) -> Task:
+def make_task(name: str | Path, **options: Any) -> Task:
     """A task, to be rolled out differentiably.
 
     Args:
-        name: Such as "CopterHover"; also the environment's id.
-        **options: Options of the task's class.
+        name: Such as "CopterHover"; also the environment's id, or a task file, "eel.yaml".
+        **options: Options of the task's class; they go before those of the file.
 
     Raises:
+        FileNotFoundError: no such file.
         ValueError: no such task, or an option that it does not have; the message offers the closest
             names.
     """
-    kind = task_class(name)
-    require_options(short_name(name), options, kind)
-    return kind(**options)
+    kind, file = _find_task(name)
+    if file is None:
+        return kind.of_options(options)
+    merged = kind.merged(file.options, options)
+    made = kind.of_options(merged, file.path.parent, str(file.path))
+    made.name = file.path.stem
+    return made
 
 
 def make_env(
-    name: str,
+    name: str | Path,
     *,
     render_mode: str | None = None,
     sensor_noise: float | NDArray[np.float64] = 0.0,
@@ -147,7 +185,7 @@ def make_env(
 
 
 def make_vector(
-    name: str,
+    name: str | Path,
     num_envs: int,
     *,
     max_episode_steps: int | None = None,
@@ -169,7 +207,8 @@ def make_vector(
         **options: Options of the task's class.
     """
     task = make_task(name, **options)
-    if max_episode_steps not in (None, known_tasks()[short_name(name)].max_steps):
+    registered = None if is_task_file(name) else known_tasks()[short_name(str(name))].max_steps
+    if max_episode_steps not in (None, registered):
         task.max_steps = int(require_number("max_episode_steps", max_episode_steps, at_least=1))
     return TaskVectorEnv(
         task,
@@ -233,7 +272,7 @@ but for the rotation, in [-1, 1] |
 at hover thrust |
     | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
     | truncation | 200 steps of 20 ms |
-    | options | design (shipped name, file, vehicle), dt, seconds, start_spread, \
+    | options | design (shipped name, file), vehicle (its file), dt, seconds, start_spread, \
 model (a diagnosis's extended_model.yaml), posterior, motor_time_constant, drag, wind_speed, \
 battery, action_delay, randomization (thrust, mass, inertia, drag, motor_lag, battery), \
 sensor_noise |

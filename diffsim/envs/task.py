@@ -11,14 +11,16 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice, require_count
+from diffsim.core.check import require, require_choice, require_count, require_options
+from diffsim.core.inside import inside
 
 TaskState = dict[str, Tensor]
 """Tensors by name, all with a leading batch axis; holds everything that the next step needs."""
@@ -88,6 +90,8 @@ class Task(ABC):
         actions, observations: Data sheets; actions lie in [-1, 1].
         randomizable: Quantities that ``randomization`` may name.
         clock_inputs: Which observations are a clock's.
+        length_option: Option with the length of an episode: ``num_steps``, or ``seconds``.
+        file_options: Options that name files, in a task file relative to it.
     """
 
     name: str
@@ -97,6 +101,53 @@ class Task(ABC):
     observations: tuple[Entry, ...]
     randomizable: tuple[str, ...] = ()
     clock_inputs: tuple[int, ...] = ()
+    length_option: ClassVar[str] = "num_steps"
+    file_options: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def of_options(
+        cls, options: Mapping[str, Any], folder: Path | None = None, source: str | None = None
+    ) -> Task:
+        """A task of options that a user gave, each checked.
+
+        Args:
+            options: By name.
+            folder: Folder that files among them are in, which they cannot leave; None: anywhere.
+            source: What messages call the options, such as a file; None: the task.
+
+        Raises:
+            ValueError: an option that the task does not have, or a wrong one.
+        """
+        where = "" if source is None else f"{source}: "
+        given = dict(options)
+        try:
+            require_options(cls.__name__, given, cls)
+        except ValueError as error:
+            raise ValueError(f"{where}{error}") from None
+        if folder is not None:
+            for name in given.keys() & set(cls.file_options):
+                given[name] = cls.find_file(name, given[name], folder, source or cls.__name__)
+        try:
+            return cls(**given)
+        except (ValueError, TypeError) as error:
+            if source is None or str(error).startswith(source):
+                raise
+            raise ValueError(f"{where}{error}") from error
+
+    @classmethod
+    def merged(cls, stated: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+        """Options of a file with those of a call, which go first."""
+        return {**stated, **options}
+
+    @classmethod
+    def find_file(cls, option: str, stated: Any, folder: Path, source: str) -> Any:
+        """A file that an option of a task file names, in the file's folder."""
+        if not isinstance(stated, str):
+            raise ValueError(f"{source}: {option} must name a file, got {stated!r}")
+        path = inside(folder, stated, f"{source}: {option}")
+        if not path.exists():
+            raise FileNotFoundError(f"{source}: {option}: no such file {path}")
+        return path
 
     def __init__(self, *, action_delay: int = 0, randomization: Randomizing = None):
         self.action_delay = require_count("action_delay", action_delay)

@@ -21,7 +21,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task
-from diffsim.learn.options import setup_from, training_parser
+from diffsim.learn.options import setup_from, task_mistakes_in_short, training_parser
 from diffsim.learn.setup import broke_down, evaluate
 
 KINDS = ("sinusoid", "knots")
@@ -98,8 +98,9 @@ def main(argv: Sequence[str], description: str | None = None) -> dict[str, objec
     add.add_argument("--max-iterations", type=int, default=30, help="of each (30)")
     args = parser.parse_args(argv)
     torch.set_num_threads(args.threads)
-    setup = setup_from(args)
-    task, begin = setup.make_task(), time.process_time()
+    with task_mistakes_in_short():
+        setup = setup_from(args)
+        task, begin = setup.make_task(), time.process_time()
     fits: list[tuple[float, int, nn.Module]] = []
     calls = 0
     for k in range(2 if args.quick else args.starts):
@@ -123,7 +124,7 @@ def main(argv: Sequence[str], description: str | None = None) -> dict[str, objec
         "seconds": time.process_time() - begin,
         "parameters": {name: value.tolist() for name, value in best.state_dict().items()},
     }
-    name = Path("runs") / setup.task / args.controller / f"seed_{setup.seed}"
+    name = Path("runs") / setup.label / args.controller / f"seed_{setup.seed}"
     path = write_json_atomic((args.out or name) / "open_loop.json", out)
-    print(f"{setup.task}, {args.controller}: best reward {reward:.4g}; {path}")
+    print(f"{setup.label}, {args.controller}: best reward {reward:.4g}; {path}")
     return out

@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
 
 from diffsim.core.interrupts import EXIT_INTERRUPTED
+from diffsim.envs.registry import make_task, task_class
+from diffsim.envs.task_file import ChangedTaskError
 from diffsim.learn.gradient import GradientLearner, GradientOptions
 from diffsim.learn.parallel import LostProcessError, launched_together, process_group, rank
 from diffsim.learn.recipes import recipe
@@ -19,6 +23,36 @@ from diffsim.learn.run import Learner, Run, train
 from diffsim.learn.setup import Setup
 
 T = TypeVar("T")
+EXIT_MISTAKE = 2  # what argparse uses too
+
+
+@contextmanager
+def task_mistakes_in_short(setup: Setup | None = None) -> Iterator[None]:
+    """What is wrong with a task, or its file, ends a script by its message alone.
+
+    Args:
+        setup: Whose task is made within, among other things: only what the task says of itself is
+            shortened; None: all that is done within is about the task.
+
+    Raises:
+        SystemExit: after the message.
+    """
+    try:
+        yield
+    except (ValueError, TypeError, OSError) as error:
+        if (said := error if setup is None else _task_mistake(setup)) is None:
+            raise  # a mistake elsewhere
+        print(said, file=sys.stderr)
+        raise SystemExit(EXIT_MISTAKE) from None
+
+
+def _task_mistake(setup: Setup) -> Exception | None:
+    """What is wrong with a task; None: it can be made."""
+    try:
+        setup.make_task()
+    except (ValueError, TypeError, OSError) as error:
+        return error
+    return None
 
 
 def add_options(parser: argparse.ArgumentParser, cls: type, title: str) -> None:
@@ -42,7 +76,7 @@ def training_parser(description: str | None) -> argparse.ArgumentParser:
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--task", default="CopterHover", help="name of a task (CopterHover)")
+    add("--task", default="CopterHover", help="name or YAML file of a task (CopterHover)")
     add("--task-options", type=json.loads, default={}, metavar="JSON", help="of the task ({})")
     add("--seed", type=int, default=0, help="(0)")
     add("--steps", type=int, default=200_000, help="budget of simulation steps (200000)")
@@ -61,10 +95,9 @@ def training_parser(description: str | None) -> argparse.ArgumentParser:
 def setup_from(args: argparse.Namespace) -> Setup:
     """The run that arguments ask for."""
     if args.quick:
-        options = {"seconds": 0.2} if args.task.startswith("Copter") else {"num_steps": 5}
         return Setup(
             args.task,
-            args.task_options | options,
+            args.task_options | _short_episode(args.task, args.task_options),
             args.seed,
             steps=320,
             evaluate_every=160,
@@ -74,6 +107,14 @@ def setup_from(args: argparse.Namespace) -> Setup:
             balance_clock=args.balance_clock,
         )
     return options_from(Setup, args)
+
+
+def _short_episode(task: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Options that make an episode a few steps long."""
+    kind = task_class(task)
+    if kind.length_option != "seconds":
+        return {kind.length_option: 5}
+    return {"seconds": 10 * make_task(task, **options).dt}
 
 
 def start_from_recipe(
@@ -117,7 +158,8 @@ def main_training(
     """
     parser = training_parser(description)
     add_options(parser, options, "method")
-    args = start_from_recipe(parser, argv, by_gradient=options is GradientOptions)
+    with task_mistakes_in_short():
+        args = start_from_recipe(parser, argv, by_gradient=options is GradientOptions)
     if launched_together() and learner is not GradientLearner:
         parser.error("torchrun: of all methods rl/train_gradient.py alone shares its episodes")
     with process_group():
@@ -129,21 +171,26 @@ def _train_from_arguments(
 ) -> Run:
     """The run that arguments ask for, from its first update to its last."""
     torch.set_num_threads(args.threads)
-    setup = setup_from(args)
-    folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"
+    with task_mistakes_in_short():
+        setup = setup_from(args)
+    folder = args.out or Path("runs") / setup.label / method / f"seed_{setup.seed}"
     chosen: Any = options_from(options, args, **(quick if args.quick else {}))
-    made: Learner = learner(setup, chosen)
+    with task_mistakes_in_short(setup):
+        made: Learner = learner(setup, chosen)
     try:
         run = train(setup, made, folder, resume=args.resume)
     except KeyboardInterrupt:
         raise SystemExit(EXIT_INTERRUPTED) from None
+    except ChangedTaskError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(EXIT_MISTAKE) from None
     except LostProcessError as error:
         raise SystemExit(f"LostProcessError: {error}") from None
     last = run.rows[-1]
     if rank() != 0:
         return run
     print(
-        f"{setup.task}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "
+        f"{setup.label}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "
         f"{last['reward']:.4g} in {last['steps']} steps, {last['seconds']:.1f} CPU s; {folder}"
     )
     return run

@@ -10,9 +10,10 @@ small, the first network already strokes, and the gradient has something to make
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from diffsim.envs.task_file import is_task_file, read_task_file
 from diffsim.learn.gradient import GradientOptions
 from diffsim.learn.setup import Setup
 
@@ -65,6 +66,12 @@ _COPTER_BUDGET = {"steps": 24_000, "evaluate_every": 2_400}
 RECIPES: dict[str, Recipe] = {
     "StarfishSwim": _SWIM,
     "SharkSwim": _SWIM,
+    # by a file; by one seed of examples/learning/fish, whose clock the file states
+    "SoftBody": Recipe(
+        setup={"output_gain": 0.5, "balance_clock": True, "evaluation_episodes": 4},
+        budget={"steps": 3_000, "evaluate_every": 500},
+        gradient={"batch": 1, "learning_rate": 1e-2},
+    ),
     # two seeds; a gradient of whole episodes that is cut every three strides
     "SoftJumper": Recipe(
         task_options={"clock": JUMP_CLOCK},
@@ -83,5 +90,16 @@ RECIPES: dict[str, Recipe] = {
 
 
 def recipe(task: str) -> Recipe:
-    """The recipe of a task, by its name; an empty one where none was measured."""
+    """The recipe of a task, by its name or file; an empty one where none was measured.
+
+    What a file states is left to the file.
+
+    Raises:
+        FileNotFoundError, ValueError: a file that is not there, or is no task's.
+    """
+    if is_task_file(task):
+        file = read_task_file(task)
+        usual = recipe(file.task)
+        more = {k: v for k, v in usual.task_options.items() if k not in file.options}
+        return replace(usual, task_options=more)
     return RECIPES.get(task.removeprefix("diffsim/").removesuffix("-v0"), Recipe())

@@ -16,6 +16,7 @@ from torch import nn
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.core.optional import ask_for
 from diffsim.core.progress import show_progress
+from diffsim.envs.task_file import record_of, require_unchanged
 from diffsim.learn.parallel import rank
 from diffsim.learn.setup import Setup, evaluate
 
@@ -63,6 +64,7 @@ class Run:
         rows: One per rating: steps, seconds (CPU, without ratings), wall_seconds,
             forward_equivalents, reward.
         finished: Whether the budget is spent.
+        task_file: What is remembered of the task's file (``TaskFile.record``); None: it has a name.
     """
 
     folder: Path
@@ -73,6 +75,7 @@ class Run:
     seconds: float = 0.0
     wall_seconds: float = 0.0
     finished: bool = False
+    task_file: dict[str, Any] | None = None
 
 
 _COUNTERS = ("steps", "gradient_steps", "updates", "seconds", "wall_seconds", "finished")
@@ -95,9 +98,9 @@ def train(
         show: Whether to draw a progress bar.
 
     Raises:
-        ValueError: the checkpoint is of another set-up.
+        ValueError: the checkpoint is of another set-up, or the task's file has changed since.
     """
-    run = Run(Path(folder))
+    run = Run(Path(folder), task_file=record_of(setup.task))
     run.folder.mkdir(parents=True, exist_ok=True)
     if resume and (run.folder / CHECKPOINT).exists():
         _load(run, setup, learner)
@@ -223,6 +226,7 @@ def _save(run: Run, setup: Setup, learner: Learner) -> None:
     counters = {name: getattr(run, name) for name in _COUNTERS}
     state = {
         "setup": json.dumps(to_plain(asdict(setup)), sort_keys=True),
+        "task_file": json.dumps(run.task_file),
         "rows": run.rows,
         "counters": counters,
         "learner": learner.state_dict(),
@@ -245,6 +249,13 @@ def _load(run: Run, setup: Setup, learner: Learner) -> None:
     for name, value in state["counters"].items():
         setattr(run, name, value)
     learner.load_state_dict(state["learner"])
+    require_unchanged(setup.task, task_file_of(state), str(run.folder / CHECKPOINT))
+
+
+def task_file_of(checkpoint: dict[str, Any]) -> dict[str, Any] | None:
+    """What a checkpoint remembers of its task's file; None: a task by name, or one of before."""
+    kept: dict[str, Any] | None = json.loads(checkpoint.get("task_file", "null"))
+    return kept
 
 
 def load_controller(folder: str | Path, controller: nn.Module) -> nn.Module:

@@ -18,6 +18,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.envs.registry import make_task
 from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
+from diffsim.envs.task_file import task_label
 from diffsim.envs.vector_env import TaskVectorEnv
 
 EVALUATION_SEED = 20_000  # of the starts that rate controllers; no run trains with it
@@ -29,7 +30,7 @@ class Setup:
     """One training run, whatever the method.
 
     Attributes:
-        task: Such as "CopterHover".
+        task: Such as "CopterHover", or a task file, "eel.yaml".
         task_options: Options of ``make_task``.
         seed: Seed of the first weights, the episodes, and everything drawn at random.
         steps: Budget of simulation steps.
@@ -58,6 +59,11 @@ class Setup:
     def make_task(self) -> Task:
         """The task."""
         return make_task(self.task, **dict(self.task_options))
+
+    @property
+    def label(self) -> str:
+        """What folders of results call the task."""
+        return task_label(self.task)
 
     def first_controller(self, task: Task) -> MLPController:
         """The controller that every method starts from; ``task`` is what ``make_task`` made."""

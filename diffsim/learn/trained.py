@@ -25,6 +25,7 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_bytes_atomic
 from diffsim.envs.registry import make_task
 from diffsim.envs.task import Task, TaskState
+from diffsim.envs.task_file import require_unchanged, task_label
 from diffsim.learn.setup import EVALUATION_SEED
 
 FOLDER = Path(str(files("diffsim.learn").joinpath("controllers")))
@@ -41,6 +42,8 @@ class Trained:
         reward: Mean reward per step over them.
         made_by: Command of the training.
         state: Weights and moments by name.
+        task_file: What is remembered of the task's file (``TaskFile.record``); None: it has a name.
+        folder: Where the controller was read from, in which a task file is looked for, too.
     """
 
     task: str
@@ -49,10 +52,30 @@ class Trained:
     reward: float
     made_by: str
     state: Mapping[str, NDArray[np.floating[Any]]]
+    task_file: Mapping[str, Any] | None = None
+    folder: Path | None = None
 
-    def make_task(self) -> Task:
-        """The task."""
-        return make_task(self.task, **dict(self.task_options))
+    @property
+    def label(self) -> str:
+        """What folders of results call the task."""
+        return task_label(self.task)
+
+    def make_task(self, *, changed: bool = False) -> Task:
+        """The task.
+
+        Args:
+            changed: Whether its file may differ from the one of the training.
+
+        Raises:
+            FileNotFoundError: the task's file is neither where it was nor beside the controller.
+            ChangedTaskError: the file differs; the message says in what.
+        """
+        name: str | Path = self.task
+        if self.task_file is not None and self.folder is not None and not Path(name).is_file():
+            name = self.folder / Path(name).name
+        if not changed:
+            require_unchanged(name, self.task_file, "the controller")
+        return make_task(name, **dict(self.task_options))
 
     def controller(self, task: Task) -> MLPController:
         """The network, for the task that ``make_task`` made.
@@ -133,7 +156,7 @@ def read_trained(path: str | Path) -> Trained:
         with np.load(path, allow_pickle=False) as content:
             about = json.loads(str(content[_ABOUT]))
             state = {name: content[name] for name in content.files if name != _ABOUT}
-        return Trained(state=state, **about)
+        return Trained(state=state, folder=Path(path).parent, **about)
     except OSError:
         raise
     except Exception as error:  # NumPy's, zip's and JSON's
@@ -145,7 +168,8 @@ def read_trained(path: str | Path) -> Trained:
 
 def write_trained(path: str | Path, trained: Trained) -> Path:
     """Write a controller; ``stored`` says how its numbers must be rounded before it is rated."""
-    about = {name: value for name, value in asdict(trained).items() if name != "state"}
+    aside = ("state", "folder")
+    about = {name: value for name, value in asdict(trained).items() if name not in aside}
     content = io.BytesIO()
     arrays: dict[str, Any] = {_ABOUT: np.array(json.dumps(to_plain(about))), **trained.state}
     np.savez_compressed(content, **arrays)

@@ -44,7 +44,7 @@ def areas_of(scene: SoftScene) -> Tensor:
 
 
 class _Drag(Force):
-    leading_axes, reads = True, ()
+    leading_axes, of_state, reads = True, True, ()
 
     def __init__(self, shares: Tensor, coefficient: Tensor, *, quadratic: bool):
         self._quadratic = quadratic
@@ -131,7 +131,7 @@ def _rub_nodes(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -
 
 
 class _DryFriction(Force):
-    leading_axes, reads = True, ()
+    leading_axes, of_state, reads = True, True, ()
 
     def __init__(self, size: Tensor, slip_speed: float):
         self._size, self._slip_speed = size, slip_speed

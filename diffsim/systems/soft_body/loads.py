@@ -19,7 +19,7 @@ from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 class HungWeight(Force):
     """Weight of what hangs from the body, by the scene's ``hung_mass``."""
 
-    leading_axes, reads = True, ("gravity",)
+    leading_axes, of_state, reads = True, True, ("gravity",)
 
     def __init__(self) -> None:
         self._weight = OfScene(_weigh_hung)
@@ -89,7 +89,7 @@ def _stop_node(
 
 
 class _StopForce(Force):
-    leading_axes, reads = True, ()
+    leading_axes, of_state, reads = True, True, ()
 
     def __init__(self, stiffness: Tensor, shares: Tensor, direction: Tensor, gap_m: float):
         self._stiffness, self._shares = stiffness, shares

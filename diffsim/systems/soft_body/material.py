@@ -105,7 +105,7 @@ def stiffen_by_strain(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 class _Stiffening(Force):
     """The force of the energy U + size U^2 / (E V) beside that of U."""
 
-    leading_axes, reads = True, _SOLID
+    leading_axes, of_state, reads = True, True, _SOLID
 
     def __init__(self, size: Tensor):
         self._size = size

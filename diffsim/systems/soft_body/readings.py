@@ -193,7 +193,7 @@ def look_of(
         torch.from_numpy(weights),
         torch.from_numpy(at_rest.reshape(-1)),
         torch.from_numpy(np.array(rows)),
-        torch.tensor([r.about is not None for _, r in readings]),
+        torch.tensor([r.about is not None for _, r in readings], dtype=torch.bool),
     )
 
 
@@ -231,8 +231,10 @@ def seen(look: Look, camera: Camera, values: Mapping[str, Tensor], channels: Seq
     """
     turn = torch.stack([values[f"camera_{n}"] for n in ("roll", "pitch", "yaw")])
     rotation = matrix_from_rotation_vector(turn)
-    zero = torch.stack([values[f"zero_{c}"] for c in channels])
-    scale = torch.stack([values[f"scale_{c}"] for c in channels])
+    # of bodies that nobody watches, such as a task's, there are none
+    none = torch.zeros(0, dtype=torch.float64)
+    zero = torch.stack([values[f"zero_{c}"] for c in channels]) if channels else none
+    scale = torch.stack([values[f"scale_{c}"] for c in channels]) if channels else none
     scale = scale * torch.where(look.turns, torch.ones_like(scale), values["camera_scale"])
 
     def channels_of(places: Tensor, times: Tensor) -> Tensor:

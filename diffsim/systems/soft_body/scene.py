@@ -63,10 +63,12 @@ class Force:
     Attributes:
         leading_axes: Whether moments with leading axes, x and v (..., num_nodes, 3), are
             understood: then derivatives ask for many states at once.
+        of_state: Whether the force depends on x and v alone, not on time or on what was before.
         reads: The physical parameters of the scene that the force depends on; None: any.
     """
 
     leading_axes: ClassVar[bool] = False
+    of_state: ClassVar[bool] = False
     reads: tuple[str, ...] | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
@@ -106,7 +108,7 @@ class ForcePlace:
 class PointForce(Force):
     """A force by a law at a place."""
 
-    leading_axes, reads = True, ()
+    leading_axes, of_state, reads = True, True, ()
 
     def __init__(self, place: ForcePlace, law: ForceLaw):
         self._shares, self._law = place.shares, law
