@@ -14,7 +14,6 @@ from itertools import starmap
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import medfilt, savgol_filter
 
 Array = NDArray[np.float64]
 WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
@@ -46,6 +45,8 @@ class _Lags:
     @classmethod
     def of(cls, times: Array, readings: Array) -> _Lags | None:
         """Of a record, or None where it is too short; gaps are bridged by straight lines."""
+        from scipy.signal import medfilt  # dear to load
+
         good = np.isfinite(readings)
         if good.sum() < 4 * WINDOW:
             return None
@@ -56,10 +57,10 @@ class _Lags:
             return None
         whole = np.interp(times, times[good], whole[good])
         step = float(np.median(np.diff(times)))
-        velocity = savgol_filter(whole, WINDOW, DEGREE, deriv=1, delta=step)
-        off = whole - savgol_filter(whole, WINDOW, DEGREE)
+        velocity = _smooth(whole, 1) / step
+        off = whole - _smooth(whole)
         # steps of the computer's own clock that are longer or shorter move the arm, too
-        uneven = times - savgol_filter(times, WINDOW, DEGREE)
+        uneven = times - _smooth(times)
         weight = good & (np.abs(off) < np.abs(velocity) * 3.0 * step)
         return cls(times, np.where(weight, velocity, 0.0), off - velocity * uneven)
 
@@ -72,11 +73,18 @@ class _Lags:
         """Best phase [s], squares that its sawtooth explains, and how much of it is there."""
         phases = period * np.arange(PHASES) / PHASES
         lag = -self.velocity * age(self.times, period, phases[:, None])
-        teeth = lag - savgol_filter(lag, WINDOW, DEGREE)
+        teeth = lag - _smooth(lag)
         along = teeth @ np.where(self.velocity != 0.0, self.off, 0.0)
         squares = np.maximum((teeth**2).sum(-1), TINY)
         k = int(np.argmax(np.maximum(along, 0.0) ** 2 / squares))
         return float(phases[k]), float(along[k] ** 2 / squares[k]), float(along[k] / squares[k])
+
+
+def _smooth(values: Array, derivative: int = 0) -> Array:
+    """Local cubics through evenly spaced values, (..., num_samples), or their slopes per sample."""
+    from scipy.signal import savgol_filter  # dear to load
+
+    return np.asarray(savgol_filter(values, WINDOW, DEGREE, deriv=derivative))
 
 
 def age(times: Array, period: float, phase: float | Array) -> Array:

@@ -41,8 +41,8 @@ from diffsim.systems.ode.law_effects import (
 from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
 from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
-from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.refresh_effects import REFRESH, refresh_effects, refresh_periods
+from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
 
