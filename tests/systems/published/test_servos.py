@@ -101,7 +101,7 @@ def test_hidden_causes_of_a_twin_are_fitted_from_its_files(twin):
     told = [p for p in check_study(study) if "misread" in p.message]
     assert [p.where.split("_")[-1] for p in told] == ["brutal", "brutal"]
     made = setup_of(study)
-    names = ("delay_of_goal", "rate_limit_of_goal", "drive_friction", "load_friction")
+    names = ("delay_of_goal", "rate_limit_of_goal", "load_friction")
     clock = next(e for e in made.effects if e.name == "own_clock_of_position")
     assert clock.needs(study) is None and f"{1e3 * TICK:g} ms" in clock.form
     chosen = [e for e in made.effects if e.name in names]
@@ -133,7 +133,7 @@ def test_misread_samples_are_left_out_by_the_readme_s_rule():
 @pytest.mark.parametrize(
     ("name", "uses"),
     [
-        ("servo_sts3215", (13, 17, 16)),
+        ("servo_sts3215", (30, 17, 16)),
         ("servo_sts3250", (20, 8, 12)),
         ("servo_go1", (5, 3, 2)),
     ],
