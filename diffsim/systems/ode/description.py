@@ -167,7 +167,7 @@ class OdeDescription(FormulaKeys):
             RESTS: rests_of(study, self.rest),
             REFRESH: periods,
         }
-        timed = (*ode_effects(library), *refresh_effects(study, periods))
+        timed = (*ode_effects(library), *refresh_effects(study, periods, self.effects.only))
         found = (*timed, *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         ports = ports_of(library, tuple(read.quantities))

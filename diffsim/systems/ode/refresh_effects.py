@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -33,20 +33,25 @@ def refresh_periods(study: Study) -> Mapping[str, float]:
     }
 
 
-def refresh_effects(study: Study, periods: Mapping[str, float]) -> tuple[Effect, ...]:
-    """A clock of its own for each channel; one whose records show none is not judged.
+def refresh_effects(
+    study: Study, periods: Mapping[str, float], asked: Collection[str]
+) -> tuple[Effect, ...]:
+    """A clock of its own for each channel whose records show one.
 
     Args:
         study: Study with the recordings.
         periods: Period of each channel's clock [s]; 0 where there is none.
+        asked: Names of causes that the study asks for: without a clock these are not judged.
     """
     out = []
     for place, channel in enumerate(study.channels):
-        period = periods.get(channel.name, 0.0)
+        name, period = f"own_clock_of_{channel.name}", periods.get(channel.name, 0.0)
+        if not period and name not in asked:
+            continue
         apply = partial(_read_at_ticks, place=place, period=period)
         found = rows("ode")["own_clock"].effect(apply, {"period": 1e3 * period})
         needs = needs_nothing if period else _lacks_a_clock
-        out.append(replace(found, name=f"own_clock_of_{channel.name}", needs=needs))
+        out.append(replace(found, name=name, needs=needs))
     return tuple(out)
 
 
