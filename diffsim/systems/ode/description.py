@@ -41,6 +41,7 @@ from diffsim.systems.ode.law_effects import (
 from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
 from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
+from diffsim.systems.ode.refresh_effects import REFRESH, refresh_effects, refresh_periods
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
@@ -158,6 +159,7 @@ class OdeDescription(FormulaKeys):
             scales=scales,
         )
         labels = {**read.labels, **labels_of_laws(self.laws, study)}
+        periods = refresh_periods(study)
         model.frame = {
             LABELS: labels,
             HELD: dict(read.input_held),
@@ -165,8 +167,10 @@ class OdeDescription(FormulaKeys):
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
             SCALES: scales.saved(),
             RESTS: rests_of(study, self.rest),
+            REFRESH: periods,
         }
-        found = (*ode_effects(library), *event_effects(library, model, self.events))
+        timed = (*ode_effects(library), *refresh_effects(study, periods, self.effects.only))
+        found = (*timed, *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         ports = ports_of(library, tuple(read.quantities))
         effects = chosen_effects((*found, *laws, *read.own), self.effects, study, ports)

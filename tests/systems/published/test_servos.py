@@ -14,6 +14,7 @@ from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
 from diffsim.identify import fit
 from diffsim.systems import published
+from diffsim.systems.ode.refresh_effects import refresh_periods
 from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
 
@@ -21,6 +22,7 @@ FOLDER = Path(published.__file__).parent
 RUNS = "run,motor,mass_kg,arm_m,arm_mass_kg,kp,trajectory"
 TRUTH = {"supply": 12.0, "kt": 2.2, "resistance": 4.2, "armature": 0.02, "coulomb": 0.12}
 DELAY, FASTEST, LOAD_FRICTION = 0.02, 5.0, 0.15  # s, rad/s, share: hidden
+TICK = 0.008  # s: the encoder's own clock, hidden
 STUDY = """
 name: my_servo
 like: position_servo
@@ -44,14 +46,16 @@ def goals(kind):
 
 def swing(goal, mass, arm, kp):
     """Angles of a servo by semi-implicit Euler, friction with a clamp that sticks exactly."""
-    arm_mass, angle, speed, profile, out = 0.036, 0.0, 0.0, 0.0, []
+    arm_mass, angle, speed, profile, register, out = 0.036, 0.0, 0.0, 0.0, 0.0, []
     rotor = TRUTH["armature"] + mass * arm**2 + arm_mass * arm**2 / 3.0
     weight = 9.81 * arm * (mass + arm_mass / 2.0)
     stall = TRUTH["supply"] * TRUTH["kt"] / TRUTH["resistance"]
     for k in range(round(TIME[-1] / STEP) + 1):
         time_s = k * STEP
+        if k % round(TICK / STEP) == 6:
+            register = angle
         if k % round(0.01 / STEP) == 0:
-            out.append(angle)
+            out.append(register)
         target = goal[max(int((time_s - DELAY + 1e-9) / 0.01), 0)] if time_s >= DELAY else goal[0]
         profile += np.clip(target - profile, -FASTEST * STEP, FASTEST * STEP)
         duty = np.clip(0.165 * kp * (profile - angle), -1.0, 1.0)
@@ -66,7 +70,7 @@ def swing(goal, mass, arm, kp):
 
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory):
-    """A folder as make_csv.py writes it: two hidden causes in the goal, one in the gear."""
+    """A folder as make_csv.py writes it: causes hidden in the goal, the gear and the encoder."""
     folder = tmp_path_factory.mktemp("servo")
     rng, rows = np.random.default_rng(0), [RUNS]
     for mass, arm, kp, kind in (
@@ -91,12 +95,15 @@ def twin(tmp_path_factory):
     return folder
 
 
+@pytest.mark.cpu(16)  # two fits of a servo whose dry friction needs steps of 1 ms
 def test_hidden_causes_of_a_twin_are_fitted_from_its_files(twin):
     study = load_study(twin / "study.yaml")
     told = [p for p in check_study(study) if "misread" in p.message]
     assert [p.where.split("_")[-1] for p in told] == ["brutal", "brutal"]
     made = setup_of(study)
     names = ("delay_of_goal", "rate_limit_of_goal", "load_friction")
+    clock = next(e for e in made.effects if e.name == "own_clock_of_position")
+    assert clock.needs(study) is None and f"{1e3 * TICK:g} ms" in clock.form
     chosen = [e for e in made.effects if e.name in names]
     runs = [
         replace(run, measured=np.where(is_read(run.measured[:, 0])[:, None], run.measured, np.nan))
@@ -105,6 +112,10 @@ def test_hidden_causes_of_a_twin_are_fitted_from_its_files(twin):
     plain = fit(made.model, runs, study.channels, effects=[], max_evaluations=10)
     found = fit(made.model, runs, study.channels, effects=chosen, max_evaluations=25)
     assert found.chi2 < 0.1 * plain.chi2
+    timed = fit(made.model, runs, study.channels, effects=[*chosen, clock], max_evaluations=25)
+    assert timed.chi2 < 0.5 * found.chi2
+    assert timed.values[clock.name] == pytest.approx(1.0, abs=0.1)
+    found = timed
     assert found.values["delay_of_goal"] == pytest.approx(DELAY, abs=0.004)
     assert 1.0 / found.values["rate_limit_of_goal"] == pytest.approx(FASTEST, rel=0.05)
     with torch.no_grad():
@@ -122,7 +133,7 @@ def test_misread_samples_are_left_out_by_the_readme_s_rule():
 @pytest.mark.parametrize(
     ("name", "uses"),
     [
-        ("servo_sts3215", (13, 17, 16)),
+        ("servo_sts3215", (30, 17, 16)),
         ("servo_sts3250", (20, 8, 12)),
         ("servo_go1", (5, 3, 2)),
     ],
@@ -134,6 +145,8 @@ def test_the_recorded_runs_are_found_and_dealt_by_the_stated_rule(name, uses):
     study = load_study(FOLDER / f"{name}.yaml")
     assert tuple(len(study.runs_for(use)) for use in ("fit", "select", "test")) == uses
     assert not [p for p in check_study(study) if p.severity == "error"]
+    period = refresh_periods(study)["position"]  # the good motor's encoder has no clock to name
+    assert period == (0.0 if "go1" in name else pytest.approx(TICK, rel=1e-3))
     if "sts" in name:
         places = {0.535: 0, 0.74117693: 1, 1.1682: 2}, {0.1: 0, 0.15: 2}, {4: 0, 8: 1, 16: 2, 24: 3}
         for run in study.runs:

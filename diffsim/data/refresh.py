@@ -1,0 +1,151 @@
+"""Sensors with a clock of their own: what is read was measured at the sensor's last tick.
+
+A register that a servo refreshes every 8 ms, asked every 10 ms, is 0 to 8 ms old. Its readings of
+a steady motion go in uneven steps, which repeat with the beat of the two clocks. Against a smooth
+motion they lag by velocity times age; a sawtooth of one period and one phase per record explains
+that where there is such a clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import starmap
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
+SHORTEST, LONGEST = 0.3, 2.5  # periods that are looked for, in usual steps between samples
+FINE = 4.0  # beats that are tried per one over a record's duration
+TINY = 1e-300  # keeps ratios of nothing finite
+MOST = 4  # records in which the period is looked for: those that move most
+CANDIDATES = 3  # beats whose sawteeth are tried
+PHASES = 24  # that are tried of a record
+EXPLAINED = 0.5  # share of the squared lags from which on a clock is one
+MISREAD = 3.0  # usual greatest steps: what lies further from its neighbors was misread
+FULL = (0.7, 1.3)  # how much of its sawtooth must be there
+
+
+@dataclass(frozen=True)
+class _Lags:
+    """How readings differ from a smooth motion.
+
+    Attributes:
+        times: (num_samples,) [s].
+        velocity: Of the smooth motion [reading/s].
+        off: Readings less the smooth motion.
+    """
+
+    times: Array
+    velocity: Array
+    off: Array
+
+    @classmethod
+    def of(cls, times: Array, readings: Array) -> _Lags | None:
+        """Of a record, or None where it is too short; gaps are bridged by straight lines."""
+        from scipy.signal import medfilt  # dear to load
+
+        good = np.isfinite(readings)
+        if good.sum() < 4 * WINDOW:
+            return None
+        whole = np.interp(times, times[good], readings[good])
+        usual = float(np.quantile(np.abs(np.diff(whole)), 0.95))
+        good &= np.abs(whole - medfilt(whole, 5)) <= MISREAD * usual
+        if good.sum() < 4 * WINDOW:
+            return None
+        whole = np.interp(times, times[good], whole[good])
+        step = float(np.median(np.diff(times)))
+        velocity = _smooth(whole, 1) / step
+        off = whole - _smooth(whole)
+        # steps of the computer's own clock that are longer or shorter move the arm, too
+        uneven = times - _smooth(times)
+        weight = good & (np.abs(off) < np.abs(velocity) * 3.0 * step)
+        return cls(times, np.where(weight, velocity, 0.0), off - velocity * uneven)
+
+    @property
+    def moves(self) -> float:
+        """Sum of the squared velocities."""
+        return float((self.velocity**2).sum())
+
+    def fit(self, period: float) -> tuple[float, float, float]:
+        """Best phase [s], squares that its sawtooth explains, and how much of it is there."""
+        phases = period * np.arange(PHASES) / PHASES
+        lag = -self.velocity * age(self.times, period, phases[:, None])
+        teeth = lag - _smooth(lag)
+        along = teeth @ np.where(self.velocity != 0.0, self.off, 0.0)
+        squares = np.maximum((teeth**2).sum(-1), TINY)
+        k = int(np.argmax(np.maximum(along, 0.0) ** 2 / squares))
+        return float(phases[k]), float(along[k] ** 2 / squares[k]), float(along[k] / squares[k])
+
+
+def _smooth(values: Array, derivative: int = 0) -> Array:
+    """Local cubics through evenly spaced values, (..., num_samples), or their slopes per sample."""
+    from scipy.signal import savgol_filter  # dear to load
+
+    return np.asarray(savgol_filter(values, WINDOW, DEGREE, deriv=derivative))
+
+
+def age(times: Array, period: float, phase: float | Array) -> Array:
+    """How old readings are, (..., num_samples) [s].
+
+    Args:
+        times: When they were read [s].
+        period: Of the sensor's clock [s].
+        phase: A tick of it [s], () or (..., 1).
+    """
+    return np.asarray(np.mod(times - phase, period))
+
+
+def phase_of(times: Array, readings: Array, period: float) -> float:
+    """A tick of the sensor's clock in one record [s]; 0 where it does not move.
+
+    Args:
+        times: When samples were read, (num_samples,) [s].
+        readings: What was read, NaN where nothing was.
+        period: Of the sensor's clock [s].
+    """
+    lags = _Lags.of(times, readings)
+    return 0.0 if lags is None else lags.fit(period)[0]
+
+
+def refresh_period(records: Iterable[tuple[Array, Array]]) -> float | None:
+    """Period of a sensor's own clock [s], from records alone; None where there is none.
+
+    Args:
+        records: Times (num_samples,) [s] and readings (num_samples,) of each record.
+    """
+    found = sorted(
+        (lags for lags in starmap(_Lags.of, records) if lags is not None and lags.moves > 0.0),
+        key=lambda lags: -lags.moves,
+    )[:MOST]
+    if not found:
+        return None
+    step = float(np.mean(np.diff(found[0].times)))
+    fine = 1.0 / (FINE * max(float(np.ptp(lags.times)) for lags in found))
+    # readings at even times show the beat alone, which several periods would make
+    beats = np.arange(0.0, 0.5 / step, fine)
+    power = np.zeros(len(beats))
+    for lags in found:
+        wave = np.exp(2j * np.pi * np.outer(beats, lags.times))
+        power += np.abs(wave @ (lags.velocity * lags.off)) ** 2 / lags.moves
+    inner = power[1:-1]
+    peaks = 1 + np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]))
+    strongest = beats[peaks[np.argsort(-power[peaks])][:CANDIDATES]]
+    rates = {
+        abs(n / step + side * beat) for beat in strongest for n in range(4) for side in (-1, 1)
+    }
+    tried = [1.0 / r for r in rates if 1.0 / LONGEST < r * step < 1.0 / SHORTEST]
+    total = sum(float((lags.off[lags.velocity != 0.0] ** 2).sum()) for lags in found)
+
+    def explained(period: float) -> float:
+        fits = [lags.fit(period) for lags in found]
+        is_full = FULL[0] < float(np.median([size for _, _, size in fits])) < FULL[1]
+        return is_full * sum(gain for _, gain, _ in fits) / max(total, TINY)
+
+    shares = [explained(period) for period in tried]
+    if not tried or max(shares) < EXPLAINED:
+        return None
+    rate = 1.0 / tried[int(np.argmax(shares))]
+    return max((1.0 / (rate + k * fine / 4.0) for k in range(-3, 4)), key=explained)

@@ -1,0 +1,87 @@
+"""Sensors that are refreshed by a clock of their own: judged where the records show one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.causes.catalogue import rows
+from diffsim.causes.signals import Grid
+from diffsim.data.refresh import age, phase_of, refresh_period
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Effect, needs_nothing
+from diffsim.systems.ode.scene import OdeScene
+
+REFRESH = "refresh"  # place in a study's frame: periods by channel [s], 0 where there is none
+
+
+def refresh_periods(study: Study) -> Mapping[str, float]:
+    """Period of each channel's own clock [s], 0 where the runs to fit show none.
+
+    A study with a ``frame`` has them from there.
+    """
+    if (kept := study.frame.get(REFRESH)) is not None:
+        return {name: float(period) for name, period in kept.items()}
+    return {
+        channel.name: refresh_period((r.time_s, r.measured[:, i]) for r in study.fit_runs) or 0.0
+        for i, channel in enumerate(study.channels)
+    }
+
+
+def refresh_effects(
+    study: Study, periods: Mapping[str, float], asked: Collection[str]
+) -> tuple[Effect, ...]:
+    """A clock of its own for each channel whose records show one.
+
+    Args:
+        study: Study with the recordings.
+        periods: Period of each channel's clock [s]; 0 where there is none.
+        asked: Names of causes that the study asks for: without a clock these are not judged.
+    """
+    out = []
+    for place, channel in enumerate(study.channels):
+        name, period = f"own_clock_of_{channel.name}", periods.get(channel.name, 0.0)
+        if not period and name not in asked:
+            continue
+        apply = partial(_read_at_ticks, place=place, period=period)
+        found = rows("ode")["own_clock"].effect(apply, {"period": 1e3 * period})
+        needs = needs_nothing if period else _lacks_a_clock
+        out.append(replace(found, name=name, needs=needs))
+    return tuple(out)
+
+
+def _lacks_a_clock(study: Study) -> str:
+    return "readings that lag by the age that a clock of the sensor's own gives them"
+
+
+def _read_at_ticks(
+    scene: OdeScene, size: Tensor, run: Run, *, place: int, period: float
+) -> OdeScene:
+    if not period:
+        return scene
+    readings = np.ascontiguousarray(run.measured[:, place], dtype=np.float64)
+    times = np.ascontiguousarray(run.time_s, dtype=np.float64)
+    phase = _phase(times.tobytes(), readings.tobytes(), period)
+    share = size[..., 0, None, None]
+
+    def held(signal: Tensor, grid: Grid) -> Tensor:
+        """Some of a signal (..., width, num_times) as of the last tick, the rest as it is."""
+        seconds = grid.times.numpy()
+        ticks = np.maximum(seconds - age(seconds, period, phase), seconds[0])
+        after = np.clip(np.searchsorted(seconds, ticks), 1, len(seconds) - 1)
+        part = (ticks - seconds[after - 1]) / (seconds[after] - seconds[after - 1])
+        later = torch.from_numpy(after)
+        low, high = signal[..., later - 1], signal[..., later]
+        return signal + share * (low + torch.from_numpy(part) * (high - low) - signal)
+
+    return scene.with_reading((place,), held)
+
+
+@lru_cache(maxsize=512)
+def _phase(times: bytes, readings: bytes, period: float) -> float:
+    return phase_of(np.frombuffer(times), np.frombuffer(readings), period)
