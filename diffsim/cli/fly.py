@@ -69,7 +69,7 @@ def command(args: argparse.Namespace) -> None:
         payload=args.payload,
         pwm_max=args.pwm_max,
         seed=args.seed,
-        **_diagnosed(flown, args.model),
+        **_options_of_model(flown, args.model),
     )
     pilot = _pilot(args)
     live = args.view or args.input is not None
@@ -100,7 +100,7 @@ def _load_design_or_vehicle(name: str) -> Design | FlyingVehicle:
     return vehicle
 
 
-def _diagnosed(flown: Design | FlyingVehicle, model: Path | None) -> dict[str, Any]:
+def _options_of_model(flown: Design | FlyingVehicle, model: Path | None) -> dict[str, Any]:
     """How the vehicle flies, where a diagnosis says so."""
     if model is None:
         return {}

