@@ -100,7 +100,7 @@ def entry_of(report):
     return law.entry["kind"], law.entry["target"], law.variables
 
 
-@pytest.mark.cpu(30)  # two diagnoses, and laws of every number of a body
+@pytest.mark.cpu(55)  # two diagnoses, laws of every number of a body, causes beside them
 @pytest.mark.parametrize(("make", "sd"), [(finger, 1e-4), (arm, 2e-4)])
 def test_a_stiffness_that_falls_with_the_days_warmth_is_described(make, sd):
     report = found(over_days(make(), 0.02, sd), accept_numerics=True)
