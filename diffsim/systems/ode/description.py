@@ -159,7 +159,9 @@ class OdeDescription(FormulaKeys):
             scales=scales,
         )
         labels = {**read.labels, **labels_of_laws(self.laws, study)}
-        periods = refresh_periods(study)
+        choice = self.effects
+        periods = refresh_periods(study, choice.only)
+        spoken_of = {*choice.only, *choice.without, *choice.typical}
         model.frame = {
             LABELS: labels,
             HELD: dict(read.input_held),
@@ -169,7 +171,7 @@ class OdeDescription(FormulaKeys):
             RESTS: rests_of(study, self.rest),
             REFRESH: periods,
         }
-        timed = (*ode_effects(library), *refresh_effects(study, periods, self.effects.only))
+        timed = (*ode_effects(library), *refresh_effects(study, periods, spoken_of))
         found = (*timed, *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         ports = ports_of(library, tuple(read.quantities))

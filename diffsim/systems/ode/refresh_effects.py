@@ -20,17 +20,27 @@ from diffsim.systems.ode.scene import OdeScene
 REFRESH = "refresh"  # place in a study's frame: periods by channel [s], 0 where there is none
 
 
-def refresh_periods(study: Study) -> Mapping[str, float]:
+def _name_of(channel: str) -> str:
+    return f"own_clock_of_{channel}"
+
+
+def refresh_periods(study: Study, only: Collection[str] = ()) -> Mapping[str, float]:
     """Period of each channel's own clock [s], 0 where the runs to fit show none.
 
     A study with a ``frame`` has them from there.
+
+    Args:
+        study: Study with the recordings.
+        only: Names of the causes that are judged; empty: all. For others no clock is looked for.
     """
     if (kept := study.frame.get(REFRESH)) is not None:
         return {name: float(period) for name, period in kept.items()}
-    return {
-        channel.name: refresh_period((r.time_s, r.measured[:, i]) for r in study.fit_runs) or 0.0
-        for i, channel in enumerate(study.channels)
-    }
+    periods = dict.fromkeys((c.name for c in study.channels), 0.0)
+    for i, name in enumerate(periods):
+        if not only or _name_of(name) in only:
+            records = ((r.time_s, r.measured[:, i]) for r in study.fit_runs)
+            periods[name] = refresh_period(records) or 0.0
+    return periods
 
 
 def refresh_effects(
@@ -41,11 +51,11 @@ def refresh_effects(
     Args:
         study: Study with the recordings.
         periods: Period of each channel's clock [s]; 0 where there is none.
-        asked: Names of causes that the study asks for: without a clock these are not judged.
+        asked: Names of causes that the study speaks of: without a clock these are not judged.
     """
     out = []
     for place, channel in enumerate(study.channels):
-        name, period = f"own_clock_of_{channel.name}", periods.get(channel.name, 0.0)
+        name, period = _name_of(channel.name), periods.get(channel.name, 0.0)
         if not period and name not in asked:
             continue
         apply = partial(_read_at_ticks, place=place, period=period)
