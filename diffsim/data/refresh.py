@@ -14,6 +14,7 @@ from itertools import starmap
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 Array = NDArray[np.float64]
 WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
@@ -45,14 +46,12 @@ class _Lags:
     @classmethod
     def of(cls, times: Array, readings: Array) -> _Lags | None:
         """Of a record, or None where it is too short; gaps are bridged by straight lines."""
-        from scipy.signal import medfilt  # dear to load
-
         good = np.isfinite(readings)
         if good.sum() < 4 * WINDOW:
             return None
         whole = np.interp(times, times[good], readings[good])
         usual = float(np.quantile(np.abs(np.diff(whole)), 0.95))
-        good &= np.abs(whole - medfilt(whole, 5)) <= MISREAD * usual
+        good &= np.abs(whole - median_filter(whole, 5, mode="constant")) <= MISREAD * usual
         if good.sum() < 4 * WINDOW:
             return None
         whole = np.interp(times, times[good], whole[good])
