@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -33,3 +33,13 @@ def lacking(out: Path, before: Mapping[str, Any] | None) -> list[str]:
         for name in (REPORT_FILE, MODEL_FILE, PAGE_FILE, RECORDING_FILE)
         if not (out / name).is_file() and not (name in undrawn and find_spec(NEEDS[name]) is None)
     ]
+
+
+def is_drawn(write: Callable[[], Path]) -> bool:
+    """Whether it was written: pictures need packages of the ``viz`` extra; results do not."""
+    try:
+        print(f"wrote {write()}")
+    except ImportError as error:
+        print(f"not drawn: {error}")
+        return False
+    return True

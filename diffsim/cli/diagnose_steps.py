@@ -19,6 +19,7 @@ from diffsim.cli.diagnose_files import (
     PAGE_FILE,
     RECORDING_FILE,
     REPORT_FILE,
+    is_drawn,
     lacking,
 )
 from diffsim.cli.diagnose_init import init
@@ -124,7 +125,7 @@ def _fit(args: argparse.Namespace) -> None:
 
         return write_fit(null, out / "fit.html")
 
-    _if_installed(page)
+    is_drawn(page)
 
 
 def _explain(args: argparse.Namespace) -> None:
@@ -206,7 +207,7 @@ def _write(report: Report, inputs: Inputs, out: Path) -> bool:
     pictures = {PAGE_FILE: page, RECORDING_FILE: recording}
     for name in pictures:
         (out / name).unlink(missing_ok=True)  # of other inputs: not to pass for this answer's
-    not_drawn = [name for name, write in pictures.items() if not _if_installed(write)]
+    not_drawn = [name for name, write in pictures.items() if not is_drawn(write)]
     write_json_atomic(out / INPUTS_FILE, {**inputs.fingerprint, "not_drawn": not_drawn})
     return not not_drawn
 
@@ -282,7 +283,7 @@ def _judge(args: argparse.Namespace) -> None:
         return write_judgment(found, inputs.study, saved, out / JUDGE_PAGE)
 
     (out / JUDGE_PAGE).unlink(missing_ok=True)  # of other runs: not to pass for this answer's
-    _if_installed(page)
+    is_drawn(page)
 
 
 def _read_judged(args: argparse.Namespace, study: Study, out: Path) -> SavedModel:
@@ -337,7 +338,7 @@ def _judge_groups(study: Study, out: Path, **which: Any) -> None:
 
         return write_faults(report, out / FAULTS_PAGE)
 
-    _if_installed(page)
+    is_drawn(page)
 
 
 def _export(args: argparse.Namespace) -> None:
@@ -391,16 +392,6 @@ def _tell_runs(values: Mapping[str, float], sign: float) -> None:
     width = max(32, *(len(name) for name in values))
     for name, value in sorted(values.items(), key=lambda item: sign * item[1]):
         print(f"{name:<{width}} {value:>12.4g}")
-
-
-def _if_installed(write: Callable[[], Path]) -> bool:
-    """Whether it was written: pictures need packages of the ``viz`` extra; results do not."""
-    try:
-        print(f"wrote {write()}")
-    except ImportError as error:
-        print(f"not drawn: {error}")
-        return False
-    return True
 
 
 def _read_json(path: Path) -> Mapping[str, Any] | None:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from diffsim.cli.arguments import DIAGNOSES
+from diffsim.cli.diagnose_files import is_drawn
 from diffsim.cli.diagnose_inputs import read_study
 from diffsim.core.files import write_json_atomic, write_text_atomic
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from diffsim.systems.twin import Twin
 
 UNSETTLED = ("ambiguous", "unknown", "unrepeatable")  # verdicts that leave a cause open
-COMMAND_FILE, WORTH_FILE = "command.csv", "worth.json"
+COMMAND_FILE, WORTH_FILE, WORTH_PAGE = "command.csv", "worth.json", "worth.html"
 
 
 def command(args: argparse.Namespace) -> None:
@@ -49,10 +50,21 @@ def worth(args: argparse.Namespace) -> None:
     if not twin.causes:
         print(f"{twin.saved.path} names no cause: there is nothing to mend")
         return
+    (out / WORTH_PAGE).unlink(missing_ok=True)  # of another task: not to pass for this one's
     found = worth_of(twin, task)
     for row in found:
         print(row.words)
-    print(f"wrote {write_json_atomic(out / WORTH_FILE, [asdict(row) for row in found])}")
+    rows = [{**asdict(row), "bought": row.bought} for row in found]
+    print(f"wrote {write_json_atomic(out / WORTH_FILE, rows)}")
+
+    def page() -> Path:
+        from diffsim.viz.worth_page import write_worth  # viz by entry points only
+
+        facts = [("model", str(twin.saved.path)), ("task", str(args.task))]
+        facts.append(("verdict of the diagnosis", twin.saved.verdict or "unknown"))
+        return write_worth(found, out.name, facts, out / WORTH_PAGE)
+
+    is_drawn(page)
 
 
 def _read_inputs(args: argparse.Namespace) -> tuple[Twin, TrackingTask, Path]:

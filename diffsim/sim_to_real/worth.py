@@ -41,6 +41,11 @@ class Worth:
     of: str = MISS
 
     @property
+    def bought(self) -> float:
+        """What mending it as a whole buys: misses less, or way more [m]."""
+        return self.whole - self.none if self.of == MISS else self.none - self.whole
+
+    @property
     def words(self) -> str:
         """A line for people."""
         unit = "" if self.of == MISS else " m"

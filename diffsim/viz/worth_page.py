@@ -1,0 +1,109 @@
+"""The page of what it would buy a task to mend each cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from diffsim.viz import charts
+from diffsim.viz import report as page
+from diffsim.viz.charts import EXTENDED, NULL
+from diffsim.viz.figures import COLORS
+from diffsim.viz.numbers import figure
+
+if TYPE_CHECKING:
+    from diffsim.sim_to_real.worth import Worth
+
+SHOWN = {"whole": "with it", "half": "with half of it", "none": "without it"}
+UNAWARE = "command that does not know of it"
+TASK_MISS = "root mean square of the misses, each in units of the task's `miss`; less is better"
+TRAVEL = "travel [m]; more is better"
+
+
+def write_worth(
+    found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str]], path: str | Path
+) -> Path:
+    """Write the page, one static HTML file.
+
+    Args:
+        found: What each cause costs, as ``sim_to_real.worth`` gives it.
+        name: Of the study.
+        facts: (what, value) pairs: where the model and the task came from.
+        path: File to write.
+
+    Returns:
+        ``path``.
+    """
+    return page.write(worth_page(found, name, facts), path)
+
+
+def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str]]) -> page.Report:
+    """The page: what mending buys most, every cause as numbers and as bars."""
+    ranked = sorted(found, key=lambda row: -row.bought)
+    travel = found[0].of != "miss"
+    unit = "m" if travel else ""
+    numbers = [
+        page.Number(
+            label=f"mending {row.cause} buys",
+            value=figure(row.bought),
+            unit=unit,
+            note=f"{figure(row.whole)} with it, {figure(row.none)} without",
+        )
+        for row in ranked
+    ]
+    content: list[page.Item] = [_table(ranked), _bars(ranked, TRAVEL if travel else TASK_MISS)]
+    return page.Report(
+        title=f"What mending would buy: {name}",
+        subtitle="The task's best command was sought again with each cause, with half of its size, "
+        "and without it.",
+        verdict=[row.words for row in ranked[:1]],
+        numbers=numbers,
+        sections=[
+            page.Section(
+                title="Cause by cause",
+                text=[f"Numbers are the {TRAVEL if travel else TASK_MISS}."],
+                content=content,
+            )
+        ],
+        held_fixed=list(facts),
+    )
+
+
+def _table(rows: Sequence[Worth]) -> page.Table:
+    return page.Table(
+        columns=["cause", *SHOWN.values(), "mending buys", UNAWARE],
+        rows=[
+            [
+                r.cause,
+                *(figure(getattr(r, key)) for key in SHOWN),
+                figure(r.bought),
+                figure(r.unaware),
+            ]
+            for r in rows
+        ],
+        caption="Last column: the command of a model without the cause, where the cause acts.",
+    )
+
+
+def _bars(rows: Sequence[Worth], title: str) -> page.Chart:
+    colors = dict(zip(SHOWN, (EXTENDED, COLORS["fourth"], COLORS["measured_2"]), strict=True))
+    labels = {**SHOWN, "unaware": UNAWARE}
+    bars = [
+        charts.graph_objects().Bar(
+            x=[row.cause for row in rows],
+            y=charts.rounded(np.array([getattr(row, key) for row in rows])),
+            name=label,
+            marker_color=colors.get(key, NULL),
+        )
+        for key, label in labels.items()
+    ]
+    drawn: Any = charts.graph_objects().Figure(bars)
+    drawn.update_yaxes(title_text=title.split(";")[0].split(",")[0], type="log")
+    return page.Chart(
+        figure=charts.styled(drawn, height=320),
+        caption="Logarithmic scale. A tall last bar says that the command must know of the cause; "
+        "a fall from the first bar to the third, that a mended rig would do better.",
+    )
