@@ -24,7 +24,8 @@ from diffsim.core import interruptible
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.soft_named import SoftJumper
-from diffsim.learn.gradient import cosine_rate, set_rate
+from diffsim.learn.adam import Adam
+from diffsim.learn.gradient import cosine_rate
 from diffsim.learn.run import RESULTS
 from diffsim.learn.setup import evaluate
 
@@ -75,7 +76,7 @@ def optimize(task: SoftJumper, options: Options, out: Path) -> Period:
     """Improve the period; ratings and the commands of the best one go to a folder."""
     o, rng = options, np.random.default_rng(options.seed)
     period, rows = Period(o.period, task.num_actions), []
-    adam = torch.optim.Adam([period.raw], lr=o.rate)
+    adam = Adam([period.raw], o.rate)
     seconds = 0.0
     out.mkdir(parents=True, exist_ok=True)
     for k in range(o.iterations + 1):
@@ -92,7 +93,7 @@ def optimize(task: SoftJumper, options: Options, out: Path) -> Period:
         if k == o.iterations:
             break
         began = time.process_time()
-        set_rate(adam, cosine_rate(o.rate, k / o.iterations, o.last_rate))
+        adam.rate = cosine_rate(o.rate, k / o.iterations, o.last_rate)
         adam.zero_grad()
         episode = rollout_task(task, period, task.start(o.batch, rng), o.horizon)
         (-episode.rewards.mean()).backward()

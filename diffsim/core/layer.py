@@ -213,7 +213,7 @@ def _callable(
     op.register_vmap(rule)
 
     def forward(call: Call, *row: Any) -> Any:
-        out = op(*call.nested(row), **call.options)
+        out = run(*call.nested(row), **call.options)
         return tuple(out) if isinstance(out, list) else out  # tensors of a list are not followed
 
     def vmap(info: Any, in_dims: tuple[Any, ...], call: Call, *row: Any) -> Any:
@@ -244,7 +244,12 @@ def _callable(
             row = call.flat(args)
             if _is_differentiated(row):
                 return kind.apply(call, *row)
-        alone = _is_unwatched() and _are_plain((*args, *named.values()))
+        return run(*args, **named)
+
+    def run(*args: Any, **named: Any) -> Any:
+        """The kernel alone where nothing of PyTorch has to see the call, else the op."""
+        alone = _is_unwatched() and not _is_transformed()
+        alone = alone and _are_plain((*args, *named.values()))
         return (op._init_fn if alone else op)(*args, **named)
 
     layer.__name__ = layer.__qualname__ = _name(op)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -32,7 +32,9 @@ from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factor
 from diffsim.envs.kept import ValueOfTensors
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomizing, Task, TaskState
-from diffsim.systems.multicopter.extended import CopterSizes
+
+if TYPE_CHECKING:
+    from diffsim.systems.multicopter.extended import CopterSizes
 
 _ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
 # a figure of eight, along x, y and z: amplitudes over its half length, turns per round
@@ -124,7 +126,7 @@ class CopterHover(Task):
         self.start_spread = require_number("start_spread", start_spread, at_least=0.0)
         self.wind_speed = require_number("wind_speed", wind_speed, at_least=0.0)
         n = design.num_rotors
-        self.sizes = None if model is None else CopterSizes.read(model, n)
+        self.sizes = None if model is None else _read_sizes(model, n)
         self.posterior = posterior
         if posterior and self.sizes is None:
             raise ValueError("posterior needs a model to draw from; give model=FILE as well")
@@ -352,7 +354,7 @@ class CopterTrack(CopterHover):
         turns = self._turns(state, torch.zeros(1, dtype=torch.float64))[:, 0]
         slope = self.size * _WIDTHS * _LOOPS * torch.cos(turns)
         asked = self.size * _WIDTHS * torch.sin(turns), 2.0 * math.pi / self.period * slope
-        if not asked[0].requires_grad:
+        if not any(t.requires_grad for t in of):
             self._asked = ValueOfTensors(asked, of)
         return asked
 
@@ -365,6 +367,13 @@ class CopterTrack(CopterHover):
         now = (state["step"].double() * self.dt)[:, None] + ahead
         along = 2.0 * math.pi / self.period * now + state["phase"][:, None]
         return along[..., None] * _LOOPS
+
+
+def _read_sizes(model: str | Path, num_rotors: int) -> CopterSizes:
+    # with it come all systems of the diagnosis, half a second
+    from diffsim.systems.multicopter.extended import CopterSizes
+
+    return CopterSizes.read(model, num_rotors)
 
 
 def _smooth_norm(vector: Tensor, width: float = 0.1) -> Tensor:

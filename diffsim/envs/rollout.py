@@ -63,5 +63,6 @@ def rollout_task(
         rewards.append(torch.where(going, reward, torch.zeros_like(reward)))
         alive.append(going)
         seen.append(observation.detach())
-        going = going & ~task.failed(detached(state))
+        with torch.no_grad():
+            going = going & ~task.failed(state)
     return Episode(torch.stack(rewards), torch.stack(alive), torch.stack(seen), state)

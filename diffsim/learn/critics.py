@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.control import MLPController
+from diffsim.learn.adam import Adam
 
 _SEED_STEP = 10_000  # between the weights of one critic and the next
 
@@ -62,7 +63,7 @@ class Critics(nn.Module):
 
     def fit(
         self,
-        adam: torch.optim.Optimizer,
+        adam: Adam,
         rows: Tensor,
         goals: Tensor,
         rng: np.random.Generator,

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from diffsim.control import MLPController
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task, TaskState
+from diffsim.learn.adam import Adam
 from diffsim.learn.parallel import Batch, members_of, merged, own_members
 from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down
@@ -27,8 +28,12 @@ class GradientOptions:
         learning_rate: Rate of Adam at the start; falls along a half cosine over the budget.
         last_rate: What is left of the rate at the end of the budget, as a share; 1: no decay.
         horizon: Steps of an episode; 0: the task's.
+        first_horizon: Steps of the first episodes; they grow to ``horizon`` over the budget, by as
+            much with every step. Gradients of long episodes say little at first. 0: all alike.
         cut_every: Forget gradients of the state every so many steps; 0: never.
         clip: Largest norm of a gradient.
+        beta1, beta2: Of Adam: how much of the running mean of gradients, and of their squares, is
+            kept from update to update.
         max_bad: Updates in a row without a finite gradient, after which to give up.
     """
 
@@ -36,8 +41,11 @@ class GradientOptions:
     learning_rate: float = 3e-3
     last_rate: float = 0.1
     horizon: int = 0
+    first_horizon: int = 0
     cut_every: int = 0
     clip: float = 1.0
+    beta1: float = 0.9
+    beta2: float = 0.999
     max_bad: int = 10
 
 
@@ -78,12 +86,6 @@ def cosine_rate(first: float, progress: float, last: float = 0.1) -> float:
     return first * (last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0))))
 
 
-def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    """Learning rate of all groups."""
-    for group in optimizer.param_groups:
-        group["lr"] = rate
-
-
 class GradientLearner:
     """Adam on the mean reward of whole episodes.
 
@@ -99,7 +101,8 @@ class GradientLearner:
         self.task: Task = setup.make_task()
         self.net: MLPController = setup.first_controller(self.task)
         self.rng = np.random.default_rng([setup.seed, 2])
-        self.adam = torch.optim.Adam(self.net.parameters(), lr=self.options.learning_rate)
+        o = self.options
+        self.adam = Adam(self.net.parameters(), o.learning_rate, (o.beta1, o.beta2))
         self.guard = NanGuard(self.options.max_bad)
 
     def controller(self) -> nn.Module:
@@ -109,11 +112,11 @@ class GradientLearner:
     def update(self, progress: float) -> Update:
         """One batch of episodes, one step of Adam; a batch without finite gradient is skipped."""
         o = self.options
-        horizon = o.horizon or self.task.max_steps
+        horizon = self._horizon(progress)
         mine = own_members(o.batch)
         start = members_of(self.task.start(o.batch, self.rng), mine)
         self.adam.zero_grad()
-        set_rate(self.adam, cosine_rate(o.learning_rate, progress, o.last_rate))
+        self.adam.rate = cosine_rate(o.learning_rate, progress, o.last_rate)
         batch, norm = None, None
         try:
             batch = self._differentiate(start, horizon)
@@ -134,6 +137,12 @@ class GradientLearner:
             "train/bad_updates": float(self.guard.total),
         }
         return Update(steps, steps, scalars | ({} if batch is None else batch.scalars))
+
+    def _horizon(self, progress: float) -> int:
+        """Steps of the episodes at a share of the budget."""
+        last = self.options.horizon or self.task.max_steps
+        first = self.options.first_horizon or last
+        return round(first + (last - first) * min(progress, 1.0))
 
     def _differentiate(self, start: TaskState, horizon: int) -> Batch:
         """Leave the gradient of minus the mean reward in the network's parameters."""

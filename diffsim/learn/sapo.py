@@ -20,6 +20,7 @@ from torch.nn import functional
 from diffsim.control import MLPController
 from diffsim.core.check import require_number
 from diffsim.envs.task import Task
+from diffsim.learn.adam import Adam
 from diffsim.learn.explorer import Explorer, normal_entropy
 from diffsim.learn.setup import Setup
 from diffsim.learn.short_horizon import ShortHorizonLearner, WindowOptions
@@ -78,7 +79,7 @@ class Temperature:
     def __init__(self, first: float, rate: float, target: float):
         self.target = target
         self.log = torch.tensor(math.log(first), dtype=torch.float64, requires_grad=True)
-        self.adam = torch.optim.Adam([self.log], lr=rate, betas=(0.7, 0.95))
+        self.adam = Adam([self.log], rate, betas=(0.7, 0.95))
 
     @property
     def value(self) -> float:

@@ -13,9 +13,10 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.envs.task import Task, TaskState, detached, where
+from diffsim.learn.adam import Adam
 from diffsim.learn.critics import Critics, td_lambda_targets
 from diffsim.learn.explorer import Explorer
-from diffsim.learn.gradient import NanGuard, cosine_rate, set_rate
+from diffsim.learn.gradient import NanGuard, cosine_rate
 from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down
 
@@ -90,12 +91,8 @@ class ShortHorizonLearner:
         self.explorer = explorer(self.task)
         self.actor_parameters = [*self.net.parameters(), *self.explorer.parameters()]
         self.critics = Critics(self.task.num_observations, o.discount, setup.seed, num_critics)
-        self.actor_adam = torch.optim.Adam(
-            self.actor_parameters, lr=o.actor_rate, betas=(0.7, 0.95)
-        )
-        self.critic_adam = torch.optim.Adam(
-            self.critics.members.parameters(), lr=o.critic_rate, betas=(0.7, 0.95)
-        )
+        self.actor_adam = Adam(self.actor_parameters, o.actor_rate, betas=(0.7, 0.95))
+        self.critic_adam = Adam(self.critics.members.parameters(), o.critic_rate, betas=(0.7, 0.95))
         self.rng = np.random.default_rng([setup.seed, 3])
         self.windows = 0
         self.guard = NanGuard(o.max_bad)
@@ -110,8 +107,8 @@ class ShortHorizonLearner:
     def update(self, progress: float) -> Update:
         """One window, one step of the actor, a few passes of the critics."""
         o = self.options
-        set_rate(self.actor_adam, cosine_rate(o.actor_rate, progress))
-        set_rate(self.critic_adam, cosine_rate(o.critic_rate, progress))
+        self.actor_adam.rate = cosine_rate(o.actor_rate, progress)
+        self.critic_adam.rate = cosine_rate(o.critic_rate, progress)
         self.actor_adam.zero_grad()
         loss, norm, window = None, None, None
         before = self.state
@@ -152,7 +149,8 @@ class ShortHorizonLearner:
             total = total + weight * (reward + self.explorer.bonus(entropy))
             weight = weight * o.discount
             value, lowest = self.critics.values(self.normalizer(self.task.observe(state)))
-            failed = self.task.failed(detached(state))
+            with torch.no_grad():
+                failed = self.task.failed(state)
             ended = failed | (state["step"] >= self.task.max_steps)
             stop = ended if k < o.window - 1 else torch.ones_like(ended)
             # a time limit is not a death: what would have come still counts

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("gymnasium", reason="learning needs the extra 'rl'")
 
-from diffsim.learn.gradient import GradientOptions
+from diffsim.learn.gradient import GradientLearner, GradientOptions
 from diffsim.learn.options import (
     add_options,
     options_from,
@@ -69,3 +71,11 @@ def test_plain_runs_and_tasks_without_a_recipe() -> None:
         setup, options = parsed(*words)
         assert (setup.task_options, setup.output_gain, setup.steps) == ({}, 0.01, 200_000)
         assert options == GradientOptions()
+
+
+def test_a_copter_s_episodes_grow_over_the_budget() -> None:
+    setup, options = parsed("--task", "CopterTrack")
+    assert (options.batch, options.first_horizon, options.horizon) == (64, 30, 100)
+    few = GradientLearner(setup, replace(options, batch=2))
+    lengths = [few.update(progress).steps / 2 for progress in (0.0, 0.5, 1.0)]
+    assert lengths == [30, 65, 100]
