@@ -118,7 +118,7 @@ def _finding(step: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="fact of the new runs that the study needs, such as vehicle=E9; new_2:vehicle=E7 is "
-        "one of the second new group alone",
+        "one of the second new group alone, b.csv:vehicle=E7 of the group with this file",
     )
     step.add_argument(
         "--groups", type=names, default=(), metavar="A,B", help="judge only these groups"

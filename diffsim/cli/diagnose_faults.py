@@ -28,7 +28,8 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
     Args:
         given: What the user called the study.
         new: CSV files, each list a group with one fault or none.
-        facts: Facts of the new runs, such as the vehicle; "new_2:vehicle" is one of this group.
+        facts: Facts of the new runs, such as the vehicle; "new_2:vehicle" is one of this group,
+            "b.csv:vehicle" one of the group with this file.
 
     Raises:
         FileNotFoundError: no such study or file.
@@ -47,23 +48,43 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
     keys = study.faults
     entries: list[dict[str, Any]] = []
     labels = new_labels(len(new))
+    called = _groups_by_name(labels, new)
     for name in (name for name in facts if ":" in name):
-        require_choice("--fact: group", name.partition(":")[0], labels)
+        require_choice("--fact: group or file", name.rpartition(":")[0], list(called))
     for label, files in zip(labels, new, strict=True):
         unknown = dict.fromkeys((keys.known.fact, keys.state or keys.known.fact), "-")
-        setup = {**unknown, keys.per: label} | _facts_of(label, facts)
+        setup = {**unknown, keys.per: label} | _facts_of(label, facts, called)
         entries += [
-            {"name": f"{label} {f.stem}", "file": str(f.resolve()), "use": "test", "setup": setup}
-            for f in files
+            {"name": f"{label} {name}", "file": str(f.resolve()), "use": "test", "setup": setup}
+            for name, f in zip(_run_names(files), files, strict=True)
         ]
     return load_study(path, entries)
 
 
-def _facts_of(label: str, facts: Mapping[str, str]) -> dict[str, str]:
+def _run_names(files: Sequence[Path]) -> list[str]:
+    """Names of files without their ending; from the second of a name on, with a number."""
+    stems = [file.stem for file in files]
+    before = [stems[:k].count(stem) for k, stem in enumerate(stems)]
+    return [f"{s}_{n + 1}" if n else s for s, n in zip(stems, before, strict=True)]
+
+
+def _groups_by_name(labels: Sequence[str], new: Sequence[Sequence[Path]]) -> dict[str, str]:
+    """New groups by what they may be called: their label, a path, a file's name if no other
+    group has one of that name."""
+    out = {label: label for label in labels}
+    holders: dict[str, set[str]] = {}
+    for label, files in zip(labels, new, strict=True):
+        out |= {str(file): label for file in files}
+        for file in files:
+            holders.setdefault(file.name, set()).add(label)
+    return {name: next(iter(of)) for name, of in holders.items() if len(of) == 1} | out
+
+
+def _facts_of(label: str, facts: Mapping[str, str], called: Mapping[str, str]) -> dict[str, str]:
     """Facts of one new group: those of all, then its own."""
     shared = {name: value for name, value in facts.items() if ":" not in name}
-    parts = ((name.partition(":"), value) for name, value in facts.items())
-    return shared | {name: value for (group, _, name), value in parts if name and group == label}
+    own = ((name.rpartition(":"), value) for name, value in facts.items() if ":" in name)
+    return shared | {name: value for (group, _, name), value in own if called[group] == label}
 
 
 def new_labels(count: int) -> tuple[str, ...]:
@@ -118,7 +139,7 @@ def lines(report: FaultReport) -> list[str]:
 
 def _paragraph(verdict: FaultVerdict) -> list[str]:
     said = f" (said: {verdict.said})" if verdict.said not in ("", "-") else ""
-    out = [f"{verdict.group}{said}: {verdict.status}", f"  {_of_what(verdict)}"]
+    out = [f"{verdict.title}{said}: {verdict.status}", f"  {_of_what(verdict)}"]
     out.append(f"  {verdict.words}")
     for size in verdict.sizes:
         i, unit = size.interval, after_number(size.unit)

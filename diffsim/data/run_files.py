@@ -197,7 +197,16 @@ class RunReader:
             for name, values in numeric_columns(samples).items()
             if not any(fnmatchcase(name, pattern) for pattern in self.study.ignore)
         }
-        run = Run(name, samples.time_s, measured, command, name, setup=facts, columns=columns)
+        run = Run(
+            name,
+            samples.time_s,
+            measured,
+            command,
+            name,
+            setup=facts,
+            columns=columns,
+            files=tuple(str(table.path.absolute()) for table in tables),
+        )
         run = run.part(keep)
         return run if entry.every == 1 or not entry.average else averaged(run, entry.every)
 

@@ -99,6 +99,7 @@ class Run:
             causes, "test" for runs that are touched once, after the answer is frozen.
         setup: Known facts of this run, numbers or labels: {"payload_kg": 0.2, "frame": "A"}.
         columns: What else was recorded, by name of ``Study.columns``, (num_samples,) each.
+        files: Paths of the files that it was read from; none where it was made.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Run:
     use: str = "fit"
     setup: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Array] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
 
     def part(self, keep: slice | NDArray[Any]) -> Run:
         """Some of the samples.

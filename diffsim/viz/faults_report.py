@@ -56,17 +56,21 @@ def faults_page(report: FaultReport) -> page.Report:
 
 def _groups(verdicts: Sequence[FaultVerdict]) -> page.Section:
     rows = [
-        [v.group, v.status, v.words, probability(v.sound), ", ".join(v.runs), _facts(v)]
-        for v in verdicts
+        [v.group, v.status, v.words, probability(v.sound), _sources(v), _facts(v)] for v in verdicts
     ]
     table = page.Table(
-        columns=["group", "status", "what is said", "probability of sound", "runs", "known of it"],
+        columns=["group", "status", "what is said", "probability of sound", "files", "known of it"],
         rows=rows,
         caption="Probability that nothing is wrong: by these runs alone, without what other "
         "groups' labels say.",
         emphasis=[k for k, v in enumerate(verdicts) if v.causes or v.status == UNLISTED],
     )
     return page.Section(title="Groups", content=[table])
+
+
+def _sources(verdict: FaultVerdict) -> str:
+    """Files of a group, or its runs where they were read from none."""
+    return ", ".join([Path(file).name for file in verdict.files] or verdict.runs)
 
 
 def _facts(verdict: FaultVerdict) -> str:

@@ -71,7 +71,7 @@ def test_new_recordings_are_groups_of_their_own(folder, capsys):
     size = said["new_1"]["sizes"][0]["interval"]
     assert size["low"] < 0.2 < size["high"] < 0.3
     out = capsys.readouterr().out
-    assert "1 of 2 groups has a fault. new_1: Side 1 lost " in out
+    assert "1 of 2 groups has a fault. new_1 (weak.csv): Side 1 lost " in out
     assert "Side 1 lost " in (folder / "out" / "faults.html").read_text("utf-8")
     assert "Nothing visible beyond the scatter between groups." in out
 
@@ -93,6 +93,32 @@ def test_verdicts_name_the_files_and_facts_of_each_group(folder, capsys):
     wrong = ["--fact", "new_3:place=yard"]
     assert main(["diagnose", "faults", str(folder), *out, *map(str, given), *wrong]) != 0
     assert "new_3" in capsys.readouterr().err
+
+
+def test_a_program_finds_the_verdict_of_a_file(folder):
+    new = folder / "new"
+    write(folder / "sound.csv", np.random.default_rng(1))
+    given = ["--new", new / "weak.csv", "--new", new / "sound.csv", folder / "sound.csv"]
+    said = run(
+        folder, *given, "--fact", "weak.csv:place=yard", "--fact", f"{new}/sound.csv:place=hall"
+    )
+    report = json.loads((folder / "out" / "faults.json").read_text())
+    files = {str(new / "weak.csv"): "new_1", str(new / "sound.csv"): "new_2"}
+    assert report["groups_of_file"] == {
+        **{file: [group] for file, group in files.items()},
+        str(folder / "sound.csv"): ["new_2"],
+    }
+    assert said["new_2"]["runs"] == ["new_2 sound", "new_2 sound_2"]
+    assert said["new_1"]["files"] == [str(new / "weak.csv")]
+    assert [said[g]["facts"]["place"] for g in ("new_1", "new_2")] == ["yard", "hall"]
+
+
+def test_a_name_that_two_groups_have_is_no_address(folder, capsys):
+    write(folder / "weak.csv", np.random.default_rng(1))
+    given = ["--new", folder / "new" / "weak.csv", "--new", folder / "weak.csv"]
+    out = ["--out", folder / "out", "--fact", "weak.csv:place=yard"]
+    assert main(["diagnose", "faults", *map(str, [folder, *given, *out])]) != 0
+    assert "weak.csv" in capsys.readouterr().err
 
 
 def test_new_recordings_are_never_for_fitting(folder):

@@ -30,7 +30,7 @@ from diffsim.diagnose.faults.verdict import (
     Spread,
     verdict_of,
 )
-from diffsim.diagnose.judge.records import HALF_LEVEL, Interval
+from diffsim.diagnose.judge.records import Interval
 from diffsim.diagnose.search.evidence import VISIBLE
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.problem import PredictionError, Problem
@@ -40,6 +40,7 @@ from diffsim.identify.whitening import WhiteNoise
 Array = NDArray[np.float64]
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
 NUM_REFINEMENTS = 2
+ENDS = (0.05, 0.95)  # shares of draws below the two ends of an interval
 LONGEST_STEP = 1.5  # of a scaled size from one linearization to the next
 
 Progress = Callable[[int, int], None]
@@ -78,7 +79,7 @@ def judge_faults(
         if progress is not None:
             progress(done, len(judged))
         others = learned.without(group.label) if group.teaches else learned
-        verdicts.append(_verdict(group, others, keys, sets, seed))
+        verdicts.append(judged_group(group, others, keys, sets, seed))
     return FaultReport(study.name, _spreads(learned), tuple(verdicts))
 
 
@@ -87,13 +88,22 @@ def _unknown(groups: Sequence[Group]) -> list[Group]:
     return [g for g in groups if not g.teaches] or list(groups)
 
 
-def _verdict(
+def judged_group(
     group: Group,
     learned: GroupPosterior,
     keys: FaultKeys,
     sets: Sequence[tuple[str, ...]],
     seed: int,
 ) -> FaultVerdict:
+    """What may be said of one group.
+
+    Args:
+        group: The group; it is not among those that taught.
+        learned: What other groups say.
+        keys: ``faults`` of the study.
+        sets: Sets of causes that may act at once.
+        seed: Of the draws of sizes.
+    """
     rng = np.random.default_rng(seed)
     effects = {e.name: e for e in learned.problem.effects}
     point = np.zeros(len(learned.problem.names))
@@ -189,12 +199,11 @@ def _smallest_visible(found: Sequence[Information], effects: Sequence[Effect]) -
 
 
 def _spreads(learned: GroupPosterior) -> tuple[Spread, ...]:
-    """Learned spreads with their intervals."""
-    sd = np.sqrt(np.diag(learned.covariance))
+    """Learned spreads with their intervals, those of the draws."""
+    factors = np.exp(np.vstack([learned.log_spread, np.quantile(learned.draws, ENDS, axis=0)]))
     return tuple(
-        Spread(name, stated, Interval(*(float(stated * np.exp(t + k * s)) for k in ends)))
-        for name, stated, t, s in zip(
-            learned.layout.families, learned.layout.stated, learned.log_spread, sd, strict=True
+        Spread(name, stated, Interval(*(float(stated * f) for f in factor)))
+        for name, stated, factor in zip(
+            learned.layout.families, learned.layout.stated, factors.T, strict=True
         )
-        for ends in [(0.0, -HALF_LEVEL, HALF_LEVEL)]
     )

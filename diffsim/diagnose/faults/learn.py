@@ -3,12 +3,14 @@
 The spreads maximize their posterior with all scatter integrated out (restricted maximum
 likelihood, Patterson and Thompson, Biometrika 58 (1971) 545, with a prior on their logarithms).
 Few groups leave them uncertain: later steps average over draws of them, so that a verdict has
-the heavier tails of a Student distribution.
+the heavier tails of a Student distribution. A large spread is refuted far sooner than a normal
+distribution about the best one says; so draws of that are kept by their posterior (sampling and
+importance resampling, Rubin, Bayesian Statistics 3 (1988) 395).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,12 +22,16 @@ from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.layout import Layout
 from diffsim.diagnose.faults.local import Local, local_at, problem_of
 from diffsim.diagnose.faults.marginal import Information, Priors, without
+from diffsim.diagnose.faults.one_sided import Terms
 from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]
 FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a factor of e
 KNOWN_PRECISION = 1.0 / 3.0**2  # of known sizes: up to about five typical sizes
-NUM_DRAWS = 32  # of the spreads, in pairs about the best ones
+NUM_DRAWS = 32  # of the spreads
+NUM_TRIED = 128  # normal draws that they are chosen from, in pairs about the best ones
+NUM_SWEEPS = 4  # over the signs of known sizes, at the most probable spreads
+NUM_SWEEPS_OF_DRAW = 2  # and from there for each draw of them
 MAX_ROUNDS = 5
 CURVE_STEP = 0.05  # of the logarithms of spreads, for their curvature
 SETTLED = 1e-3  # change of common parameters in prior sd, at which rounds end
@@ -41,7 +47,8 @@ class GroupPosterior:
         locals: Groups that taught, linearized, by label.
         states: State of each that taught, by label; "" where states are not used.
         log_spread: Most probable logarithm of spread over stated spread, (num_families,).
-        covariance: Its posterior covariance.
+        covariance: Inverse of the curvature of its posterior there.
+        standard: Standard normal numbers that draws are tried with, (NUM_TRIED, num_families).
         draws: Draws of it, (NUM_DRAWS, num_families).
         mean, common_covariance: Of the common parameters for each draw, standardized,
             (NUM_DRAWS, num_common) and (NUM_DRAWS, num_common, num_common).
@@ -54,6 +61,7 @@ class GroupPosterior:
     states: Mapping[str, str]
     log_spread: Array
     covariance: Array
+    standard: Array
     draws: Array
     mean: Array
     common_covariance: Array
@@ -152,7 +160,7 @@ def learn(
     effects = {e.name: e for e in problem.effects}
     log_spread = np.zeros(len(layout.families))
     rng = np.random.default_rng(seed)
-    half = rng.standard_normal((NUM_DRAWS // 2, len(layout.families)))
+    half = rng.standard_normal((NUM_TRIED // 2, len(layout.families)))
     empty = np.zeros(0)
     states = {g.label: str(g.runs[0].setup.get(state or "", "")) for g in teachers}
     started = GroupPosterior(
@@ -163,6 +171,7 @@ def learn(
         log_spread,
         empty,
         np.vstack([half, -half]),
+        empty,
         empty,
         empty,
         empty,
@@ -194,13 +203,17 @@ def _learn_posterior(
 ) -> GroupPosterior:
     """Posterior of spreads and common parameters; ``state`` gives layout and draws."""
     layout = state.layout
-    best = best_spread(layout, locals_, start)
-    covariance: Array = np.asarray(np.linalg.inv(_curvature(layout, locals_, best)))
-    standard = state.draws if not state.locals else _standard(state)
-    draws = best + standard @ np.linalg.cholesky(covariance).T
-    found = [common_information(layout, locals_, d) for d in draws]
+    one = {e.name for e in state.problem.effects if not e.signed}
+    terms = {label: Terms.none(local) for label, local in locals_.items()}
+    start = best_spread(layout, locals_, start)
+    terms = _terms(layout, locals_, start, terms, one, NUM_SWEEPS)
+    held = {label: terms[label].on(local) for label, local in locals_.items()}
+    best = best_spread(layout, held, start)
+    covariance: Array = np.asarray(np.linalg.inv(_curvature(layout, held, best)))
+    draws = _draws(layout, held, best, covariance, state.standard)
+    found = [_common_above_zero(layout, locals_, d, terms, one) for d in draws]
     point = np.zeros(len(layout.names))
-    point[layout.shared] = common_information(layout, locals_, best).mean
+    point[layout.shared] = common_information(layout, held, best).mean
     return replace(
         state,
         locals=dict(locals_),
@@ -213,10 +226,74 @@ def _learn_posterior(
     )
 
 
-def _standard(state: GroupPosterior) -> Array:
-    """The draws of a state, standardized."""
-    factor = np.linalg.cholesky(state.covariance)
-    return np.asarray(np.linalg.solve(factor, (state.draws - state.log_spread).T).T)
+def _terms(
+    layout: Layout,
+    locals_: Mapping[str, Local],
+    log_spread: Array,
+    terms: Mapping[str, Terms],
+    one: Collection[str],
+    sweeps: int,
+) -> dict[str, Terms]:
+    """Terms by which the known sizes of all groups keep their sign.
+
+    Args:
+        layout: Where the base parameters belong.
+        locals_: Groups that teach, linearized.
+        log_spread: Logarithms of spreads over stated ones, (num_families,).
+        terms: To start from.
+        one: Causes whose size is never below 0.
+        sweeps: How often all terms are renewed.
+    """
+    place = {i: k for k, i in enumerate(layout.shared)}
+    out = dict(terms)
+    for _ in range(sweeps):
+        held = {label: out[label].on(local) for label, local in locals_.items()}
+        common = common_information(layout, held, log_spread)
+        mean, covariance = common.mean, common.covariance
+        for label, local in held.items():
+            if any(cause in one for cause in local.causes):
+                at = [place[i] for i in local.common]
+                own = _own_moments(layout, local, log_spread, mean[at], covariance[np.ix_(at, at)])
+                sizes = slice(len(local.scatter), None)
+                out[label] = out[label].renewed(local, own.mean[sizes], own.variance[sizes], one)
+    return out
+
+
+def _common_above_zero(
+    layout: Layout,
+    locals_: Mapping[str, Local],
+    log_spread: Array,
+    terms: Mapping[str, Terms],
+    one: Collection[str],
+) -> Information:
+    """What groups say together of the shared parameters, known sizes with their sign."""
+    own = _terms(layout, locals_, log_spread, terms, one, NUM_SWEEPS_OF_DRAW)
+    held = {label: own[label].on(local) for label, local in locals_.items()}
+    return common_information(layout, held, log_spread)
+
+
+def _draws(
+    layout: Layout,
+    locals_: Mapping[str, Local],
+    best: Array,
+    covariance: Array,
+    standard: Array,
+) -> Array:
+    """Draws of the logarithms of spreads from their posterior, (NUM_DRAWS, num_families).
+
+    Args:
+        layout: Where the base parameters belong.
+        locals_: Groups that teach, linearized.
+        best: Most probable logarithms, (num_families,).
+        covariance: Of the normal distribution that is tried, (num_families, num_families).
+        standard: Standard normal numbers, (num_tried, num_families).
+    """
+    tried = best + standard @ np.linalg.cholesky(covariance).T
+    level = np.array([_log_density(layout, locals_, t)[0] for t in tried])
+    level += 0.5 * np.sum(standard**2, axis=1)
+    share = np.cumsum(np.exp(level - level.max()))
+    places = (np.arange(NUM_DRAWS) + 0.5) / NUM_DRAWS * share[-1]
+    return np.asarray(tried[np.searchsorted(share, places)])
 
 
 def best_spread(layout: Layout, locals_: Mapping[str, Local], start: Array) -> Array:
@@ -238,14 +315,22 @@ def log_posterior(
     A spread e^t acts through the prior of what scatters only, so the slope along t is the mean of
     the prior's own slope, z^2 e^-2t - 1, over the posterior of z (Fisher's identity).
     """
-    found = common_information(layout, locals_, log_spread)
-    determinant = np.linalg.slogdet(found.curvature)[1]
-    fit = found.level + 0.5 * found.slope @ found.mean - 0.5 * determinant
+    value, found = _log_density(layout, locals_, log_spread)
     square = _mean_squares(layout, locals_, log_spread, found)
     count = np.bincount(square.family, minlength=len(log_spread))
     total = np.bincount(square.family, square.value, minlength=len(log_spread))
     slope = total * np.exp(-2.0 * log_spread) - count - log_spread / FACTOR_SD**2
-    return float(fit - 0.5 * np.sum((log_spread / FACTOR_SD) ** 2)), slope
+    return value, slope
+
+
+def _log_density(
+    layout: Layout, locals_: Mapping[str, Local], log_spread: Array
+) -> tuple[float, Information]:
+    """Logarithm of the posterior of spreads, up to a constant, and the shared parameters there."""
+    found = common_information(layout, locals_, log_spread)
+    determinant = np.linalg.slogdet(found.curvature)[1]
+    fit = found.level + 0.5 * found.slope @ found.mean - 0.5 * determinant
+    return float(fit - 0.5 * np.sum((log_spread / FACTOR_SD) ** 2)), found
 
 
 class _Squares(NamedTuple):
@@ -265,16 +350,32 @@ def _mean_squares(
     values = [(mean**2 + np.diag(covariance))[states]]
     families = [family[states]]
     for local in locals_.values():
-        num, scatter = len(local.common), np.array(local.scatter, dtype=int)
+        scatter = np.array(local.scatter, dtype=int)
         at = [place[i] for i in local.common]
-        inner = local.curvature[num:, num:] + np.diag(_scatter_prior(layout, local, log_spread))
-        inverse = np.linalg.inv(inner)
-        gain = inverse @ local.curvature[num:, :num]
-        own = inverse @ local.slope[num:] - gain @ mean[at]
-        spread = np.diag(inverse) + np.sum((gain @ covariance[np.ix_(at, at)]) * gain, axis=1)
-        values.append((own**2 + spread)[: len(scatter)])
+        own = _own_moments(layout, local, log_spread, mean[at], covariance[np.ix_(at, at)])
+        values.append((own.mean**2 + own.variance)[: len(scatter)])
         families.append(layout.family[scatter])
     return _Squares(np.concatenate(values), np.concatenate(families))
+
+
+class _Moments(NamedTuple):
+    """Mean and variance of what a group has alone: its scatter, then its known sizes."""
+
+    mean: Array
+    variance: Array
+
+
+def _own_moments(
+    layout: Layout, local: Local, log_spread: Array, mean: Array, covariance: Array
+) -> _Moments:
+    """What a group has alone, given mean and covariance of its shared parameters."""
+    num = len(local.common)
+    inner = local.curvature[num:, num:] + np.diag(_scatter_prior(layout, local, log_spread))
+    inverse = np.linalg.inv(inner)
+    gain = inverse @ local.curvature[num:, :num]
+    own = inverse @ local.slope[num:] - gain @ mean
+    spread = np.diag(inverse) + np.sum((gain @ covariance) * gain, axis=1)
+    return _Moments(np.asarray(own), np.asarray(spread))
 
 
 def common_information(

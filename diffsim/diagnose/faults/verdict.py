@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,7 @@ class FaultVerdict:
     Attributes:
         group: Value of the fact that makes the groups.
         runs: Names of its runs.
+        files: Paths of the files that they were read from, each once.
         said: What the study says was done.
         known: Causes that were changed on purpose; None: not known.
         status: One of ``VERDICTS``.
@@ -110,6 +112,16 @@ class FaultVerdict:
     lead_by_runs: float = 0.0
     lead_by_labels: float = 0.0
     facts: Mapping[str, str] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The group, and its first file where the group is not called like it."""
+        names = [Path(file).name for file in self.files]
+        if not names or names[0].startswith(self.group):
+            return self.group
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        return f"{self.group} ({names[0]}{more})"
 
     @property
     def is_right(self) -> bool | None:
@@ -158,14 +170,19 @@ class FaultReport:
         of = f"{len(self.verdicts)} group{'' if len(self.verdicts) == 1 else 's'}"
         if not found:
             return f"No fault is visible in {of}."
-        said = "; ".join(f"{v.group}: {v.words.rstrip('.')}" for v in found[:MAX_SAID])
+        said = "; ".join(f"{v.title}: {v.words.rstrip('.')}" for v in found[:MAX_SAID])
         more = f"; and {len(found) - MAX_SAID} more" if len(found) > MAX_SAID else ""
         has = "has" if len(found) == 1 else "have"
         return f"{len(found)} of {of} {has} a fault. {said}{more}."
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain records, with ``headline`` and ``is_right`` of each verdict."""
-        out = {"headline": self.headline, **asdict(self)}
+        """The report as plain records, with ``headline``, ``is_right`` of each verdict, and
+        ``groups_of_file``: by path of a file, the groups with runs of it."""
+        of_file: dict[str, list[str]] = {}
+        for verdict in self.verdicts:
+            for file in verdict.files:
+                of_file.setdefault(file, []).append(verdict.group)
+        out = {"headline": self.headline, "groups_of_file": of_file, **asdict(self)}
         for row, verdict in zip(out["verdicts"], self.verdicts, strict=True):
             row["is_right"] = verdict.is_right
         return out
@@ -227,6 +244,7 @@ def verdict_of(
         smallest_visible=dict(smallest_visible),
         words=_words(status, sizes, rivals),
         facts=group.facts,
+        files=tuple(dict.fromkeys(file for run in group.runs for file in run.files)),
         **(_leads(evidences, learned, best) if is_named else {}),
     )
 

@@ -86,6 +86,7 @@ def rod_of(
             pull=_compute_tension(layout, numbers, command),
             friction=numbers["tendon_friction"],
             wobble=numbers["tendon_wobble"],
+            rubber=numbers["compression_stiffening"],
         ),
         max(numbers.count, len(command) if command.ndim > 2 else 1),
     )
@@ -139,6 +140,8 @@ def _compute_tension(layout: RodLayout, numbers: Numbers, command: Tensor) -> Te
     names = layout.paths.names
     gain = numbers.stacked(*(f"{n}_gain" for n in names))
     wanted = gain * command
+    others = wanted.sum(-1, keepdim=True) - wanted
+    wanted = wanted + numbers["tendon_crosstalk"][..., None] * others
     loss = numbers.each(names, "drive_loss")
     pulled = (wanted - loss).clamp(min=0.0) * (wanted > 0.0)  # a tendon never pushes
     held = numbers.each(names, "pretension")

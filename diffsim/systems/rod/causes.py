@@ -27,6 +27,7 @@ ROD = "rod"  # the table, and the kind of system
 GAIN = "command_gain"
 MATERIAL = (
     "strain_stiffening",
+    "compression_stiffening",
     "tip_stiffness",
     "radius_offset",
     "twist_stiffness",
@@ -95,6 +96,8 @@ def list_causes(
         turns = tuple(f"{n}_tendon_turn" for n in names)
         found += [_make_cause("tendon_turn", usual, turns, components=names)]
         found += [_make_cause("tendon_helix", usual)]
+        if len(names) > 1:
+            found.append(_make_cause("tendon_crosstalk", usual))
     if given.sessions is not None:
         found += _list_sessions(given, given.sessions, study, usual)
     if every:

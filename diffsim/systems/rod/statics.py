@@ -12,6 +12,11 @@ tendon at r, of tension T, the body is left with
 so that a tendon's pull along its path and its pull at its end need no terms of their own (the same
 balance as Rucker and Webster, IEEE T-RO 2011, eq. 15 and 16, integrated once). The residual is
 K (u - u0) + sum r x (T t) - R' m_beyond, in the frame of the section.
+
+Rubber that is pressed together by the share 1 - y keeps its volume: a section widens by y^-1/2, and
+so do the levers of the tendons. Its fibers follow P = E (y - y^-2) / 3 (incompressible neo-Hookean,
+Treloar, The Physics of Rubber Elasticity, 1975, 4.3), so that the stiffness against bends becomes
+P'(y) I / y, and against twist G J / y. ``rubber`` is the share of all this that acts.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -34,6 +40,7 @@ SHRINKS = 0.7  # factor by which steps with foreign slopes become shorter, or th
 MIXED = 3  # earlier steps that the next one learns from
 RIDGE = 1e-10  # of scaled differences: where they are alike, none is preferred
 DIFFERENCE = 1e-5  # step of difference quotients by strains [1/m]
+MOST_PRESSED = 0.2  # stretch below which rubber stiffens no further: solvers pass through it
 SMOOTHING = 1e-3  # bends below this do not count as a kink of a tendon [1/m]
 
 
@@ -45,6 +52,20 @@ def running_products(steps: Tensor) -> Tensor:
         steps = torch.cat([steps[..., :reach, :, :], longer], -3)
         reach *= 2
     return steps
+
+
+class _Pressed(NamedTuple):
+    """Factors by which sections differ from those without loads.
+
+    Attributes:
+        width: (..., N) of the radius.
+        bending: (..., N, 3) of the stiffness against twist and bends.
+        stretch: (..., N, 3) of the stiffness against stretch and shears.
+    """
+
+    width: Tensor
+    bending: Tensor
+    stretch: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +89,7 @@ class RodStatics:
         pull: (..., T) tension at the base [N].
         friction: (...,) coefficient of friction of a tendon around bends [-].
         wobble: (...,) loss of tension per length, as by a rough channel [1/m].
+        rubber: (...,) share by which pressed sections widen and stiffen as rubber does [-].
     """
 
     shape: RodShape
@@ -86,6 +108,7 @@ class RodStatics:
     pull: Tensor
     friction: Tensor
     wobble: Tensor
+    rubber: Tensor
 
     def with_pull(self, factor: float) -> RodStatics:
         """The rod with a share of all tensions."""
@@ -128,18 +151,33 @@ class RodStatics:
             (..., N, 3) [N m].
         """
         tension = self.tension(u)[..., None]
-        side = cross(u[..., None, :, :], self.offset) + self.slope
         along = torch.tensor([1.0, 0.0, 0.0], dtype=u.dtype)
         v = along + force / self.stretch
         for _ in range(STRETCH_ROUNDS):
-            tangent = v[..., None, :, :] + side
+            pressed = self._pressed(v)
+            offset = pressed.width[..., None, :, None] * self.offset
+            tangent = v[..., None, :, :] + cross(u[..., None, :, :], offset) + self.slope
             pull = tension * tangent / tangent.square().sum(-1, keepdim=True).sqrt()
-            v = along + (force - pull.sum(-3)) / self.stretch
+            v = along + (force - pull.sum(-3)) / (self.stretch * pressed.stretch)
         bent = u - self.rest
         strain = (bent[..., 1:].square().sum(-1) * self.shape.radius**2)[..., None]
         moment = self.bending * bent * (1.0 + self.stiffening[..., None, None] * strain)
-        levers = cross(self.offset, pull)
-        return v, moment + levers.sum(-3)
+        pressed = self._pressed(v)
+        levers = cross(pressed.width[..., None, :, None] * self.offset, pull)
+        return v, pressed.bending * moment + levers.sum(-3)
+
+    def _pressed(self, v: Tensor) -> _Pressed:
+        """What stretch and shears v (..., N, 3) make of the sections."""
+        y = v[..., 0].clamp(min=MOST_PRESSED)
+        share = self.rubber[..., None]
+        secant = 1.0 + share * ((1.0 + 1.0 / y + y**-2) / 3.0 - 1.0)  # P / (E (y - 1))
+        flexural = 1.0 + share * ((1.0 + 2.0 * y**-3) / (3.0 * y) - 1.0)
+        twist, shear = 1.0 + share * (1.0 / y - 1.0), torch.ones_like(secant)
+        return _Pressed(
+            1.0 + share * (y**-0.5 - 1.0),
+            torch.stack([twist, flexural, flexural], -1),
+            torch.stack([secant, shear, shear], -1),
+        )
 
     def at_points(self, points: RodPoints, offset: Tensor, u: Tensor) -> Tensor:
         """Places (..., P, 3) of points fixed to sections [m].
@@ -203,6 +241,7 @@ class RodStatics:
 _AXES = {
     "bending": 2, "stretch": 2, "rest": 2, "stiffening": 0, "weight": 2, "loads": 2, "base": 2,
     "place": 1, "offset": 3, "slope": 3, "share": 2, "pull": 1, "friction": 0, "wobble": 0,
+    "rubber": 0,
 }  # fmt: skip
 """Own axes of the tensors of a rod, behind the leading ones."""
 
