@@ -200,18 +200,22 @@ def diagnosed(hidden, *others):
     return {c.name: c.status for c in report.causes}
 
 
+def named(status):
+    """Causes that are told as acting."""
+    return [name for name, said in status.items() if said in ("certain", "likely")]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", ["drive_loss", None])
 def test_a_hidden_loss_is_named_and_nothing_is_named_without_one(hidden):
-    certain = [name for name, status in diagnosed(hidden).items() if status == "certain"]
-    assert certain == ([hidden] if hidden else [])
+    """Likely only: two test poses are too few to confirm a gain."""
+    assert named(diagnosed(hidden)) == ([hidden] if hidden else [])
 
 
 @pytest.mark.slow
 def test_hidden_cross_talk_is_named_and_nothing_else():
     """Likely only: poses under both tendons are not among the fitted ones."""
-    status = diagnosed("tendon_crosstalk", "tendon_crosstalk")
-    assert [n for n, s in status.items() if s in ("certain", "likely")] == ["tendon_crosstalk"]
+    assert named(diagnosed("tendon_crosstalk", "tendon_crosstalk")) == ["tendon_crosstalk"]
 
 
 def test_poses_of_one_sample_drift_each_by_itself():

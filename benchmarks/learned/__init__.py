@@ -1,0 +1,1 @@
+"""A controller that learned in diffsim, flown in RotorPy."""
