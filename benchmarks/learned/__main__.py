@@ -27,6 +27,9 @@ from diffsim.learn import GradientLearner, recipe, train
 
 Array = NDArray[np.float64]
 TASK = Path(__file__).parent / "hover.yaml"
+STEPS = 160_000
+# what a task needs that randomizes its vehicle; chosen on seeds 100 and 101
+OPTIONS = {"horizon": 200, "learning_rate": 1e-2}
 FLIGHTS, SECONDS = 20, 4.0
 MASSES, DELAYS = (0.9, 1.1), (0.0, 0.03)  # factor on the mass; time [s]
 LOOP = 5e-3  # steps of RotorPy, which integrates finer within them [s]
@@ -117,16 +120,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Train, fly, say the worst."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.learned", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="default: %(default)s")
-    parser.add_argument("--steps", type=int, default=0, help="of training (default: the recipe's)")
+    parser.add_argument("--steps", type=int, default=STEPS, help="default: %(default)s")
     parser.add_argument("--out", type=Path, default=Path("runs/learned"))
     args = parser.parse_args(argv)
     ask_for(["rotorpy"], purpose="these flights")
     found = []
     for seed in range(args.seeds):
         tried = recipe(str(TASK))
-        more = {"steps": args.steps, "evaluate_every": args.steps} if args.steps else {}
-        setup = tried.setup_of(str(TASK), seed=seed, **more)
-        learner = GradientLearner(setup, tried.gradient_options())
+        budget = {"steps": args.steps, "evaluate_every": args.steps}
+        setup = tried.setup_of(str(TASK), seed=seed, **budget)
+        learner = GradientLearner(setup, tried.gradient_options(**OPTIONS))
         began = time.process_time()
         run = train(setup, learner, args.out / f"seed_{seed}", show=False)
         spent = time.process_time() - began
