@@ -17,6 +17,7 @@ from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import OwnRow
+from diffsim.diagnose.judge.ranges import ranges_of_answer
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import LawAnswer
@@ -27,7 +28,7 @@ from diffsim.diagnose.search.evidence import Screen
 from diffsim.identify import Fit
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel
-from diffsim.identify.model_file import MODEL_FILE, save_extended
+from diffsim.identify.model_file import MODEL_FILE, Range, save_extended
 
 Array = NDArray[np.float64]
 
@@ -144,7 +145,16 @@ class Report(Answer):
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
-        for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside", "own"):
+        for name in (
+            "hypotheses",
+            "table",
+            "gates",
+            "causes",
+            "base",
+            "errors",
+            "outside",
+            "own",
+        ):
             plain[name] = [asdict(row) for row in plain[name]]
         for name in ("next_run", "force_map", "gain", "before_test", "described"):
             value = getattr(self, name)
@@ -170,12 +180,20 @@ class Report(Answer):
             study=self.study,
             verdict=self.verdict,
             band=self.band,
+            ranges=ranges_of_answer(self.best, self.base, self.causes),
         )
         return folder
 
 
 def save_model(
-    best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str, band: Band | None
+    best: Fit,
+    null: Fit,
+    folder: Path,
+    *,
+    study: Study,
+    verdict: str,
+    band: Band | None,
+    ranges: Mapping[str, Range],
 ) -> Path:
     """Write extended_model.yaml with all that judging new runs needs.
 
@@ -186,11 +204,18 @@ def save_model(
         study: Study that was fitted.
         verdict: Verdict of the diagnosis.
         band: What bands of unseen runs are made from.
+        ranges: 90 % intervals of parameters and sizes, by name, each in its unit.
     """
     noise = null.problem.whitener
     facts = facts_of(study, noise, band) if isinstance(noise, ArWhitener) else None
     return save_extended(
-        best, folder / MODEL_FILE, study=study, verdict=verdict, plain=null, facts=facts
+        best,
+        folder / MODEL_FILE,
+        study=study,
+        verdict=verdict,
+        plain=null,
+        facts=facts,
+        ranges=ranges,
     )
 
 
