@@ -35,6 +35,7 @@ from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.apart import apart_words
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words
 from diffsim.diagnose.judge.records import Interval, OutsideRow, band_words, no_skill_words
@@ -193,6 +194,8 @@ def _write(report: Report, inputs: Inputs, out: Path) -> bool:
     (out / INPUTS_FILE).unlink(missing_ok=True)
     report.save(out)
     _tell(report.headline, report.verdict, report.sentences)
+    for sentence in apart_words(report.apart, report.shared):
+        print(sentence)
     print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}", flush=True)
 
     def page() -> Path:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
+from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
@@ -64,6 +65,7 @@ class Report(Answer):
             channel].
         described: Laws that nobody listed, and the table that they were chosen from; None: they
             were not looked for.
+        apart: Numbers that groups of runs have of their own, and how far they are apart.
     """
 
     hypotheses: tuple[HypothesisRow, ...]
@@ -91,6 +93,7 @@ class Report(Answer):
     band: Band | None = None
     bands: Mapping[str, Array] = field(default_factory=dict)
     described: LawAnswer | None = None
+    apart: tuple[ApartRow, ...] = ()
 
     @property
     def chi2_null(self) -> float:
@@ -154,6 +157,7 @@ class Report(Answer):
             "errors",
             "outside",
             "own",
+            "apart",
         ):
             plain[name] = [asdict(row) for row in plain[name]]
         for name in ("next_run", "force_map", "gain", "before_test", "described"):
@@ -183,6 +187,13 @@ class Report(Answer):
             ranges=ranges_of_answer(self.best, self.base, self.causes),
         )
         return folder
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Parameters and causes of the extended model that are one number for all runs."""
+        told = [row.name for row in self.base if row.is_told and row.run is None]
+        sizes = [e.name for e in self.best.problem.effects if len(e.components) == 1]
+        return (*(name for name in told if "[" not in name), *sizes)
 
 
 def save_model(
