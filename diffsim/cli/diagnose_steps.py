@@ -12,7 +12,7 @@ from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, not_used, require_ready
-from diffsim.cli.diagnose_export import constants_of
+from diffsim.cli.diagnose_export import EXPORT_FILE, constants_of, notes_of
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
     INPUTS_FILE,
@@ -35,14 +35,16 @@ from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.apart import apart_words
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words
-from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
+from diffsim.diagnose.judge.records import Interval, OutsideRow, band_words, no_skill_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.wording import ends
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
@@ -192,6 +194,8 @@ def _write(report: Report, inputs: Inputs, out: Path) -> bool:
     (out / INPUTS_FILE).unlink(missing_ok=True)
     report.save(out)
     _tell(report.headline, report.verdict, report.sentences)
+    for sentence in apart_words(report.apart, report.shared):
+        print(sentence)
     print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}", flush=True)
 
     def page() -> Path:
@@ -346,12 +350,18 @@ def _export(args: argparse.Namespace) -> None:
     out = args.out or Path(DIAGNOSES) / study.name
     saved = read_extended(args.saved or out)
     found = constants_of(study, saved)
-    for program, constants in found.items():
-        print(f"{program}:")
-        for name, (value, sd) in constants.items():
-            print(f"  {name:<24} {value:>12.6g} +- {sd:.2g}")
-        values = {name: value for name, (value, _) in constants.items()}
-        print(f"wrote {write_json_atomic(out / f'{program}.json', values)}")
+    print(f"verdict: {saved.verdict}; value (90 % interval)")
+    for exported in found:
+        print(f"{exported.title}:")
+        for name, constant in exported.constants.items():
+            is_known = constant.low == constant.high
+            interval = "" if is_known else f" ({ends(Interval(*constant))})"
+            print(f"  {name:<24} {constant.value:>12.6g}{interval}")
+        print(f"wrote {write_json_atomic(out / f'{exported.stem}.json', exported.values())}")
+    for note in notes_of(study, saved):
+        print(note)
+    ranges = {exported.stem: exported.ranges() for exported in found}
+    print(f"wrote {write_json_atomic(out / EXPORT_FILE, ranges)}")
 
 
 def _next(args: argparse.Namespace) -> None:

@@ -405,7 +405,8 @@ class StudyFile(Part):
     export: dict[str, dict[str, str]] = Field(
         {},
         description="Constants for other programs, by program and name: formulas of the model's "
-        "numbers and causes, for `diagnose export`: {mujoco: {damping: kt**2/resistance}}",
+        "numbers and causes, for `diagnose export`: {mujoco: {damping: kt**2/resistance}}. A text "
+        "in quotes of its own goes out as it is: {bam: {model: \"'m1'\"}}",
     )
     metadata: dict[str, Any] = Field({}, description="Anything else worth keeping: source, licence")
     todo: Texts = Field((), description="What is still to be stated; `check` repeats it")

@@ -16,8 +16,9 @@ order:
    evidence of sets of effects, and what was simulated for it).
 6. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face
    runs that were not fitted, ``gain`` and ``left_out``), ``averaging``, ``stand_ins``,
-   ``data_sheet``, ``preconditions`` (of "certain"). The answer is frozen here. Test runs are
-   looked at once: ``unseen``; new runs later: ``frozen``.
+   ``data_sheet``, ``preconditions`` (of "certain"), ``ranges`` (what is saved), ``apart`` (of
+   devices). The answer is frozen here. Test runs are looked at once: ``unseen``; new runs later:
+   ``frozen``.
 7. ``say``: ``causes`` (a verdict per cause), ``headline``, ``wording``, ``tables``, ``assemble``,
    ``report``, ``force_map``: the answer as it is read and saved.
 

@@ -50,7 +50,7 @@ from diffsim.diagnose.search.fit import (
 )
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.diagnose.search.search import begin, search_sets, with_numerics
+from diffsim.diagnose.search.search import begin, begin_from, search_sets, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify.effect import Effect
@@ -420,10 +420,15 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 
 def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
-    allow; simulations under coarser ones do not serve."""
+    allow; simulations under coarser ones do not serve. Where the budget would not last for the same
+    search with finer settings, that begins at the set which was found."""
+    found: tuple[Members, Array] | None = None
     for round_ in range(MAX_RENEWALS):
         started = null.case.model.simulations.steps
-        search = search_sets(begin(null, simulations))
+        search = begin(null, simulations)
+        if found is not None:
+            search = begin_from(search, *found)
+        search = search_sets(search)
         steps = search.steps - started
         best = decision_of(search).best
         is_late = steps > null.case.settings.again_steps or round_ == MAX_RENEWALS - 1
@@ -434,9 +439,18 @@ def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
         if is_late:
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
+        coarse = null.wide.cost()
         null = _store_anew(refit_under(null, checked.finer), simulations)
+        times = null.wide.cost() / coarse
+        is_short = times * steps > _steps_left(search)
+        found = (best, search.fit_of(best).x) if is_short else None
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
+
+
+def _steps_left(search: Search) -> float:
+    """Weighted steps that refits may still take; infinite: as many as there are."""
+    return search.null.case.searching + search.settings.refit_steps - search.steps
 
 
 def _store_anew(null: Null, before: Simulations) -> Null:

@@ -18,6 +18,7 @@ from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_of
 from diffsim.diagnose.judge.gain import Gain, gain
+from diffsim.diagnose.judge.ranges import ranges_of_fit
 from diffsim.diagnose.judge.records import CERTAIN, EFFECT
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
@@ -133,6 +134,7 @@ class Extension:
             study=self.study,
             verdict=self.verdict,
             band=self.band,
+            ranges=ranges_of_fit(self.fit, self.study.fit_runs),
         )
 
 

@@ -8,7 +8,7 @@
     numerics: {time_step: 0.5, mesh: 1.0, tolerance: 1.0}  # factors; only where refined
     prepared_at: null            # where the model prepared what it prepares once (standardized)
     parameters:                  # of the plain model, nuisances too
-      mass: {value: 1.41, sd: 0.004, unit: kg}
+      mass: {value: 1.41, sd: 0.004, unit: kg, low: 1.39, high: 1.43}  # 90 % interval of the answer
     effects:                     # sizes; components of vector effects as "wind.north"
       wind.north: {value: 0.31, sd: 0.01, unit: N}
     frame: {labels: ...}         # what the causes took from the fitted runs: labels, magnitudes
@@ -25,7 +25,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -49,6 +49,14 @@ FARTHEST = 3.0  # standard deviations that a draw may be off
 _ENTRY_KEYS = ("value", "sd", "unit")
 
 
+class Range(NamedTuple):
+    """A value with its 90 % interval, in one unit."""
+
+    value: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class SavedModel:
     """Content of an ``extended_model.yaml``.
@@ -69,6 +77,8 @@ class SavedModel:
         frame: What the causes took from the fitted runs, for a study of other runs.
         correlation: Of the posterior, by name with names before it; what is not there is 0.
         model, study: Names of the plain model and of the study that it was fitted to.
+        ranges: 90 % intervals as the answer states them, by name: over all sets of causes, with
+            what is left over. ``sd`` is of the fit alone. Empty in files of before.
     """
 
     path: Path
@@ -86,6 +96,7 @@ class SavedModel:
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     model: str = ""
     study: str = ""
+    ranges: Mapping[str, Range] = field(default_factory=dict)
 
     def correlation_of(self, a: str, b: str) -> float:
         """Of two sizes in the posterior; 0 where the file does not say."""
@@ -124,6 +135,7 @@ def save_extended(
     verdict: str,
     plain: Fit | None = None,
     facts: Mapping[str, Any] | None = None,
+    ranges: Mapping[str, Range] | None = None,
 ) -> Path:
     """Write a fit as an extended model.
 
@@ -135,8 +147,11 @@ def save_extended(
         plain: Fit of the plain model, to compare with; None: ``fit`` without its effects is not
             compared with anything.
         facts: What judging new runs needs beside the model, in types that YAML has.
+        ranges: 90 % intervals by name, each in its unit; None: the fit's standard deviations alone.
     """
     problem, entries = fit.problem, _entries(fit)
+    for name, known in (ranges or {}).items():
+        entries[name] |= {"low": known.low, "high": known.high}
     count, prepared = problem.num_base, problem.model.prepared_q
     content = {
         "model": problem.model.name,
@@ -172,7 +187,7 @@ def _correlation(fit: Fit) -> dict[str, dict[str, float]]:
     shared = [i for i, name in enumerate(names) if "@" not in name]
     out: dict[str, dict[str, float]] = {}
     for i in shared:
-        row = {names[j]: round(float(fit.correlation[i, j]), 4) for j in shared if j < i}
+        row = {names[j]: round(float(fit.correlation[i, j]), 8) for j in shared if j < i}
         if row := {name: r for name, r in row.items() if abs(r) >= LEAST_CORRELATION}:
             out[names[i]] = row
     return out
@@ -224,19 +239,29 @@ def read_extended(path: str | Path) -> SavedModel:
         correlation=_correlations(path, content),
         model=str(content.get("model", "")),
         study=str(content.get("study", "")),
+        ranges={
+            name: Range(*(float(entry[key]) for key in Range._fields))
+            for name, entry in entries.items()
+            if "low" in entry
+        },
     )
 
 
 def _require_entry(what: str, entry: Any) -> None:
-    """Value and standard deviation must be finite numbers, and the latter not negative."""
+    """Numbers must be finite, the standard deviation not negative, the value in its interval."""
     if not isinstance(entry, dict) or not {"value", "sd"} <= set(entry):
         raise ValueError(f"{what} must have {', '.join(_ENTRY_KEYS)}, got {entry!r}")
-    for key in ("value", "sd"):
+    ends = tuple(key for key in ("low", "high") if key in entry)
+    if len(ends) == 1:
+        raise ValueError(f"{what} must have both low and high, or neither, got {entry!r}")
+    for key in ("value", "sd", *ends):
         least = 0.0 if key == "sd" else -math.inf
         try:
             require_number(f"{what}: {key}", entry[key], at_least=least)
         except (TypeError, OverflowError) as error:
             raise ValueError(str(error)) from None
+    if ends and not entry["low"] <= entry["value"] <= entry["high"]:
+        raise ValueError(f"{what}: value must lie from low to high, got {entry!r}")
 
 
 def _mapping(path: Path, content: Mapping[str, Any], key: str) -> dict[str, Any]:

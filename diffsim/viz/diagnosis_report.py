@@ -12,6 +12,7 @@ import numpy as np
 from diffsim.data.study import Channel
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
+from diffsim.diagnose.judge.apart import apart_words
 from diffsim.diagnose.judge.records import CERTAIN
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import DESCRIBED
@@ -92,6 +93,7 @@ def diagnosis_page(report: Report) -> page.Report:
             _test_runs(report, runs, channels),
             _causes(report),
             *([] if is_described else laws),
+            *_apart(report),
             _data_sheet(report),
             _residuals(report, runs, channels),
             _force_map(report.force_map),
@@ -245,6 +247,15 @@ def _causes(r: Report) -> page.Section:
             f"Intervals are up to {r.interval_factor:.2g} times as wide as noise alone makes them."
         )
     return page.Section(title=title, text=text, content=[tables.causes(r), *tables.sets(r)])
+
+
+def _apart(r: Report) -> list[page.Section]:
+    """What groups of runs share and in what they differ; none where nothing may differ."""
+    if not (rows := r.apart):
+        return []
+    title = f"What each {' and '.join(dict.fromkeys(row.fact for row in rows))} has of its own"
+    text = list(apart_words(rows, r.shared))
+    return [page.Section(title=title, text=text, content=[tables.apart(rows)])]
 
 
 def _data_sheet(r: Report) -> page.Section:

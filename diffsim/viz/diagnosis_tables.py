@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from diffsim.diagnose.judge.apart import ApartRow
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow
 from diffsim.diagnose.judge.records import (
@@ -137,6 +139,30 @@ def base(rows: Sequence[BaseRow]) -> Table:
         "parameter is a finding of its own.",
         emphasis=[i for i, row in enumerate(rows) if row.finding],
     )
+
+
+def apart(rows: Sequence[ApartRow]) -> Table:
+    """Numbers that groups of runs have of their own, and how far each is from the others."""
+    return Table(
+        columns=["number", "of", "size (90 % interval)", "over the others", "unit", "differs"],
+        rows=[_apart(row) for row in rows],
+        caption="Over the others: the number less the mean of the other groups, with its 90 % "
+        "interval. It differs where all these differences together are that large by chance once "
+        "in a hundred times. Else groups may still differ by what the interval holds.",
+        emphasis=[i for i, row in enumerate(rows) if row.differs],
+    )
+
+
+def _apart(row: ApartRow) -> list[str]:
+    size, over, unit = row.as_read()
+    return [
+        words_of(row.name),
+        f"{row.fact} {row.label}",
+        with_interval(size.value, size.low, size.high),
+        with_interval(over.value, over.low, over.high),
+        unit_of(unit) or "–",
+        "yes" if row.differs else "not seen",
+    ]
 
 
 def outside(rows: Sequence[OutsideRow], file: str = "report.json") -> list[Table]:

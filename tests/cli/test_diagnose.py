@@ -315,6 +315,8 @@ def test_extend_refits_and_measures_the_gain(explained, study_folder, tmp_path, 
     assert extended["gain"]["value"] == pytest.approx(report["gain"]["value"], abs=0.02)
     again = read_extended(tmp_path)
     assert again.values["drag"] == pytest.approx(read_extended(explained).values["drag"], rel=0.02)
+    drag = again.ranges["drag"]  # 1.645 sd to either side, or wider; no spread makes it narrower
+    assert drag.high - drag.low >= 2.0 * 1.64 * again.sd["drag"]
 
 
 def test_extend_without_an_explanation_says_how_to_get_one(study_folder, tmp_path, capsys):

@@ -256,7 +256,9 @@ def _num_independent(a: Array, num_samples: int) -> float:
     return float(num_samples * (1.0 - a.sum()) ** 2 / innovation)
 
 
-def without_spikes(runs: Sequence[Run], lefts: Sequence[Array]) -> tuple[tuple[Run, ...], int]:
+def without_spikes(
+    runs: Sequence[Run], lefts: Sequence[Array], usual: Array | None = None
+) -> tuple[tuple[Run, ...], int]:
     """Runs with isolated spikes marked as missing, and how many there were in all.
 
     A spike is a sample of the residual far from the median of itself and its four neighbors; what
@@ -266,8 +268,10 @@ def without_spikes(runs: Sequence[Run], lefts: Sequence[Array]) -> tuple[tuple[R
     Args:
         runs: All runs of a study.
         lefts: Measured minus predicted, (num_samples, num_channels) for each.
+        usual: Noise that is stated, (num_channels,) [unit of the channel]: a sensor that stands
+            still for a while, between two counts, has none of its own there. None: not stated.
     """
-    spikes = [_find_spikes(left) for left in lefts]
+    spikes = [_find_spikes(left, usual) for left in lefts]
     if sum(int(s.sum()) for s in spikes) > MAX_SPIKES * sum(s.size for s in spikes):
         return tuple(runs), 0
     spikes = [s & (special.pdtrc(s.sum() - 1, MAX_SPIKES * s.size) > BY_CHANCE) for s in spikes]
@@ -279,12 +283,14 @@ def without_spikes(runs: Sequence[Run], lefts: Sequence[Array]) -> tuple[tuple[R
     return tuple(cleaned), count
 
 
-def _find_spikes(left: Array) -> NDArray[np.bool_]:
+def _find_spikes(left: Array, usual: Array | None) -> NDArray[np.bool_]:
     away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
     # a channel that was never measured, or never five samples in a row, has no scale
     scale = np.zeros(away.shape[1])
     seen = np.isfinite(away).any(axis=0)
     scale[seen] = 1.4826 * np.nanmedian(away[:, seen], axis=0)
+    if usual is not None:
+        scale = np.maximum(scale, usual)
     return np.asarray(away > SPIKE * np.where(scale > 0.0, scale, np.inf))
 
 

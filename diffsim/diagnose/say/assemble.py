@@ -18,6 +18,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
+from diffsim.diagnose.judge.apart import apart_in_fit
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
 from diffsim.diagnose.judge.band import band_of, no_band, posterior_sd
 from diffsim.diagnose.judge.crosscheck import repeated_gate
@@ -34,6 +35,7 @@ from diffsim.diagnose.judge.preconditions import (
     singled_out,
     wrong_gradients,
 )
+from diffsim.diagnose.judge.ranges import ranges_of_answer
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     EFFECT,
@@ -174,6 +176,7 @@ def report_of(
         settings=_settings(null, search, seed),
         null=null.fit,
         best=best,
+        apart=apart_in_fit(best, ranges_of_answer(best, base, causes)),
         study=case.study,
         model=case.model,
         next_run=_advice(judgment, best, bank),

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
+from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.band import Band
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import OwnRow
+from diffsim.diagnose.judge.ranges import ranges_of_answer
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import LawAnswer
@@ -27,7 +29,7 @@ from diffsim.diagnose.search.evidence import Screen
 from diffsim.identify import Fit
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel
-from diffsim.identify.model_file import MODEL_FILE, save_extended
+from diffsim.identify.model_file import MODEL_FILE, Range, save_extended
 
 Array = NDArray[np.float64]
 
@@ -63,6 +65,7 @@ class Report(Answer):
             channel].
         described: Laws that nobody listed, and the table that they were chosen from; None: they
             were not looked for.
+        apart: Numbers that groups of runs have of their own, and how far they are apart.
     """
 
     hypotheses: tuple[HypothesisRow, ...]
@@ -90,6 +93,7 @@ class Report(Answer):
     band: Band | None = None
     bands: Mapping[str, Array] = field(default_factory=dict)
     described: LawAnswer | None = None
+    apart: tuple[ApartRow, ...] = ()
 
     @property
     def chi2_null(self) -> float:
@@ -144,7 +148,17 @@ class Report(Answer):
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
         plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
-        for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside", "own"):
+        for name in (
+            "hypotheses",
+            "table",
+            "gates",
+            "causes",
+            "base",
+            "errors",
+            "outside",
+            "own",
+            "apart",
+        ):
             plain[name] = [asdict(row) for row in plain[name]]
         for name in ("next_run", "force_map", "gain", "before_test", "described"):
             value = getattr(self, name)
@@ -170,12 +184,27 @@ class Report(Answer):
             study=self.study,
             verdict=self.verdict,
             band=self.band,
+            ranges=ranges_of_answer(self.best, self.base, self.causes),
         )
         return folder
 
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Parameters and causes of the extended model that are one number for all runs."""
+        told = [row.name for row in self.base if row.is_told and row.run is None]
+        sizes = [e.name for e in self.best.problem.effects if len(e.components) == 1]
+        return (*(name for name in told if "[" not in name), *sizes)
+
 
 def save_model(
-    best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str, band: Band | None
+    best: Fit,
+    null: Fit,
+    folder: Path,
+    *,
+    study: Study,
+    verdict: str,
+    band: Band | None,
+    ranges: Mapping[str, Range],
 ) -> Path:
     """Write extended_model.yaml with all that judging new runs needs.
 
@@ -186,11 +215,18 @@ def save_model(
         study: Study that was fitted.
         verdict: Verdict of the diagnosis.
         band: What bands of unseen runs are made from.
+        ranges: 90 % intervals of parameters and sizes, by name, each in its unit.
     """
     noise = null.problem.whitener
     facts = facts_of(study, noise, band) if isinstance(noise, ArWhitener) else None
     return save_extended(
-        best, folder / MODEL_FILE, study=study, verdict=verdict, plain=null, facts=facts
+        best,
+        folder / MODEL_FILE,
+        study=study,
+        verdict=verdict,
+        plain=null,
+        facts=facts,
+        ranges=ranges,
     )
 
 

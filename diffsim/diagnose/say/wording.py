@@ -22,6 +22,7 @@ from diffsim.diagnose.checks.gates import (
 )
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
+from diffsim.diagnose.judge.apart import ALL
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
@@ -131,6 +132,9 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
         brief: Say of two or more sizes, too, only between which values they lie.
     """
     row = row.as_read()
+    if (own := _sizes_of_groups(row)) and not brief and len(own) <= MOST_LISTED:
+        sizes = (f"{component_words(c)} {value:.3g}" for c, value in own.items())
+        return f"{', '.join(sizes)}{after_number(row.unit)}"
     if has_many_sizes(row) or (brief and len(row.size) > 1):
         return _spread(row)
     alone = len(row.size) == 1
@@ -139,16 +143,32 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
 
 
 def has_many_sizes(row: CauseRow) -> bool:
-    """Whether its sizes are too many for a sentence."""
+    """Whether its sizes are too many for a sentence, or are known together only."""
+    if ALL in row.size:
+        return True
     return len(row.size) > (1 if all(map(is_of_run, row.size)) else MOST_LISTED)
 
 
 def _spread(row: CauseRow) -> str:
     """Between which values the sizes lie; tables have each."""
-    values = [size.value for size in row.size.values()]
-    what = "runs" if all(map(is_of_run, row.size)) else "sizes"
+    if own := _sizes_of_groups(row):
+        values, what = list(own.values()), "groups"
+    else:
+        values = [size.value for size in row.size.values()]
+        what = "runs" if all(map(is_of_run, row.size)) else "sizes"
     low, high = f"{min(values):.3g}", f"{max(values):.3g}"
     return f"{low} to {high}{after_number(row.unit)} in {len(values)} {what}"
+
+
+def _sizes_of_groups(row: CauseRow) -> dict[str, float]:
+    """Size in each group of a cause with one for all and departures; empty for other causes.
+
+    One for all and departures share what they say: each is uncertain, their sum is not.
+    """
+    if ALL not in row.size:
+        return {}
+    common = row.size[ALL].value
+    return {c: common + size.value for c, size in row.size.items() if c != ALL}
 
 
 def component_words(component: str) -> str:

@@ -288,7 +288,8 @@ def null_fit(case: Case) -> Null:
     chosen = [settled(r, study.commands, partial(residual_of, fit), rough) for r in recorded]
     num_misread = sum(count for _, count in chosen)
     kept = [run for run, _ in chosen]
-    runs, num_spikes = without_spikes(kept, [residual_of(fit, run) for run in kept])
+    stated = np.array([c.sd or 0.0 for c in study.channels], dtype=np.float64)
+    runs, num_spikes = without_spikes(kept, [residual_of(fit, run) for run in kept], stated)
     study = replace(study, runs=runs)
     case = replace(case, study=study)
     residuals = residuals_by_run(study.fit_runs, at.record)

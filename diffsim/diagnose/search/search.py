@@ -53,11 +53,32 @@ def begin(null: Null, simulations: Simulations) -> Search:
     return Search(null, made, made.center(NONE, at, num_families)).with_fit(NONE, null.fit)
 
 
+def begin_from(search: Search, members: Members, x: Array) -> Search:
+    """The search with a set that an earlier one found best, under coarser numerical settings.
+
+    Args:
+        search: The plain model weighed.
+        members: Effects of the set, by index.
+        x: Its end there, standardized coordinates of its own problem, (n,).
+    """
+    made, names = search.simulations, (search.wide.effects[i].name for i in sorted(members))
+    search.null.case.progress("search", 0.3, " + ".join(names) or "no effect")
+    wide = np.zeros(len(search.wide.names))
+    wide[made.coordinates(members)] = x
+    try:
+        start = made.start(members, search.plain.at, wide)
+        fit, at = made.fitted_from(members, start, search.best_cost())
+    except DiffsimError as error:
+        failed = {**search.failed, Hypothesis(members): str(error)}
+        return replace(search, failed=failed)
+    return replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
+
+
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
     until = search.null.case.searching + search.settings.refit_steps
-    center, search = _refit_from_prior(search)
+    center, search = _first_center(search)
     if center is search.plain:
         center, search = _scan_kinks(search, search.plain)
         search = replace(search, plain=center)
@@ -98,6 +119,14 @@ def has_left_prior(fit: Fit) -> bool:
     """Whether a fit of the plain model took a base parameter far from its prior."""
     base = np.abs(fit.x[: fit.problem.num_base])
     return bool(base.max(initial=0.0) > FAR)
+
+
+def _first_center(search: Search) -> tuple[Center, Search]:
+    """Where the search begins: at what an earlier one found, else at the plain model."""
+    if len(search.fits) == 1:
+        return _refit_from_prior(search)
+    best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
+    return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
 
 def _refit_from_prior(search: Search) -> tuple[Center, Search]:

@@ -195,6 +195,21 @@ def test_spikes_are_marked_and_steps_are_not():
     assert set(np.flatnonzero(np.isnan(run.measured[:, 0]))) == {50, 333}
 
 
+def test_misread_samples_of_a_sensor_that_rests_are_spikes():
+    """An encoder at rest shows one count: there each move was a spike, or a misreading none."""
+    still, moving = np.zeros((500, 1)), np.zeros((500, 1))
+    moving[300:400] = 1e-2 * np.random.default_rng(5).normal(size=(100, 1))
+    moving[:300] += 1e-6 * np.random.default_rng(6).normal(size=(300, 1))
+    for left in (still, moving):
+        left[[50, 440]] -= 3.0
+    lefts = [still, moving]
+    runs = [make_run(left) for left in lefts]
+    assert without_spikes(runs, lefts)[1] == 0
+    cleaned, count = without_spikes(runs, lefts, np.array([1e-2]))
+    assert count == 4
+    assert all(np.isnan(run.measured[[50, 440], 0]).all() for run in cleaned)
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_channel_that_was_never_measured_has_no_spikes():
     left = 0.1 * np.random.default_rng(5).normal(size=(500, 2))

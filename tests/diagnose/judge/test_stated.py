@@ -8,6 +8,7 @@ from diffsim.diagnose import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.averaging import averaged
 from diffsim.diagnose.judge.frozen import judge_saved
+from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.search.simulations import NONE
 from diffsim.identify.model_file import read_extended
@@ -66,6 +67,19 @@ def test_sets_that_disagree_are_saved_as_they_are_stated(disagreeing, tmp_path):
     assert judged.gain.value == pytest.approx(report.gain.value, abs=1e-3)
     for before, after in zip(report.errors, judged.errors, strict=True):
         assert (after.before, after.after) == pytest.approx((before.before, before.after), rel=1e-3)
+
+
+def test_the_file_holds_the_intervals_that_are_stated(disagreeing, tmp_path):
+    """Those of the fit alone are too narrow where sets of causes, or parts of runs, disagree."""
+    _, _, report, _ = disagreeing
+    saved = read_extended(report.save(tmp_path))
+    stated = {row.name: row.size["size"] for row in report.causes if row.name in saved.components}
+    stated |= {row.name: row for row in report.base}
+    assert set(saved.ranges) == set(stated)
+    for name, known in saved.ranges.items():
+        assert (known.low, known.high) == (stated[name].low, stated[name].high)
+    drag = saved.ranges["drag"]
+    assert drag.high - drag.low > 2.0 * 2.0 * HALF_LEVEL * saved.sd["drag"]
 
 
 def test_a_cause_that_is_not_saved_is_a_mean_over_the_sets_that_hold_it(disagreeing):

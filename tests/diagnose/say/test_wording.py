@@ -53,6 +53,17 @@ def test_many_sizes_are_counted_not_listed():
     assert text.startswith("The model lacks low end loss (0.1 to 0.7 N in 7 sizes).")
 
 
+def test_a_size_for_all_and_departures_are_told_as_what_each_group_has():
+    """Each is uncertain, for they share what they say: "all -0.04 to 0.15, left -0.09 to 0.1"."""
+    sizes = {
+        "all": Interval(0.5, -1.0, 2.0),
+        "[servo=a]": Interval(-0.1, -1.5, 1.5),
+        "[servo=b]": Interval(0.1, -1.5, 1.5),
+    }
+    text = said("named", [cause("friction", "certain", sizes)])
+    assert text.startswith("The model lacks friction (servo a 0.4, servo b 0.6 N).")
+
+
 def test_what_is_only_likely_does_not_pass_for_certain():
     """Three likely causes stood beside a certain one in "the model lacks"."""
     names = ("square_drag", "slack")

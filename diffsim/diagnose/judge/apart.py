@@ -1,0 +1,171 @@
+"""What groups of runs share and in what they differ: devices of one type, motors, propellers.
+
+A study states what may differ by a fact of its runs: parameters ``per: servo`` have a value of
+their own for each servo, causes a size for all and a departure of each. Here these numbers stand
+beside each other, with their differences: numbers that are uncertain alike may differ for sure.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from scipy.special import ndtri
+from torch import Tensor
+
+from diffsim.core.units import after_number, factor, small_unit
+from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, Interval
+from diffsim.identify import Fit
+from diffsim.identify.effect import effect_coordinates
+from diffsim.identify.model_file import Range
+from diffsim.identify.ranges import FittedNumbers, Numbers, range_of
+
+ALL = "all"  # component of a cause that all groups have
+
+
+@dataclass(frozen=True)
+class ApartRow:
+    """A number of one group, beside those of the others.
+
+    Attributes:
+        name: Name of the parameter or cause.
+        fact: Fact of the runs by which it may differ, such as "servo".
+        label: Value of that fact: the group.
+        unit: SI unit of the number, "-" if none.
+        size: The group's number with its 90 % interval, in ``unit``.
+        over: The same less the mean of all other groups, in ``unit``.
+        differs: Whether ``over`` is not zero, of all such rows with 99 % probability.
+    """
+
+    name: str
+    fact: str
+    label: str
+    unit: str
+    size: Interval
+    over: Interval
+    differs: bool
+
+    def as_read(self) -> tuple[Interval, Interval, str]:
+        """Number, difference and the unit in which a user reads them."""
+        ends = [end for i in (self.size, self.over) for end in (i.low, i.high)]
+        unit = small_unit(self.unit, ends)
+        times = 1.0 if unit == self.unit else factor(self.unit, unit)
+        size, over = (
+            Interval(times * i.value, times * i.low, times * i.high) for i in (self.size, self.over)
+        )
+        return size, over, unit
+
+
+def apart_rows(numbers: Numbers, units: Mapping[str, str]) -> tuple[ApartRow, ...]:
+    """A row for each number and group, of all numbers that groups have of their own.
+
+    Args:
+        numbers: All that an extended model holds.
+        units: SI units by name of parameter or component.
+    """
+    groups = _numbers_of_groups(numbers.values)
+    count = sum(len(own) if len(own) > 2 else 1 for own in groups.values())
+    limit = float(ndtri(1.0 - (1.0 - SURE) / (2.0 * max(count, 1))))
+    return tuple(
+        _row(numbers, name, fact, label, own, units, limit)
+        for (name, fact), own in groups.items()
+        for label in own
+    )
+
+
+def apart_in_fit(fit: Fit, ranges: Mapping[str, Range]) -> tuple[ApartRow, ...]:
+    """Rows of a fit, with the intervals of an answer.
+
+    Args:
+        fit: Fit of the extended model.
+        ranges: 90 % intervals by name of parameter or component.
+    """
+    units = {p.name: p.unit for p in fit.problem.model.base}
+    units |= {name: e.unit for e in fit.problem.effects for name in effect_coordinates([e])}
+    return apart_rows(FittedNumbers(fit, ranges), units)
+
+
+def _numbers_of_groups(
+    names: Iterable[str],
+) -> dict[tuple[str, str], dict[str, list[str]]]:
+    """By name and fact: the saved numbers whose sum a group has, by label."""
+    found: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for name in names:
+        parts = re.fullmatch(r"(.+?)(\.?)\[(\w+)=(.*)\]", name)
+        if parts is None or parts[3] == "run":
+            continue
+        common = [f"{parts[1]}.{ALL}"] if parts[2] else []
+        found.setdefault((parts[1], parts[3]), {})[parts[4]] = [*common, name]
+    return {key: own for key, own in found.items() if len(own) > 1}
+
+
+def _row(
+    numbers: Numbers,
+    name: str,
+    fact: str,
+    label: str,
+    own: Mapping[str, Sequence[str]],
+    units: Mapping[str, str],
+    limit: float,
+) -> ApartRow:
+    needed = list(dict.fromkeys(n for names in own.values() for n in names))
+    others = [names for other, names in own.items() if other != label]
+    size = Interval(*range_of(partial(_sum_of, names=own[label]), own[label], numbers))
+    over = Interval(
+        *range_of(partial(_over_others, names=own[label], others=others), needed, numbers)
+    )
+    nearer = over.value - over.low if over.value > 0.0 else over.high - over.value
+    differs = abs(over.value) > limit * nearer / HALF_LEVEL
+    return ApartRow(name, fact, label, units.get(needed[-1], "-"), size, over, differs)
+
+
+def _sum_of(values: Mapping[str, Tensor], *, names: Sequence[str]) -> Tensor:
+    return torch.stack([values[name] for name in names]).sum(0)
+
+
+def _over_others(
+    values: Mapping[str, Tensor], *, names: Sequence[str], others: Sequence[Sequence[str]]
+) -> Tensor:
+    """A group's number less the mean of the others."""
+    mean = torch.stack([_sum_of(values, names=other) for other in others]).mean(0)
+    return _sum_of(values, names=names) - mean
+
+
+def apart_words(rows: Sequence[ApartRow], shared: Sequence[str]) -> tuple[str, ...]:
+    """What groups share and in what they differ, in sentences; none where nothing may differ.
+
+    Args:
+        rows: Numbers of groups.
+        shared: Names of parameters and causes that are one number for all.
+    """
+    if not rows:
+        return ()
+    out: list[str] = []
+    named = dict.fromkeys((row.name, row.fact) for row in rows)
+    for key in named:
+        own = [row for row in rows if (row.name, row.fact) == key]
+        if len(own) == 2:  # one is as much over the other as that is below
+            out += [_say_difference(own[1], f"{own[0].fact} {own[0].label}")] * own[1].differs
+        else:
+            out += [_say_difference(row, "the others") for row in own if row.differs]
+    differing = {row.name for row in rows if row.differs}
+    if alike := [words_of(name) for name, _ in named if name not in differing]:
+        out.append(f"No difference is seen in {', '.join(alike)}.")
+    if shared:
+        out.append(f"One number for all: {', '.join(words_of(name) for name in shared)}.")
+    return tuple(out)
+
+
+def _say_difference(row: ApartRow, others: str) -> str:
+    _, over, unit = row.as_read()
+    sign = 1.0 if over.value > 0.0 else -1.0
+    low, high = sorted((sign * over.low, sign * over.high))
+    word = "more" if over.value > 0.0 else "less"
+    return (
+        f"{row.fact.capitalize()} {row.label} has {abs(over.value):.3g}{after_number(unit)} {word} "
+        f"{words_of(row.name)} than {others} ({low:.3g} to {high:.3g}; 90 % interval)."
+    )

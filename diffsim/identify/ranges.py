@@ -1,0 +1,157 @@
+"""Intervals of what is computed from the numbers of a saved model.
+
+Each number has a 90 % interval about its value, which need not be symmetric. It is drawn as two
+halves of a normal, in logarithms where the whole interval has one sign; draws of several numbers
+have the correlations of the posterior. So a formula of one number gets that number's own interval,
+and one of several numbers what they allow together: a ratio may be known where its parts are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from scipy.special import ndtri
+from torch import Tensor
+
+from diffsim.identify.fitting import Fit
+from diffsim.identify.model_file import Range
+
+LEVEL = 0.9  # of every interval
+HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
+NUM_DRAWS = 2**14  # evenly spread: ends are exact to about a hundredth of a standard deviation
+Formula = Callable[[Mapping[str, Tensor]], Tensor]
+
+
+class Numbers(Protocol):
+    """Numbers with intervals and correlations; a ``SavedModel`` is one."""
+
+    @property
+    def values(self) -> Mapping[str, float]: ...
+
+    @property
+    def sd(self) -> Mapping[str, float]: ...
+
+    @property
+    def ranges(self) -> Mapping[str, Range]: ...
+
+    def correlation_of(self, a: str, b: str) -> float:
+        """Of two numbers in the posterior."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedNumbers:
+    """Numbers of a fit with the intervals of an answer.
+
+    Attributes:
+        fit: Fit of the extended model.
+        ranges: 90 % intervals by name.
+    """
+
+    fit: Fit
+    ranges: Mapping[str, Range]
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Fitted values by name, each in its unit."""
+        return self.fit.values
+
+    @property
+    def sd(self) -> Mapping[str, float]:
+        """Standard deviations of the fit alone."""
+        return self.fit.sd
+
+    def correlation_of(self, a: str, b: str) -> float:
+        """Of two numbers in the posterior."""
+        names = self.fit.problem.names
+        return float(self.fit.correlation[names.index(a), names.index(b)])
+
+
+def range_of_number(saved: Numbers, name: str) -> Range:
+    """Value and 90 % interval of a number, in its unit.
+
+    Args:
+        saved: Saved model.
+        name: Parameter or component of the file. Where the file has no interval, it is made of the
+            standard deviation of the fit.
+    """
+    value, half = saved.values[name], HALF_LEVEL * saved.sd[name]
+    return saved.ranges.get(name, Range(value, value - half, value + half))
+
+
+def range_of(formula: Formula, names: Sequence[str], saved: Numbers) -> Range:
+    """Value and 90 % interval of a formula of saved numbers.
+
+    Args:
+        formula: Takes numbers by name, () or (num_draws,) each, and returns as many values.
+        names: Numbers of the file that it needs.
+        saved: Saved model.
+
+    Returns:
+        The formula at the saved values, within its interval.
+    """
+    at = {name: torch.tensor(saved.values[name], dtype=torch.float64) for name in names}
+    value = float(formula(at))
+    if not names:
+        return Range(value, value, value)
+    drawn = formula(draws_of(names, saved)).expand(NUM_DRAWS).numpy()
+    drawn = drawn[~np.isnan(drawn)]
+    if not len(drawn):
+        return Range(value, value, value)
+    tail = 0.5 * (1.0 - LEVEL)
+    low, high = (float(q) for q in np.quantile(drawn, (tail, 1.0 - tail)))
+    return Range(value, min(low, value), max(high, value))
+
+
+def draws_of(names: Sequence[str], saved: Numbers) -> dict[str, Tensor]:
+    """Draws of saved numbers, (num_draws,) each in its unit, evenly spread.
+
+    Args:
+        names: Parameters and components of the file.
+        saved: Saved model.
+    """
+    names = list(dict.fromkeys(names))
+    normal = _normals_of(names, saved)
+    return {n: _draw_number(range_of_number(saved, n), normal[:, i]) for i, n in enumerate(names)}
+
+
+def _normals_of(names: Sequence[str], saved: Numbers) -> Tensor:
+    """Standard normals with the correlations of the posterior, (num_draws, num_names)."""
+    rows = [[saved.correlation_of(a, b) for b in names] for a in names]
+    spread, turns = torch.linalg.eigh(torch.tensor(rows, dtype=torch.float64))
+    engine = torch.quasirandom.SobolEngine(len(names), scramble=True, seed=0)
+    unit = torch.special.ndtri(engine.draw(NUM_DRAWS, dtype=torch.float64).clamp(1e-9, 1.0 - 1e-9))
+    mixed = (unit * spread.clamp(min=0.0).sqrt()) @ turns.mT
+    return mixed / mixed.square().mean(0).sqrt()
+
+
+def _draw_number(known: Range, normal: Tensor) -> Tensor:
+    """A number at draws of a standard normal, (num_draws,) in its unit."""
+    if known.low > 0.0 or known.high < 0.0:
+        sign = 1.0 if known.low > 0.0 else -1.0
+        ends = (np.log(abs(end)) for end in (known.value, known.low, known.high))
+        value, low, high = (float(end) for end in ends)
+        return sign * torch.exp(_two_halves(value, low, high, normal, sign))
+    drawn = _two_halves(known.value, known.low, known.high, normal, 1.0)
+    return drawn.clamp(min=0.0) if known.low == 0.0 else drawn  # a size that has no sign
+
+
+def _two_halves(value: float, low: float, high: float, normal: Tensor, sign: float) -> Tensor:
+    """Deviations above the value as its upper end says, below as the lower one does."""
+    above, below = abs(high - value) / HALF_LEVEL, abs(value - low) / HALF_LEVEL
+    return value + sign * normal * torch.where(normal > 0.0, above, below)
+
+
+__all__ = [
+    "HALF_LEVEL",
+    "LEVEL",
+    "FittedNumbers",
+    "Formula",
+    "Numbers",
+    "draws_of",
+    "range_of",
+    "range_of_number",
+]
