@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 import yaml
+from scipy.special import ndtri
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
@@ -46,6 +47,8 @@ from diffsim.identify.setup import DiagnosisSetup
 MODEL_FILE = "extended_model.yaml"
 LEAST_CORRELATION = 0.01  # that is worth a place in the file
 FARTHEST = 3.0  # standard deviations that a draw may be off
+LEVEL = 0.9  # of every interval
+HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 _ENTRY_KEYS = ("value", "sd", "unit")
 
 
@@ -106,7 +109,10 @@ class SavedModel:
         return float(rows.get(a, {}).get(b, rows.get(b, {}).get(a, 0.0)))
 
     def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
-        """Standardized deviations of sizes from their values, as the posterior has them.
+        """Standardized deviations of sizes from their values, as the answer states them.
+
+        A half of a normal to either side, each as wide as the 90 % interval; none changes the sign
+        of an interval that has one. Without intervals: as the fit has them.
 
         Args:
             names: Parameters and components, in the order wanted.
@@ -114,13 +120,34 @@ class SavedModel:
             rng: Source of chance.
 
         Returns:
-            (count, len(names)), within 3 standard deviations, with the file's correlations.
+            (count, len(names)) in ``sd``, within 3 standard deviations of the answer, with the
+            file's correlations.
         """
         rows = [[self.correlation_of(a, b) for b in names] for a in names]
         correlation = torch.tensor(rows, dtype=torch.float64).reshape(len(names), len(names))
         spread, turns = torch.linalg.eigh(correlation)
         unit = torch.from_numpy(rng.standard_normal((count, len(names))))
-        return ((unit * spread.clamp(min=0.0).sqrt()) @ turns.mT).clamp(-FARTHEST, FARTHEST)
+        normal = ((unit * spread.clamp(min=0.0).sqrt()) @ turns.mT).clamp(-FARTHEST, FARTHEST)
+        drawn = [self.deviation(n, z) for n, z in zip(names, normal.mT, strict=True)]
+        return torch.stack(drawn, 1) if drawn else normal
+
+    def deviation(self, name: str, normal: Tensor) -> Tensor:
+        """Deviations of one number from its value, in its ``sd``, at draws of a standard normal.
+
+        Args:
+            name: Parameter or component.
+            normal: Draws, of any shape.
+        """
+        known, sd = self.ranges.get(name), self.sd.get(name, 0.0)
+        if known is None or sd <= 0.0:
+            return normal
+        unit = HALF_LEVEL * sd
+        above, below = (known.high - known.value) / unit, (known.value - known.low) / unit
+        away = normal * torch.where(normal > 0.0, above, below)
+        to_zero = -known.value / sd
+        if known.low > 0.0:
+            return away.clamp(min=to_zero)
+        return away.clamp(max=to_zero) if known.high < 0.0 else away
 
     def framed(self, study: Study) -> Study:
         """A study of new runs, its causes as they were where the model was fitted."""

@@ -14,14 +14,11 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from scipy.special import ndtri
 from torch import Tensor
 
 from diffsim.identify.fitting import Fit
-from diffsim.identify.model_file import Range
+from diffsim.identify.model_file import HALF_LEVEL, LEVEL, Range
 
-LEVEL = 0.9  # of every interval
-HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 NUM_DRAWS = 2**14  # evenly spread: ends are exact to about a hundredth of a standard deviation
 Formula = Callable[[Mapping[str, Tensor]], Tensor]
 
@@ -143,15 +140,3 @@ def _two_halves(value: float, low: float, high: float, normal: Tensor, sign: flo
     """Deviations above the value as its upper end says, below as the lower one does."""
     above, below = abs(high - value) / HALF_LEVEL, abs(value - low) / HALF_LEVEL
     return value + sign * normal * torch.where(normal > 0.0, above, below)
-
-
-__all__ = [
-    "HALF_LEVEL",
-    "LEVEL",
-    "FittedNumbers",
-    "Formula",
-    "Numbers",
-    "draws_of",
-    "range_of",
-    "range_of_number",
-]

@@ -131,7 +131,8 @@ class CopterSizes:
         if "delay" not in self.names:
             return 0.0
         k = self.names.index("delay")
-        return float(self.values[k] + FARTHEST * self.sd[k])
+        farthest = self.saved.deviation("delay", torch.tensor(FARTHEST, dtype=torch.float64))
+        return float(self.values[k] + farthest * self.sd[k])
 
     def has_any(self, names: tuple[str, ...]) -> bool:
         """Whether the file holds one of some sizes."""

@@ -1,0 +1,53 @@
+"""Draws of a saved model: as wide as the intervals that the answer states, not as its fit alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from diffsim.identify.model_file import FARTHEST, Range, SavedModel
+
+
+def saved(**ranges: tuple[float, float]) -> SavedModel:
+    values = {"mass": 2.0, "delay": 0.02, "wind": -1.0}
+    return SavedModel(
+        Path("m.yaml"),
+        values,
+        dict.fromkeys(values, 1e-3),
+        ("mass",),
+        ("delay", "wind"),
+        correlation={"delay": {"mass": 0.8}},
+        ranges={name: Range(values[name], *ends) for name, ends in ranges.items()},
+    )
+
+
+def drawn(model: SavedModel, *names: str) -> np.ndarray:
+    """Values in their units, (20000, num_names)."""
+    away = model.draw(names, 20_000, np.random.default_rng(0)).numpy()
+    return np.array([model.values[n] for n in names]) + away * [model.sd[n] for n in names]
+
+
+def test_ends_of_draws_are_those_of_the_answer() -> None:
+    model = saved(mass=(1.9, 2.3), wind=(-1.5, -0.9))
+    found = drawn(model, "mass", "wind", "delay")
+    low, middle, high = np.quantile(found, (0.05, 0.5, 0.95), axis=0)
+    np.testing.assert_allclose(low[:2], (1.9, -1.5), atol=0.015)
+    np.testing.assert_allclose(high[:2], (2.3, -0.9), atol=0.015)
+    np.testing.assert_allclose(middle, (2.0, -1.0, 0.02), atol=0.01)
+    np.testing.assert_allclose((high - low)[2], 2 * 1.645e-3, rtol=0.03)  # the fit's: none stated
+    assert 0.75 < np.corrcoef(found[:, 0], found[:, 2])[0, 1] < 0.85
+
+
+def test_no_draw_changes_the_sign_of_an_interval() -> None:
+    found = drawn(saved(delay=(0.005, 0.04), wind=(-3.0, -0.01)), "delay", "wind")
+    assert found[:, 0].min() >= 0.0 and found[:, 1].max() <= 1e-15
+    both = drawn(saved(delay=(-0.01, 0.04)), "delay")
+    assert both.min() < 0.0
+
+
+def test_the_farthest_draw_is_told() -> None:
+    model = saved(delay=(0.01, 0.05))
+    most = 0.02 + 1e-3 * float(model.deviation("delay", torch.tensor(FARTHEST)))
+    assert drawn(model, "delay").max() <= most + 1e-12
