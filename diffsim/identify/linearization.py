@@ -20,6 +20,7 @@ from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
 Array = NDArray[np.float64]
+LARGEST = 1e140  # of a slope: the square of all of them, over noise of 1e-9 and less, is a number
 
 
 class NoWhitener:
@@ -82,11 +83,12 @@ def linearization_at(
     idx = tuple(range(len(x))) if only is None else tuple(only)
     left, slopes = _raw(problem).linearize_scaled(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
-    if not np.isfinite(slopes).all():
-        bad = [problem.names[idx[k]] for k in np.flatnonzero(~np.isfinite(slopes).all(0))]
+    is_number = (np.abs(slopes) < LARGEST).all(0)  # false for NaN, too
+    if not is_number.all():
+        bad = [problem.names[idx[k]] for k in np.flatnonzero(~is_number)]
         raise PredictionError(
-            f"the prediction is not finite a small step along {', '.join(bad)}; narrow their "
-            "bounds, priors or typical sizes, or mend the scene"
+            "the prediction leaves the range of numbers a small step along "
+            f"{', '.join(bad)}; narrow their bounds, priors or typical sizes, or mend the scene"
         )
     return Linearization(x, measured_of(problem) - left, idx, slopes)
 

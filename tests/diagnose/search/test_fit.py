@@ -162,9 +162,10 @@ def test_joined_keeps_its_own_slopes():
     np.testing.assert_array_equal(both.slopes([2, 0]), [[5.0, 1.0]] * 2)
 
 
-def test_a_slope_that_is_not_finite_names_its_coordinate(study):
+@pytest.mark.parametrize("least", [0.0, 1e-200])  # no number, and one whose square is none
+def test_a_slope_that_leaves_the_range_of_numbers_names_its_coordinate(study, least):
     def brittle(scene, size, run):
-        return toy.BIAS.apply(scene, size / (size == 0.0), run)
+        return toy.BIAS.apply(scene, size / torch.where(size == 0.0, 1.0, least), run)
 
     problem = problem_of(study, (toy.DRAG, replace(toy.BIAS, apply=brittle)))
     with pytest.raises(PredictionError, match="small step along bias;"):
