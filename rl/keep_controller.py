@@ -19,7 +19,8 @@ import torch
 
 from diffsim.control import MLPController
 from diffsim.envs.task_file import require_unchanged
-from diffsim.learn.run import read_checkpoint, task_file_of
+from diffsim.learn.checkpoint import read_checkpoint
+from diffsim.learn.run import task_file_of
 from diffsim.learn.setup import Setup, evaluate
 from diffsim.learn.trained import FOLDER, Trained, stored, write_trained
 
@@ -40,7 +41,8 @@ def main(argv: Sequence[str] | None = None) -> Path:
     task = setup.make_task()
     net = MLPController(task.num_observations, task.num_actions)
     net.load_state_dict(saved["controller"])
-    made_by = args.made_by or f"python rl/train_gradient.py --task {setup.task} --seed {setup.seed}"
+    usual = f"python rl/train_gradient.py --task {setup.task} --seed {setup.seed}"
+    made_by = args.made_by or usual + (f" --start {setup.start}" if setup.start else "")
     kept = Trained(
         task=setup.task,
         task_options=setup.task_options,

@@ -15,7 +15,8 @@ from diffsim.core.inside import inside, require_file_name
 from diffsim.data import load_study
 from diffsim.data.table import open_table
 from diffsim.identify.model_file import read_extended
-from diffsim.learn.run import CHECKPOINT, read_checkpoint, read_rows
+from diffsim.learn.checkpoint import CHECKPOINT, read_checkpoint
+from diffsim.learn.run import read_rows
 from diffsim.mesh import load
 
 SECRET = "time_s,secret,word\n0,1,hunter2\n1,2,hunter2\n"

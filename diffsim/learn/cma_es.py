@@ -52,7 +52,7 @@ class CmaLearner:
 
     def __init__(self, setup: Setup, options: CmaOptions | None = None):
         self.options = options or CmaOptions()
-        self.task: Task = setup.make_task()
+        self.task: Task = setup.require_new().make_task()
         self.seed = setup.seed
         self.net = make_open_loop(self.options.kind, self.task, setup.seed)
         self.trained = {k: p for k, p in self.net.named_parameters() if p.requires_grad}

@@ -99,7 +99,7 @@ def main(argv: Sequence[str], description: str | None = None) -> dict[str, objec
     args = parser.parse_args(argv)
     torch.set_num_threads(args.threads)
     with task_mistakes_in_short():
-        setup = setup_from(args)
+        setup = setup_from(args).require_new()
         task, begin = setup.make_task(), time.process_time()
     fits: list[tuple[float, int, nn.Module]] = []
     calls = 0

@@ -87,6 +87,7 @@ def training_parser(description: str | None) -> argparse.ArgumentParser:
     add("--quick", action="store_true", help="a tiny run, to see that all works")
     add("--output-gain", type=float, default=0.01, help="of the first network's last layer (0.01)")
     add("--balance-clock", action=argparse.BooleanOptionalAction, default=False, help="(no)")
+    add("--start", default="", metavar="FOLDER", help="earlier run whose controller goes on")
     add("--plain", action="store_true", help="without the task's recipe: these defaults")
     add("--threads", type=int, default=1, help="of torch (1)")
     return parser
@@ -105,6 +106,7 @@ def setup_from(args: argparse.Namespace) -> Setup:
             warm_up=5,
             output_gain=args.output_gain,
             balance_clock=args.balance_clock,
+            start=args.start,
         )
     return options_from(Setup, args)
 

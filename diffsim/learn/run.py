@@ -17,11 +17,12 @@ from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.core.optional import ask_for
 from diffsim.core.progress import show_progress
 from diffsim.envs.task_file import record_of, require_unchanged
+from diffsim.learn.checkpoint import CHECKPOINT, read_checkpoint
 from diffsim.learn.parallel import rank
 from diffsim.learn.setup import Setup, evaluate
 
 Row = dict[str, Any]
-RESULTS, CHECKPOINT = "results.jsonl", "checkpoint.pt"
+RESULTS = "results.jsonl"
 
 
 @dataclass
@@ -239,10 +240,10 @@ def _save(run: Run, setup: Setup, learner: Learner) -> None:
 def _load(run: Run, setup: Setup, learner: Learner) -> None:
     state = read_checkpoint(run.folder)
     saved, asked = json.loads(state["setup"]), to_plain(asdict(setup))
-    for name in ("task", "task_options", "seed", "steps", "evaluate_every"):
-        if saved[name] != asked[name]:
+    for name in ("task", "task_options", "seed", "start", "steps", "evaluate_every"):
+        if saved.get(name, "") != asked[name]:
             raise ValueError(
-                f"{name} must be {saved[name]!r} as in {run.folder / CHECKPOINT}, got "
+                f"{name} must be {saved.get(name)!r} as in {run.folder / CHECKPOINT}, got "
                 f"{asked[name]!r}; give the same values or another folder"
             )
     run.rows = state["rows"]
@@ -262,26 +263,6 @@ def load_controller(folder: str | Path, controller: nn.Module) -> nn.Module:
     """The trained weights of a run, put into a controller of the same shape."""
     controller.load_state_dict(read_checkpoint(folder)["controller"])
     return controller
-
-
-def read_checkpoint(folder: str | Path) -> dict[str, Any]:
-    """A checkpoint of ``_save``: tensors and plain values, no objects that would run code."""
-    path = Path(folder) / CHECKPOINT
-    try:
-        state = torch.load(path, weights_only=True)
-    except OSError:
-        raise
-    except Exception as error:  # torch's own, pickle's and zip's
-        raise ValueError(
-            f"{path}: cannot be read as a checkpoint ({type(error).__name__}): it is cut, or holds "
-            "objects, which are not loaded since they could run code"
-        ) from error
-    missing = {"setup", "rows", "counters", "learner", "controller"} - set(state)
-    if missing:
-        raise ValueError(
-            f"{path}: no checkpoint of a training, {', '.join(sorted(missing))} missing"
-        )
-    return state
 
 
 def rng_state(rng: Any) -> str:

@@ -20,6 +20,7 @@ from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
 from diffsim.envs.task_file import task_label
 from diffsim.envs.vector_env import TaskVectorEnv
+from diffsim.learn.checkpoint import controller_of
 
 EVALUATION_SEED = 20_000  # of the starts that rate controllers; no run trains with it
 WARM_UP_ENVS, WARM_UP_HOLD = 8, 5
@@ -41,6 +42,8 @@ class Setup:
         output_gain: Gain of the first network's last layer, for every method. A small one makes a
             controller that hardly moves, which is where a copter hovers and a swimmer learns
             nothing.
+        start: Folder of an earlier run, whose controller is the first one: of the same robot on a
+            coarser mesh, or of an easier task; empty: a new network.
         balance_clock: Whether the first network listens to the task's clock, if it has one, as
             much as to all its other observations together.
     """
@@ -55,6 +58,20 @@ class Setup:
     warm_up: int = 50
     output_gain: float = 0.01
     balance_clock: bool = False
+    start: str = ""
+
+    def require_new(self) -> Setup:
+        """Itself, where no controller of an earlier run is to go on.
+
+        Raises:
+            ValueError: ``start`` names one, for a method without a network.
+        """
+        if self.start:
+            raise ValueError(
+                f"start must be empty for open-loop controllers, got {self.start!r}: they are no "
+                "networks; leave it out"
+            )
+        return self
 
     def make_task(self) -> Task:
         """The task."""
@@ -67,6 +84,8 @@ class Setup:
 
     def first_controller(self, task: Task) -> MLPController:
         """The controller that every method starts from; ``task`` is what ``make_task`` made."""
+        if self.start:
+            return controller_of(self.start, task)
         return first_controller(
             task,
             self.seed,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import math
@@ -17,7 +18,8 @@ import torch
 pytest.importorskip("gymnasium", reason="environments need gymnasium: pip install '.[rl]'")
 
 from diffsim.core.errors import DiffsimError
-from diffsim.learn import gradient, open_loop, run
+from diffsim.learn import gradient, open_loop
+from diffsim.learn.checkpoint import CHECKPOINT
 from diffsim.learn.critics import Critic, td_lambda_targets
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions, NanGuard
 from diffsim.learn.members import steer_members
@@ -80,8 +82,39 @@ def test_quick_runs_write_results_a_checkpoint_and_a_log(script: str, tmp_path: 
     assert rows[-1]["steps"] >= 320
     assert all(math.isfinite(r["reward"]) for r in rows)
     assert rows[-1]["seconds"] > 0.0
-    assert (tmp_path / run.CHECKPOINT).exists()
+    assert (tmp_path / CHECKPOINT).exists()
     assert list(tmp_path.glob("events.out.tfevents*"))
+
+
+def test_a_run_starts_from_the_controller_of_another(tmp_path: Path) -> None:
+    before, made = TINY, learner("gradient")
+    train(before, made, tmp_path / "before", show=False)
+    after = dataclasses.replace(TINY, seed=5, start=str(tmp_path / "before"))
+    begun, want = learner("gradient", after).controller(), made.controller()
+    for name, value in want.state_dict().items():
+        assert torch.equal(begun.state_dict()[name], value), name
+    run = train(after, learner("gradient", after), tmp_path / "after", show=False)
+    rated = read_rows(tmp_path / "before")[-1]["reward"]
+    assert run.rows[0]["reward"] == pytest.approx(rated)
+    with pytest.raises(ValueError, match="start must be"):  # one resumes as one began
+        train(
+            dataclasses.replace(after, start=""),
+            learner("gradient"),
+            tmp_path / "after",
+            resume=True,
+            show=False,
+        )
+
+
+def test_a_controller_of_another_robot_is_no_start(tmp_path: Path) -> None:
+    train(TINY, learner("gradient"), tmp_path, show=False)
+    other = dataclasses.replace(TINY, task="CopterTrack", start=str(tmp_path))
+    with pytest.raises(ValueError, match="must be one of 28 observations and 4 actions"):
+        other.first_controller(other.make_task())
+    with pytest.raises(ValueError, match="no networks; leave it out"):
+        learner("cma", dataclasses.replace(TINY, start=str(tmp_path)))
+    with pytest.raises(FileNotFoundError):
+        dataclasses.replace(TINY, start=str(tmp_path / "none")).first_controller(TINY.make_task())
 
 
 def test_open_loop_controllers_are_fitted_by_l_bfgs(tmp_path: Path) -> None:
@@ -206,7 +239,7 @@ def test_stable_baselines3_continues_from_its_checkpoint(method: str, tmp_path: 
     with pytest.raises(KeyboardInterrupt):
         train(TINY, cut, tmp_path, show=False)
     again: Any = learner(method)
-    again.load_state_dict(torch.load(tmp_path / run.CHECKPOINT, weights_only=True)["learner"])
+    again.load_state_dict(torch.load(tmp_path / CHECKPOINT, weights_only=True)["learner"])
     for (key, old), new in zip(
         cut.controller().state_dict().items(), again.controller().state_dict().values(), strict=True
     ):

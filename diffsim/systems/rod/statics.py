@@ -54,7 +54,7 @@ def running_products(steps: Tensor) -> Tensor:
     return steps
 
 
-class _Pressed(NamedTuple):
+class _SectionFactors(NamedTuple):
     """Factors by which sections differ from those without loads.
 
     Attributes:
@@ -154,26 +154,26 @@ class RodStatics:
         along = torch.tensor([1.0, 0.0, 0.0], dtype=u.dtype)
         v = along + force / self.stretch
         for _ in range(STRETCH_ROUNDS):
-            pressed = self._pressed(v)
-            offset = pressed.width[..., None, :, None] * self.offset
+            factors = self._section_factors(v)
+            offset = factors.width[..., None, :, None] * self.offset
             tangent = v[..., None, :, :] + cross(u[..., None, :, :], offset) + self.slope
             pull = tension * tangent / tangent.square().sum(-1, keepdim=True).sqrt()
-            v = along + (force - pull.sum(-3)) / (self.stretch * pressed.stretch)
+            v = along + (force - pull.sum(-3)) / (self.stretch * factors.stretch)
         bent = u - self.rest
         strain = (bent[..., 1:].square().sum(-1) * self.shape.radius**2)[..., None]
         moment = self.bending * bent * (1.0 + self.stiffening[..., None, None] * strain)
-        pressed = self._pressed(v)
-        levers = cross(pressed.width[..., None, :, None] * self.offset, pull)
-        return v, pressed.bending * moment + levers.sum(-3)
+        factors = self._section_factors(v)
+        levers = cross(factors.width[..., None, :, None] * self.offset, pull)
+        return v, factors.bending * moment + levers.sum(-3)
 
-    def _pressed(self, v: Tensor) -> _Pressed:
+    def _section_factors(self, v: Tensor) -> _SectionFactors:
         """What stretch and shears v (..., N, 3) make of the sections."""
         y = v[..., 0].clamp(min=MOST_PRESSED)
         share = self.rubber[..., None]
         secant = 1.0 + share * ((1.0 + 1.0 / y + y**-2) / 3.0 - 1.0)  # P / (E (y - 1))
         flexural = 1.0 + share * ((1.0 + 2.0 * y**-3) / (3.0 * y) - 1.0)
         twist, shear = 1.0 + share * (1.0 / y - 1.0), torch.ones_like(secant)
-        return _Pressed(
+        return _SectionFactors(
             1.0 + share * (y**-0.5 - 1.0),
             torch.stack([twist, flexural, flexural], -1),
             torch.stack([secant, shear, shear], -1),
