@@ -5,6 +5,7 @@ python rl/compare.py --preset coarse        # copter and coarse swimmers
 python rl/compare.py --preset thesis_short  # 7,020 and 10,017 degrees of freedom: hours
 python rl/compare.py --preset recipe        # swimmers by their recipe, against tuned rivals
 python rl/compare.py --preset thesis_recipe # the same at the thesis's size
+python rl/compare.py --preset copter_recipe # copters by theirs
 python rl/compare.py --preset thesis        # the same, twenty times the budget: days
 python rl/compare.py --preset coarse --tasks CopterHover --methods gradient ppo --seeds 0 1
 

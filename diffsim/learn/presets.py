@@ -266,12 +266,44 @@ def _swim_by_recipe(task: str, coarse: bool, steps: int, seeds: tuple[int, ...])
     return Plan(setup, budget, tuning, candidates, seeds=seeds, ratings=6, quality=few)
 
 
+# by the copters' recipe. Three candidates of each rival: what the search of ``coarse`` took, and two
+# beside it; for PPO with as many episodes side by side as the recipe has
+_COPTER_RIVALS: _Candidates = {
+    "shac": (
+        {"batch": 64, "window": 32, "actor_rate": 1e-2},
+        {"batch": 64, "window": 16, "actor_rate": 1e-2},
+        {"batch": 64, "window": 32, "actor_rate": 2e-2},
+    ),
+    "sapo": (
+        {"batch": 64, "window": 32, "actor_rate": 1e-2, "temperature": 0.1},
+        {"batch": 64, "window": 16, "actor_rate": 1e-2, "temperature": 0.1},
+        {"batch": 64, "window": 32, "actor_rate": 2e-2, "temperature": 0.1},
+    ),
+    "ppo": (
+        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
+        {"envs": 64, "rollout": 32, "learning_rate": 1e-3},
+        {"envs": 64, "rollout": 64, "learning_rate": 1e-3, "exploration": 0.3},
+    ),
+}
+
+
+def _copter_by_recipe(task: str) -> Plan:
+    """Rivals have twice the steps of the recipe, and half of them for each candidate."""
+    mine = recipe(task)
+    setup = dataclasses.replace(mine.setup_of(task), step_cost=1.9)
+    candidates = {"gradient": (dict(mine.gradient),), **_COPTER_RIVALS}
+    budget = {"gradient": setup.steps} | dict.fromkeys(_COPTER_RIVALS, 2 * setup.steps)
+    tuning = {"gradient": setup.steps} | dict.fromkeys(_COPTER_RIVALS, setup.steps)
+    return Plan(setup, budget, tuning, candidates, ratings=10)
+
+
 PRESETS: dict[str, Callable[[], dict[str, Plan]]] = {
     "quick": _quick,
     "coarse": _coarse,
     "thesis_short": _thesis_short,
     "thesis": _thesis,
     "recipe": lambda: _by_recipe(coarse=True, steps=14_336, seeds=(0, 1, 2, 3, 4)),
+    "copter_recipe": lambda: {t: _copter_by_recipe(t) for t in ("CopterHover", "CopterTrack")},
     "thesis_recipe": lambda: _by_recipe(coarse=False, steps=14_336, seeds=(0, 1, 2, 3, 4)),
 }
 
