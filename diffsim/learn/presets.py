@@ -266,8 +266,8 @@ def _swim_by_recipe(task: str, coarse: bool, steps: int, seeds: tuple[int, ...])
     return Plan(setup, budget, tuning, candidates, seeds=seeds, ratings=6, quality=few)
 
 
-# by the copters' recipe. Three candidates of each rival: what the search of ``coarse`` took, and two
-# beside it; for PPO with as many episodes side by side as the recipe has
+# by the copters' recipe. Three candidates of each rival: what the search of ``coarse`` took, and
+# two beside it; for PPO with as many episodes side by side as the recipe has
 _COPTER_RIVALS: _Candidates = {
     "shac": (
         {"batch": 64, "window": 32, "actor_rate": 1e-2},
