@@ -140,7 +140,7 @@ OUTSIDE = (
         {
             "delay": (Cause(0.02), lambda s: {"late_s": s}),
             "square_drag_at_tip": (
-                Cause(1.0, names=("square_drag", "square_drag_at_tip"), sized=False),
+                Cause(1.0, names=("square_drag",), sized=False),
                 lambda s: {"drag": s},
             ),
         },
