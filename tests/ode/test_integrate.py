@@ -87,6 +87,25 @@ def test_limits_are_kept():
     assert y[:, 0].tolist() == pytest.approx([0, 1, 2, 2.5, 2.5, 2.5])
 
 
+@pytest.mark.grad
+@pytest.mark.parametrize("root", ["max(x - 0.5, 0)**p", "sqrt(max(x - 0.5, 0))", "max(x, 0.5)**p"])
+def test_a_root_of_what_is_flat_has_no_slope(root):
+    """Below 0.5 the chain has a slope of zero behind one that is infinite."""
+    ode = Ode(rates={"x": "-x"}, readings={"y": root + " + 0*p"}, parameters=["p"])
+    start = torch.tensor([[0.4], [0.9]], dtype=torch.float64, requires_grad=True)
+    power = torch.tensor([[0.55]], dtype=torch.float64, requires_grad=True)
+    readings, _ = ode.solve(grid(3, 1e-3), start, parameters=power, num_steps=1)
+    grad, of_power = torch.autograd.grad(readings.sum(), (start, power))
+    assert grad.isfinite().all() and of_power.isfinite().all()
+    assert grad[0, 0] == 0.0 and grad[1, 0] > 1.0
+    _, tangent = torch.func.jvp(
+        lambda x: ode.solve(grid(3, 1e-3), x, parameters=power.detach(), num_steps=1)[0].sum(),
+        (start.detach(),),
+        (torch.ones_like(start),),
+    )
+    torch.testing.assert_close(tangent, grad.sum())
+
+
 EVERY_OPERATION = Ode(
     rates={
         "x": "0.3 * sin(v) * exp(-x ** 2) + 0.1 * atan2(v, 2 + x) - 0.1 * asinh(u)",

@@ -274,9 +274,11 @@ void reverse_tape(const Tape& tape, const double* registers, double* adjoints) {
     double* gy = adjoints + (tape.num_given + i) * Lanes;
     each_partial<Lanes>(tape, i, registers, [=](std::int64_t operand, auto slope) {
       double* g = adjoints + operand * Lanes;
-      // 0 times infinity is no gradient: what does not reach the result passes nothing on
+      // 0 times infinity is no gradient: what does not reach the result passes nothing on, and
+      // nothing passes what is flat, as a root of max(u, 0) below 0
       for (int l = 0; l < Lanes; ++l)
-        if (gy[l] != 0.0) g[l] += gy[l] * slope(l);
+        if (gy[l] != 0.0)
+          if (const double s = slope(l); s != 0.0) g[l] += gy[l] * s;
     });
     for (int l = 0; l < Lanes; ++l) gy[l] = 0.0;
   }
