@@ -150,9 +150,7 @@ def quadratic_optimum(
             active[worst] = 0
             continue
         return v
-    root = linalg.cholesky(hessian)
-    right = linalg.solve_triangular(root, b, trans="T")
-    return np.asarray(optimize.lsq_linear(root, right, (low, high), method="bvls").x)
+    return _bounded_least_squares(hessian, b, low, high)
 
 
 def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
@@ -186,12 +184,29 @@ def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
     return top + float(np.log(area)) - float(np.log(sd)) - 0.5 * (mean / sd) ** 2
 
 
-def _solve_step(hessian: Array, b: Array) -> Array:
-    """H^-1 b; where two sizes do the same and hardly have a prior, they share it."""
-    # scaled to a unit diagonal: sizes that nothing shows differ by many decades
+def _bounded_least_squares(hessian: Array, b: Array, low: Array, high: Array) -> Array:
+    """The same where active sets go round in a circle; directions that rounding has left without
+    curvature, or with less than none, get as little as it is good for."""
+    unit, scaled = _to_unit_diagonal(hessian)
+    values, vectors = linalg.eigh(scaled)
+    roots = np.sqrt(np.maximum(values, ROUNDING * values[-1]))
+    right = (vectors.T @ (unit * b)) / roots
+    within = low / unit, high / unit
+    found = optimize.lsq_linear(roots[:, None] * vectors.T, right, within, method="bvls")
+    return np.asarray(unit * found.x)
+
+
+def _to_unit_diagonal(hessian: Array) -> tuple[Array, Array]:
+    """Units of coordinates, (n,), and the matrix in them: sizes that nothing shows differ by many
+    decades."""
     root = np.sqrt(np.diagonal(hessian))
     unit = 1.0 / np.where(root > 0.0, root, 1.0)
-    scaled = hessian * np.outer(unit, unit)
+    return unit, hessian * np.outer(unit, unit)
+
+
+def _solve_step(hessian: Array, b: Array) -> Array:
+    """H^-1 b; where two sizes do the same and hardly have a prior, they share it."""
+    unit, scaled = _to_unit_diagonal(hessian)
     # LAPACK's own: what SciPy checks around it takes ten times as long as a few unknowns
     _, found, failed = linalg.lapack.dposv(scaled, unit * b)
     if failed:

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from diffsim.diagnose.search.optimum import optimum, quadratic_optimum
+from diffsim.diagnose.search.optimum import (
+    _bounded_least_squares,
+    optimum,
+    quadratic_optimum,
+)
 
 
 def drawn(seed):
@@ -63,3 +67,21 @@ def test_where_the_bounded_optimum_is_looked_for_first_does_not_move_it(seed):
     for near in (low, high, np.where(np.arange(len(low)) % 2, low, high), np.zeros(len(low))):
         found = quadratic_optimum(hessian, b, low, high, near)
         np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-12)
+
+
+def test_where_active_sets_go_round_the_answer_is_the_same():
+    """What rounding has left indefinite has an answer, too."""
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(2, 8))
+        columns = rng.normal(size=(2 * n, n)) * 10 ** rng.uniform(-2, 2, n)
+        hessian, b = columns.T @ columns + np.eye(n), columns.T @ rng.normal(size=2 * n)
+        low, high = -(10 ** rng.uniform(-3, 1, n)), 10 ** rng.uniform(-3, 1, n)
+        want = quadratic_optimum(hessian, b, low, high)
+        found = _bounded_least_squares(hessian, b, low, high)
+        costs = [v @ hessian @ v - 2.0 * b @ v for v in (want, found)]
+        assert costs[1] - costs[0] < 1e-7 * (1.0 + abs(costs[0]))
+    same = np.array([1.0, 1e6, 1e-3])
+    flat = np.outer(same, same) - np.diag([1e-16, 1e-4, 0.0])  # less than none along two ways
+    found = _bounded_least_squares(flat, same, -np.ones(3), np.ones(3))
+    assert np.isfinite(found).all() and float(same @ found) == pytest.approx(1.0, abs=1e-6)
