@@ -5,7 +5,7 @@ what was hoped for: who needs one more takes another one out. The walk goes as t
 does: laws that no library holds are looked for, by seven files and 155 functions more (of two
 variables by fifteen), and leave the cause of the library its name. Large arrays lie in files by
 eight. Propellers are devices of one type: what they share, and in what they differ, is told by
-three files and 21 functions.
+three files and 22 functions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 import numpy as np
 import pytest
 
-MAX_FILES, MAX_FUNCTIONS = 95, 993
+MAX_FILES, MAX_FUNCTIONS = 95, 994
 MOTION = ("contact", "control", "copter", "soft", "stokes")
 SYSTEMS_IN_MOTION = (
     "balls",

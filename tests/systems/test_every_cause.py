@@ -89,6 +89,7 @@ def groups_of(kind, causes):
 # a simulator of one's own has no slopes, and the windows of a multicopter begin where its record
 # says (tests/systems/test_multicopter.py)
 @pytest.mark.grad
+@pytest.mark.cpu(8)  # differences along every cause: 5 s of a soft body, beside others 9
 @pytest.mark.parametrize("kind", [k for k in KINDS if k not in ("outside", "multicopter")])
 def test_columns_of_parameters_and_smooth_causes_are_those_of_differences(kind):
     """At a third of the usual sizes: one-sided causes act there, and no delay is a whole sample."""
