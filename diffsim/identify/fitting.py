@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import linalg, optimize
+from torch import Tensor
 
 from diffsim import optim
 from diffsim.core.check import require_choice
@@ -322,3 +323,19 @@ def _scales(problem: Problem, x: Array) -> Array:
 
 def _base(problem: Problem, x: Array) -> list[tuple[Parameter, float]]:
     return list(zip(problem.model.base, x[: problem.num_base].tolist(), strict=True))
+
+
+def correlated(
+    unit: Tensor, names: Sequence[str], correlation_of: Callable[[str, str], float]
+) -> Tensor:
+    """Standard normals with the correlations of some numbers, (count, num_names).
+
+    Args:
+        unit: Independent standard normals, (count, num_names).
+        names: Names of the numbers.
+        correlation_of: Function of two names.
+    """
+    rows = [[correlation_of(a, b) for b in names] for a in names]
+    correlation = torch.tensor(rows, dtype=torch.float64).reshape(len(names), len(names))
+    spread, turns = torch.linalg.eigh(correlation)
+    return (unit * spread.clamp(min=0.0).sqrt()) @ turns.mT

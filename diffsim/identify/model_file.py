@@ -39,7 +39,7 @@ from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates, is_of_run
 from diffsim.identify.extended import ExtendedModel, extended_at
-from diffsim.identify.fitting import Fit
+from diffsim.identify.fitting import Fit, correlated
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
 from diffsim.identify.setup import DiagnosisSetup
@@ -123,11 +123,8 @@ class SavedModel:
             (count, len(names)) in ``sd``, within 3 standard deviations of the answer, with the
             file's correlations.
         """
-        rows = [[self.correlation_of(a, b) for b in names] for a in names]
-        correlation = torch.tensor(rows, dtype=torch.float64).reshape(len(names), len(names))
-        spread, turns = torch.linalg.eigh(correlation)
         unit = torch.from_numpy(rng.standard_normal((count, len(names))))
-        normal = ((unit * spread.clamp(min=0.0).sqrt()) @ turns.mT).clamp(-FARTHEST, FARTHEST)
+        normal = correlated(unit, names, self.correlation_of).clamp(-FARTHEST, FARTHEST)
         drawn = [self.deviation(n, z) for n, z in zip(names, normal.mT, strict=True)]
         return torch.stack(drawn, 1) if drawn else normal
 

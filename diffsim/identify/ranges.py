@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.identify.fitting import Fit
+from diffsim.identify.fitting import Fit, correlated
 from diffsim.identify.model_file import HALF_LEVEL, LEVEL, Range
 
 NUM_DRAWS = 2**14  # evenly spread: ends are exact to about a hundredth of a standard deviation
@@ -111,18 +111,11 @@ def draws_of(names: Sequence[str], saved: Numbers) -> dict[str, Tensor]:
         saved: Saved model.
     """
     names = list(dict.fromkeys(names))
-    normal = _normals_of(names, saved)
-    return {n: _draw_number(range_of_number(saved, n), normal[:, i]) for i, n in enumerate(names)}
-
-
-def _normals_of(names: Sequence[str], saved: Numbers) -> Tensor:
-    """Standard normals with the correlations of the posterior, (num_draws, num_names)."""
-    rows = [[saved.correlation_of(a, b) for b in names] for a in names]
-    spread, turns = torch.linalg.eigh(torch.tensor(rows, dtype=torch.float64))
     engine = torch.quasirandom.SobolEngine(len(names), scramble=True, seed=0)
     unit = torch.special.ndtri(engine.draw(NUM_DRAWS, dtype=torch.float64).clamp(1e-9, 1.0 - 1e-9))
-    mixed = (unit * spread.clamp(min=0.0).sqrt()) @ turns.mT
-    return mixed / mixed.square().mean(0).sqrt()
+    mixed = correlated(unit, names, saved.correlation_of)
+    normal = mixed / mixed.square().mean(0).sqrt()
+    return {n: _draw_number(range_of_number(saved, n), normal[:, i]) for i, n in enumerate(names)}
 
 
 def _draw_number(known: Range, normal: Tensor) -> Tensor:

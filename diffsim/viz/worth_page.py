@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from diffsim.sim_to_real.worth import MISS, Worth
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.figures import COLORS
 from diffsim.viz.numbers import figure
-
-if TYPE_CHECKING:
-    from diffsim.sim_to_real.worth import Worth
 
 SHOWN = {"whole": "with it", "half": "with half of it", "none": "without it"}
 UNAWARE = "command that does not know of it"
@@ -43,7 +41,7 @@ def write_worth(
 def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str]]) -> page.Report:
     """The page: what mending buys most, every cause as numbers and as bars."""
     ranked = sorted(found, key=lambda row: -row.bought)
-    travel = found[0].of != "miss"
+    travel = found[0].of != MISS
     unit = "m" if travel else ""
     numbers = [
         page.Number(

@@ -207,7 +207,7 @@ def _learn_posterior(
     terms = {label: Terms.none(local) for label, local in locals_.items()}
     start = best_spread(layout, locals_, start)
     terms = _terms(layout, locals_, start, terms, one, NUM_SWEEPS)
-    held = {label: terms[label].on(local) for label, local in locals_.items()}
+    held = _with_terms(locals_, terms)
     best = best_spread(layout, held, start)
     covariance: Array = np.asarray(np.linalg.inv(_curvature(layout, held, best)))
     draws = _draws(layout, held, best, covariance, state.standard)
@@ -224,6 +224,11 @@ def _learn_posterior(
         common_covariance=np.stack([f.covariance for f in found]),
         point=point,
     )
+
+
+def _with_terms(locals_: Mapping[str, Local], terms: Mapping[str, Terms]) -> dict[str, Local]:
+    """Groups by label, each with its terms among what its samples say."""
+    return {label: terms[label].on(local) for label, local in locals_.items()}
 
 
 def _terms(
@@ -247,7 +252,7 @@ def _terms(
     place = {i: k for k, i in enumerate(layout.shared)}
     out = dict(terms)
     for _ in range(sweeps):
-        held = {label: out[label].on(local) for label, local in locals_.items()}
+        held = _with_terms(locals_, out)
         common = common_information(layout, held, log_spread)
         mean, covariance = common.mean, common.covariance
         for label, local in held.items():
@@ -268,8 +273,7 @@ def _common_above_zero(
 ) -> Information:
     """What groups say together of the shared parameters, known sizes with their sign."""
     own = _terms(layout, locals_, log_spread, terms, one, NUM_SWEEPS_OF_DRAW)
-    held = {label: own[label].on(local) for label, local in locals_.items()}
-    return common_information(layout, held, log_spread)
+    return common_information(layout, _with_terms(locals_, own), log_spread)
 
 
 def _draws(

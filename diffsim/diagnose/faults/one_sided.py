@@ -80,6 +80,3 @@ def above_zero(mean: Array, variance: Array) -> tuple[Array, Array]:
     ratio = np.exp(-0.5 * at**2 - LOG_ROOT_TWO_PI - log_ndtr(at))
     share = np.maximum(1.0 - ratio * (ratio + at), SMALLEST_SHARE)
     return np.asarray(mean + sd * ratio), np.asarray(variance * share)
-
-
-__all__ = ["Terms", "above_zero"]
