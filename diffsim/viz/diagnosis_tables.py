@@ -146,7 +146,7 @@ def apart(rows: Sequence[ApartRow]) -> Table:
     return Table(
         columns=["number", "of", "size (90 % interval)", "over the others", "unit", "differs"],
         rows=[_apart(row) for row in rows],
-        caption="Over the others: the number less the mean of the other groups, with its 90 % "
+        caption="Over the others: the number less the median of the other groups, with its 90 % "
         "interval. It differs where all these differences together are that large by chance once "
         "in a hundred times. Else groups may still differ by what the interval holds.",
         emphasis=[i for i, row in enumerate(rows) if row.differs],

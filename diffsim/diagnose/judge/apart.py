@@ -37,7 +37,7 @@ class ApartRow:
         label: Value of that fact: the group.
         unit: SI unit of the number, "-" if none.
         size: The group's number with its 90 % interval, in ``unit``.
-        over: The same less the mean of all other groups, in ``unit``.
+        over: The same less the median of all other groups, in ``unit``.
         differs: Whether ``over`` is not zero, of all such rows with 99 % probability.
     """
 
@@ -130,9 +130,9 @@ def _sum_of(values: Mapping[str, Tensor], *, names: Sequence[str]) -> Tensor:
 def _over_others(
     values: Mapping[str, Tensor], *, names: Sequence[str], others: Sequence[Sequence[str]]
 ) -> Tensor:
-    """A group's number less the mean of the others."""
-    mean = torch.stack([_sum_of(values, names=other) for other in others]).mean(0)
-    return _sum_of(values, names=names) - mean
+    """A group's number less the median of the others, which one odd group does not move."""
+    middle = torch.stack([_sum_of(values, names=other) for other in others]).quantile(0.5, dim=0)
+    return _sum_of(values, names=names) - middle
 
 
 def apart_words(rows: Sequence[ApartRow], shared: Sequence[str]) -> tuple[str, ...]:

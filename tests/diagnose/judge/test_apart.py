@@ -122,6 +122,12 @@ def test_the_odd_one_of_many_is_named_and_chance_is_not():
     assert "Servo 7 has" in said and "more gain than the others" in said and not rest
 
 
+def test_one_odd_group_makes_no_other_group_odd():
+    values = {f"gain[servo={k}]": 1.0 + 0.01 * k for k in range(4)} | {"gain[servo=odd]": -3.0}
+    rows = apart_rows(given(values, 1.645 * 0.05), {})
+    assert [row.label for row in rows if row.differs] == ["odd"]
+
+
 def test_nothing_is_said_where_nothing_may_differ():
     assert (
         apart_words(apart_rows(given({"gain": 1.0, "zero@run_1": 2.0}, 0.1), {}), ("gain",)) == ()
