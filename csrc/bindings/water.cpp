@@ -31,10 +31,6 @@ struct WaterArrays {
   }
 };
 
-WaterFaces faces_of(Address nodes, std::int64_t num_faces, int corners, std::int64_t num_nodes) {
-  return {num_nodes, num_faces, corners, in_index(nodes)};
-}
-
 }  // namespace
 
 void bind_water(nb::module_& m) {
@@ -43,7 +39,7 @@ void bind_water(nb::module_& m) {
           "__init__",
           [](WaterFaces* self, Address nodes, std::int64_t num_faces, int corners,
              std::int64_t num_nodes) {
-            new (self) WaterFaces(faces_of(nodes, num_faces, corners, num_nodes));
+            new (self) WaterFaces{num_nodes, num_faces, corners, in_index(nodes)};
           },
           nb::kw_only(), nb::arg("nodes"), nb::arg("num_faces"), nb::arg("corners"),
           nb::arg("num_nodes"));

@@ -72,8 +72,8 @@ Vector with_dirichlet(const SoftModel& model, Vector values, const std::uint8_t*
   return values;
 }
 
-// Bodies of more nodes, or more products of blocks in a factor, fill registers by themselves.
-constexpr Index kMostLaneNodes = 500, kMostLaneProducts = 100000;
+// Bodies of more nodes, or more products of blocks in a factor, go by wide fronts.
+constexpr Index kMostSmallNodes = 500, kMostSmallProducts = 100000;
 
 // Multigrid that needs more iterations than this at rest is compared with the constant factor.
 constexpr double kFewIterations = 12.0;
@@ -150,22 +150,15 @@ std::shared_ptr<const RigidHierarchy> SoftPattern::hierarchy() const {
   return hierarchy_;
 }
 
-const LaneTables* SoftPattern::lanes() const {
-  std::call_once(lanes_once_, [this] {
-    if (model_.num_nodes > kMostLaneNodes || model_.chambers.num_chambers > 0) return;
-    std::vector<int> order;
-    std::vector<std::uint8_t> seen(at(model_.num_nodes), 0);
-    for (int unknown : blocks()->unknown) {
-      const int node = unknown / 3;
-      if (!seen[at(node)]) order.push_back(node);
-      seen[at(node)] = 1;
-    }
-    LanePattern pattern(model_.row_start, wide_columns(model_), std::move(order));
-    if (pattern.num_products() > kMostLaneProducts) return;
-    LanePlaces places = lane_places(model_, pattern);
-    lanes_.reset(new LaneTables{std::move(pattern), std::move(places)});
+const SmallTables* SoftPattern::small() const {
+  std::call_once(small_once_, [this] {
+    if (model_.num_nodes > kMostSmallNodes || model_.chambers.num_chambers > 0) return;
+    SmallPattern pattern(model_.row_start, model_.column);
+    if (pattern.num_products() > kMostSmallProducts) return;
+    SmallPlaces places = small_places(model_, pattern);
+    small_.reset(new SmallTables{std::move(pattern), std::move(places)});
   });
-  return lanes_.get();
+  return small_.get();
 }
 
 ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,

@@ -11,7 +11,7 @@
 
 #include "kernels/linalg/cholesky.h"
 #include "kernels/soft/inverse_columns.h"
-#include "kernels/soft/lane_tangent.h"
+#include "kernels/soft/small_tangent.h"
 #include "kernels/soft/soft_model.h"
 #include "kernels/soft/solver_plan.h"
 #include "kernels/soft/step_memory.h"
@@ -19,10 +19,10 @@
 
 namespace diffsim {
 
-/// Where small bodies are factored in lanes.
-struct LaneTables {
-  LanePattern pattern;
-  LanePlaces places;
+/// How a small body is factored.
+struct SmallTables {
+  SmallPattern pattern;
+  SmallPlaces places;
 };
 
 /// A model with the symbolic factorizations of its scalar and 3x3-block patterns, made when needed.
@@ -34,20 +34,20 @@ class SoftPattern {
   std::shared_ptr<const CholeskySymbolic> scalar() const;
   std::shared_ptr<const CholeskySymbolic> blocks() const;
   std::shared_ptr<const RigidHierarchy> hierarchy() const;
-  /// Null where a body is too large for it, or has chambers, whose stiffness lanes do not know.
-  const LaneTables* lanes() const;
+  /// Null where a body is too large for it, or has chambers, whose stiffness it leaves out.
+  const SmallTables* small() const;
   StepMemories& memories() const { return memories_; }
-  IdleMemories<LaneMemory>& lane_memories() const { return lane_memories_; }
+  IdleMemories<SmallCholesky>& small_memories() const { return small_memories_; }
 
  private:
   SoftModel model_;
   std::vector<double> coords_;
-  mutable std::once_flag scalar_once_, blocks_once_, hierarchy_once_, lanes_once_;
+  mutable std::once_flag scalar_once_, blocks_once_, hierarchy_once_, small_once_;
   mutable std::shared_ptr<const CholeskySymbolic> scalar_, blocks_;
   mutable std::shared_ptr<const RigidHierarchy> hierarchy_;
-  mutable std::unique_ptr<const LaneTables> lanes_;
+  mutable std::unique_ptr<const SmallTables> small_;
   mutable StepMemories memories_;
-  mutable IdleMemories<LaneMemory> lane_memories_;
+  mutable IdleMemories<SmallCholesky> small_memories_;
 };
 
 /// What A is made of and what the plan is for; everything the content depends on.

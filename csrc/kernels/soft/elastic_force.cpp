@@ -34,14 +34,15 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
                               int num_threads) {
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
-  scratch.keep_frames = true;
+  scratch.keep_samples = true;
   const std::vector<DampingFrame> frames = frames_of(model, in, pool);
   AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
   const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
   tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
   add_pressure_tangent(model, in.parameters.pressure, x, values.data(), pool);
   block_multiply(model, values.data(), no_inertia.data(), z, grad_x, pool);
-  parameter_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
+  parameter_adjoint(model, in.parameters, x, z, out, scratch, pool);
+  damping_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
   pressure_adjoint(model, x, z, out.pressure, pool);
 }
 

@@ -13,9 +13,9 @@ constexpr Index kDirections = 16;
 /// Adjoint of the damping force. With Z = dz/dX, Y = sym(F_n^T Z) and S the strain rate:
 ///   z . grad D = Y : T(S),  d/dF_n = Z T(S) + delta T(Y),  d/dF_v = -F_n T(Y).
 template <typename Group>
-void damping_adjoint(const SoftModel& model, const SoftParameters& p,
-                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                     const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+void damping_adjoint_of(const SoftModel& model, const SoftParameters& p,
+                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                        const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   std::fill(scratch.vectors.begin(), scratch.vectors.end(), 0.0);
   // Two passes, since both nodal gradients go through the one vectors buffer.
@@ -59,32 +59,30 @@ void damping_adjoint(const SoftModel& model, const SoftParameters& p,
 }
 
 template <typename Group, typename M>
-void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
-                          const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                          const ParameterAdjoint& out, ElasticityScratch& scratch,
+void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p, const double* x,
+                          const double* z, const ParameterAdjoint& out, ElasticityScratch& scratch,
                           ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
   const auto unit = unit_weights<M>();
-  const KeptFrames kept = kept_frames(scratch, model, x);
+  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group> stage(solid, first, count, x, kept, false);
+    const Stage<Group, M> stage(solid, first, count, x, kept, false);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
       Native Z[kParts][9], by_weight[M::kWeights][kParts];
       deformation_gradient<Group>(solid, g, z, Z);
       for (int part = 0; part < kParts; ++part) {
-        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
-        const typename M::template Sample<Native> sample(frame);
+        const auto& sample = stage.sample(n * kParts + part);
         const Native weight = split(Group::shape(solid, g).weight, part);
         Native along[3], d[3];  // P : Z = sum of d_i u_i . Z v_i
         for (int i = 0; i < 3; ++i) {
           Native Zv[3];
           for (int a = 0; a < 3; ++a)
-            Zv[a] = Z[part][3 * a] * frame.V[i] + Z[part][3 * a + 1] * frame.V[3 + i] +
-                    Z[part][3 * a + 2] * frame.V[6 + i];
+            Zv[a] = Z[part][3 * a] * sample.V[i] + Z[part][3 * a + 1] * sample.V[3 + i] +
+                    Z[part][3 * a + 2] * sample.V[6 + i];
           along[i] =
-              weight * (frame.U[i] * Zv[0] + frame.U[3 + i] * Zv[1] + frame.U[6 + i] * Zv[2]);
+              weight * (sample.U[i] * Zv[0] + sample.U[3 + i] * Zv[1] + sample.U[6 + i] * Zv[2]);
         }
 #pragma GCC unroll 4  // what the weights have in common is then computed once
         for (int k = 0; k < M::kWeights; ++k) {
@@ -113,7 +111,6 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
     Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
     Group::add_element_value(fiber, g, by_activation, out.activation);
   });
-  if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
 }
 
 /// Deformation gradients of item k of a (count, num_nodes, 3) array; zero for null.
@@ -163,12 +160,11 @@ template <typename M>
 struct UnitStresses {
   Native P[kStageParts][M::kWeights][9];
 
-  UnitStresses(const PrincipalFrame<Native>* frame, int parts) {
+  template <typename Group>
+  UnitStresses(const Stage<Group, M>& stage, int parts) {
     const auto unit = unit_weights<M>();
-    for (int r = 0; r < parts; ++r) {
-      const typename M::template Sample<Native> sample(frame[r]);
-      for (int k = 0; k < M::kWeights; ++k) stress<M>(sample, unit[k].data(), P[r][k]);
-    }
+    for (int r = 0; r < parts; ++r)
+      for (int k = 0; k < M::kWeights; ++k) stress<M>(stage.sample(r), unit[k].data(), P[r][k]);
   }
 };
 
@@ -181,8 +177,8 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
   for_stages(solid, pool, [&](Index begin, int count) {
-    const Stage<Group> stage(solid, begin, count, x);
-    const UnitStresses<M> unit(stage.frames(), count * kParts);
+    const Stage<Group, M> stage(solid, begin, count, x);
+    const UnitStresses<M> unit(stage, count * kParts);
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       for (Index k = first; k < last; ++k) {
@@ -231,14 +227,14 @@ void energy_slopes_of(const SoftModel& model, const SoftParameters& p, const dou
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
   const auto unit = unit_weights<M>();
-  const KeptFrames kept = kept_frames(scratch, model, x);
+  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group> stage(solid, first, count, x, kept, false);
+    const Stage<Group, M> stage(solid, first, count, x, kept, false);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
       Native by_weight[M::kWeights][kParts], d[3];
       for (int part = 0; part < kParts; ++part) {
-        const typename M::template Sample<Native> sample(stage.frame(n * kParts + part));
+        const auto& sample = stage.sample(n * kParts + part);
         const Native weight = split(Group::shape(solid, g).weight, part);
         for (int k = 0; k < M::kWeights; ++k)
           by_weight[k][part] = weight * M::stress(sample, unit[k].data(), d);
@@ -276,19 +272,26 @@ void energy_slopes(const SoftModel& model, const SoftParameters& p, const double
   });
 }
 
-void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
-                       const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                       const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+void parameter_adjoint(const SoftModel& model, const SoftParameters& p, const double* x,
+                       const double* z, const ParameterAdjoint& out, ElasticityScratch& scratch,
+                       ThreadPool& pool) {
   clear_elastic(model, out);
-  if (p.damp_mu) {
-    std::fill(out.damp_mu, out.damp_mu + model.solid.num_elements, 0.0);
-    std::fill(out.damp_lambda, out.damp_lambda + model.solid.num_elements, 0.0);
-  }
-  scratch.vectors.resize(at(model.vectors_size));
   with_types(model, [&](auto group, auto material) {
-    parameter_adjoint_of<decltype(group), decltype(material)>(model, p, frames, x, z, out, scratch,
-                                                              pool);
+    parameter_adjoint_of<decltype(group), decltype(material)>(model, p, x, z, out, scratch, pool);
   });
+}
+
+void damping_adjoint(const SoftModel& model, const SoftParameters& p,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  if (!p.damp_mu) return;
+  std::fill(out.damp_mu, out.damp_mu + model.solid.num_elements, 0.0);
+  std::fill(out.damp_lambda, out.damp_lambda + model.solid.num_elements, 0.0);
+  scratch.vectors.resize(at(model.vectors_size));
+  if (model.solid.is_hex)
+    damping_adjoint_of<HexGroup>(model, p, frames, x, z, out, scratch, pool);
+  else
+    damping_adjoint_of<TetGroup>(model, p, frames, x, z, out, scratch, pool);
 }
 
 void parameter_tangent(const SoftModel& model, const SoftParameters& p,

@@ -30,9 +30,9 @@ template <typename Group, typename M, typename Use>
 void for_solid_jets(const SoftModel& model, const double* x, const double* first,
                     const double* second, ElasticityScratch& scratch, ThreadPool& pool, Use&& use) {
   const ElementBlock& solid = model.solid;
-  const KeptFrames kept = kept_frames(scratch, model, x);
+  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index begin, int count) {
-    const Stage<Group> stage(solid, begin, count, x, kept, false);
+    const Stage<Group, M> stage(solid, begin, count, x, kept, false);
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       Native A[kParts][9], B[kParts][9], stress[kParts][9], P[kParts][9];
@@ -40,20 +40,19 @@ void for_solid_jets(const SoftModel& model, const double* x, const double* first
       deformation_gradient<Group>(solid, g, second, B);
       SolidJets<M> jets[kParts];
       for (int part = 0; part < kParts; ++part) {
-        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
-        const typename M::template Sample<Native> sample(frame);
+        const auto& sample = stage.sample(n * kParts + part);
         SolidJets<M>& own = jets[part];
         Native Bp[9];
-        into_frame(frame, A[part], own.first);
-        into_frame(frame, B[part], Bp);
+        into_frame(sample, A[part], own.first);
+        into_frame(sample, B[part], Bp);
         Jet<Native> F[9];
         for (int i = 0; i < 9; ++i)
-          F[i] = {i % 4 == 0 ? frame.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
+          F[i] = {i % 4 == 0 ? sample.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
         M::jets(sample, F, own.P);
       }
       use(g, jets, stress);
       for (int part = 0; part < kParts; ++part) {
-        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
+        const PrincipalFrame<Native>& frame = stage.sample(n * kParts + part);
         Native turned[9];
         times(frame.U, stress[part], turned);
         for (int i = 0; i < 3; ++i)

@@ -1,7 +1,7 @@
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_matrix.h"
 #include "kernels/soft/element_stage.h"
-#include "kernels/soft/lane_tangent.h"
+#include "kernels/soft/small_tangent.h"
 
 namespace diffsim {
 namespace {
@@ -22,10 +22,6 @@ struct HexMatrices {
   static void read(const double* matrix, int, int a, int b, double out[9]) {
     element_block(matrix, a, b, out);
   }
-  /// Where entry (i, k) of the block of nodes a <= b lies.
-  static Index place(int, int a, int b, int i, int k) {
-    return 64 * kComponentPair[i][k] + (i <= k ? 8 * a + b : 8 * b + a);
-  }
 };
 struct TetMatrices {
   static constexpr Index kSize = kTetMatrixSize, kElements = kLanes;
@@ -34,11 +30,13 @@ struct TetMatrices {
     element_matrix(TetGroup::shape(block, g), tangent, out);
   }
   static void read(const double* matrix, int lane, int a, int b, double out[9]) {
+    if (a > b) return read_transposed(matrix, lane, b, a, out);
     const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
     for (int i = 0; i < 9; ++i) out[i] = from[i * kLanes];
   }
-  static Index place(int lane, int a, int b, int i, int k) {
-    return (9 * (b * (b + 1) / 2 + a) + 3 * i + k) * kLanes + lane;
+  static void read_transposed(const double* matrix, int lane, int a, int b, double out[9]) {
+    const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
+    for (int i = 0; i < 9; ++i) out[i] = from[(3 * (i % 3) + i / 3) * kLanes];
   }
 };
 template <typename Group>
@@ -111,6 +109,10 @@ void assemble(const SoftModel& model, const ElementBlock& block,
   }
 }
 
+/// Whether a group of fibers lies in one group of the solid, to whose tangent its own is added.
+template <typename Group>
+constexpr bool kFibersInSolid = Group::kNodes == 8;
+
 /// Fills in the tangents dP/dF of a stage's groups, of the solid and of the fibers.
 template <typename Group, typename M>
 struct TangentFill {
@@ -119,37 +121,46 @@ struct TangentFill {
   const std::vector<DampingFrame>& frames;
   const double* x;
   bool clamp;
-  KeptFrames kept;
+  KeptSamples<M> kept;
 
   void solid(Index first, int count, GroupTangent* tangents) const {
     const ElementBlock& block = model.solid;
-    const Stage<Group> stage(block, first, count, x, kept, false);
+    const Stage<Group, M> stage(block, first, count, x, kept, false);
     for (int r = 0; r < count * kParts; ++r) {
       const Index g = first + r / kParts;
       const int part = r % kParts;
       Native* H = tangents[r / kParts].H[part];
-      const typename M::template Sample<Native> sample(stage.frame(r));
+      const auto& sample = stage.sample(r);
       const auto w = weights_at<Group, M>(block, g, part, p.weights);
       PrincipalTangent<Native> core = M::tangent(sample, w.data());
       if (clamp) clamp_tangent(core);
-      expand_tangent(stage.frame(r), core, H);
+      expand_tangent(sample, core, H);
       if (!p.damp_mu) continue;
       Native Fn[9];
       split_matrix(frames[at(g)].Fn, part, Fn);
       add_viscous_tangent(Fn, Group::part_value(block, g, part, p.damp_mu),
                           Group::part_value(block, g, part, p.damp_lambda), H);
     }
+    if constexpr (kFibersInSolid<Group>)
+      for (int n = 0; n < count; ++n)
+        for (Index k = model.fibers_start[at(first + n)]; k < model.fibers_start[at(first + n + 1)];
+             ++k)
+          fiber(model.fibers_of[at(k)], tangents[n]);
   }
 
-  void fiber(Index first, int count, GroupTangent* tangents) const {
-    for (int n = 0; n < count; ++n) {
-      Native F[kParts][9];
-      deformation_gradient<Group>(model.fiber, first + n, x, F);
-      for (int part = 0; part < kParts; ++part) {
-        const FiberPart f = fiber_part<Group>(model, p, first + n, part, F[part]);
-        fiber_tangent(f.state, f.pull, clamp, tangents[n].H[part]);
-      }
+  /// Adds the tangent of a group of fibers.
+  void fiber(Index g, GroupTangent& tangent) const {
+    Native F[kParts][9];
+    deformation_gradient<Group>(model.fiber, g, x, F);
+    for (int part = 0; part < kParts; ++part) {
+      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
+      add_fiber_tangent(f.state, f.pull, clamp, tangent.H[part]);
     }
+  }
+
+  void fibers(Index first, int count, GroupTangent* tangents) const {
+    std::fill(tangents, tangents + count, GroupTangent{});
+    for (int n = 0; n < count; ++n) fiber(first + n, tangents[n]);
   }
 };
 
@@ -157,114 +168,81 @@ template <typename Group, typename M>
 void tangent_of(const SoftModel& model, const SoftParameters& p,
                 const std::vector<DampingFrame>& frames, const double* x, bool clamp,
                 double* values, ElasticityScratch& scratch, ThreadPool& pool) {
-  const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_frames(scratch, model, x)};
+  const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_samples<M>(scratch, model, x)};
   const auto solid = [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); };
-  const auto fiber = [&](Index g, int count, GroupTangent* out) { fill.fiber(g, count, out); };
   std::fill(values, values + model.values_size(), 0.0);
   assemble<Group>(model, model.solid, model.solid_slot, solid, values, scratch, pool);
-  assemble<Group>(model, model.fiber, model.fiber_slot, fiber, values, scratch, pool);
+  if constexpr (kFibersInSolid<Group>) return;
+  const auto fibers = [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); };
+  assemble<Group>(model, model.fiber, model.fiber_slot, fibers, values, scratch, pool);
 }
 
-/// Adds the matrices of one block to all lanes at once; fill(lane, first, count, tangents) as in
-/// assemble(), for lanes whose bit is set.
+/// Adds the matrices of one block to that of a small body; fill as in assemble().
 template <typename Group, typename Fill>
-void add_to_lanes(const ElementBlock& block, const std::vector<std::int32_t>& places,
-                  unsigned active, Fill&& fill, LaneCholesky& to) {
+void add_to_small(const ElementBlock& block, const std::vector<SmallPlace>& places, Fill&& fill,
+                  SmallCholesky& to) {
   using Matrices = MatricesOf<Group>;
-  constexpr int n = Group::kNodes, kPairs = n * (n + 1) / 2, kStep = LaneCholesky::kCount;
-  static_assert(kStep == kNativeLanes && Matrices::kSize % kStep == 0);
-  // Members that have nothing to add stay zero: sums that begin at +0 never become -0, so that
-  // adding zero changes no bit of theirs.
-  alignas(64) double matrix[kStage][kStep][Matrices::kSize] = {};
-  alignas(64) double sides[Matrices::kSize * kStep];  // the same entry of all members in a row
+  constexpr int kPairs = Group::kNodes * (Group::kNodes + 1) / 2;
+  alignas(64) double matrix[Matrices::kSize];
   for_stages(0, block.num_groups, [&](Index first, int count) {
-    for (int lane = 0; lane < kStep; ++lane) {
-      if (!(active >> lane & 1u)) continue;
-      GroupTangent tangents[kStage];
-      fill(lane, first, count, tangents);
-      for (int k = 0; k < count; ++k)
-        Matrices::make(block, first + k, tangents[k], matrix[k][lane]);
-    }
+    GroupTangent tangents[kStage];
+    fill(first, count, tangents);
     for (int k = 0; k < count; ++k) {
-      for (Index i = 0; i < Matrices::kSize; i += kStep) {
-        Native square[kStep];
-        for (int lane = 0; lane < kStep; ++lane) square[lane] = load<Native>(matrix[k][lane] + i);
-        detail::transpose_square(square);
-        for (int j = 0; j < kStep; ++j) store(sides + (i + j) * kStep, square[j]);
-      }
+      Matrices::make(block, first + k, tangents[k], matrix);
       const Index begin = (first + k) * Matrices::kElements;
       const Index end = std::min(block.num_elements, begin + Matrices::kElements);
-      for (Index e = begin; e < end; ++e) {
-        const std::int32_t* place = places.data() + e * kPairs;
-        for (int b = 0; b < n; ++b)
-          for (int a = 0; a <= b; ++a, ++place) {
-            const bool transposed = *place < 0;
-            double* out = to.block(transposed ? ~*place : *place, 0);
-            const int row = transposed ? 1 : 3, column = transposed ? 3 : 1;
-            for (int i = 0; i < 3; ++i)
-              for (int j = 0; j < 3; ++j) {
-                double* entry = out + (row * i + column * j) * kStep;
-                const Index at_side = Matrices::place(static_cast<int>(e - begin), a, b, i, j);
-                store(entry, load<Native>(entry) + load<Native>(sides + at_side * kStep));
-              }
-          }
-      }
+      for (Index e = begin; e < end; ++e)
+        for (Index n = e * kPairs; n < (e + 1) * kPairs; ++n) {
+          const SmallPlace& place = places[at(n)];
+          double entries[9];
+          Matrices::read(matrix, static_cast<int>(e - begin), place.row, place.column, entries);
+          double* out = to.block(place.block);
+          for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) out[SmallCholesky::kColumn * j + i] += entries[3 * i + j];
+        }
     }
   });
 }
 
-template <typename Group, typename M>
-void add_lane_tangents_of(const SoftModel& model, const std::vector<LaneTangent>& members,
-                          const LanePlaces& places, LaneCholesky& to) {
-  std::vector<TangentFill<Group, M>> fills;
-  unsigned active = 0;
-  for (std::size_t l = 0; l < members.size(); ++l) {
-    const LaneTangent& m = members[l];
-    const KeptFrames kept = m.x ? kept_frames(*m.scratch, model, m.x) : KeptFrames{};
-    fills.push_back({model, m.parameters, *m.frames, m.x, false, kept});
-    if (m.x) active |= 1u << l;
-  }
-  add_to_lanes<Group>(
-      model.solid, places.solid, active,
-      [&](int lane, Index g, int count, GroupTangent* out) {
-        fills[at(lane)].solid(g, count, out);
-      },
-      to);
-  add_to_lanes<Group>(
-      model.fiber, places.fiber, active,
-      [&](int lane, Index g, int count, GroupTangent* out) {
-        fills[at(lane)].fiber(g, count, out);
-      },
-      to);
-}
-
-std::vector<std::int32_t> places_of(const SoftModel& model, const ElementBlock& block,
-                                    const std::vector<std::int32_t>& slots,
-                                    const LanePattern& pattern) {
+std::vector<SmallPlace> places_of(const SoftModel& model, const ElementBlock& block,
+                                  const std::vector<std::int32_t>& slots,
+                                  const SmallPattern& pattern) {
   const int n = block.nodes_per_element();
-  std::vector<std::int32_t> places;
+  std::vector<SmallPlace> places;
   for (Index e = 0; e < block.num_elements; ++e)
     for (int b = 0; b < n; ++b)
       for (int a = 0; a <= b; ++a) {
         const Index row = block.nodes[at(e * n + a)];
         const auto [index, transposed] =
             pattern.place(model.row_start[at(row)] + slots[at((e * n + a) * n + b)]);
-        places.push_back(transposed ? ~index : index);
+        const auto own = static_cast<std::int8_t>(a), other = static_cast<std::int8_t>(b);
+        places.push_back({index, transposed ? other : own, transposed ? own : other});
       }
   return places;
 }
 
 }  // namespace
 
-LanePlaces lane_places(const SoftModel& model, const LanePattern& pattern) {
+SmallPlaces small_places(const SoftModel& model, const SmallPattern& pattern) {
   return {places_of(model, model.solid, model.solid_slot, pattern),
           places_of(model, model.fiber, model.fiber_slot, pattern)};
 }
 
-void add_lane_tangents(const SoftModel& model, const std::vector<LaneTangent>& members,
-                       const LanePlaces& places, LaneCholesky& to) {
+void add_small_tangent(const SoftModel& model, const SoftParameters& p,
+                       const std::vector<DampingFrame>& frames, const double* x,
+                       const SmallPlaces& places, ElasticityScratch& scratch, SmallCholesky& to) {
   with_types(model, [&](auto group, auto material) {
-    add_lane_tangents_of<decltype(group), decltype(material)>(model, members, places, to);
+    using Group = decltype(group);
+    using M = decltype(material);
+    const TangentFill<Group, M> fill{model, p,     frames,
+                                     x,     false, kept_samples<M>(scratch, model, x)};
+    add_to_small<Group>(
+        model.solid, places.solid,
+        [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); }, to);
+    if constexpr (!kFibersInSolid<Group>)
+      add_to_small<Group>(
+          model.fiber, places.fiber,
+          [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); }, to);
   });
 }
 

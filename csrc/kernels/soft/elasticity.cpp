@@ -16,18 +16,17 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
   const ElementBlock& fiber = model.fiber;
   scratch.vectors.resize(at(model.vectors_size));
   scratch.partial.resize(at(solid.num_groups + fiber.num_groups));
-  const KeptFrames kept = kept_frames(scratch, model, x);
+  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group> stage(solid, first, count, x, kept, p.damp_mu != nullptr);
+    const Stage<Group, M> stage(solid, first, count, x, kept, p.damp_mu != nullptr);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
       const auto& shape = Group::shape(solid, g);
       Native P[kParts][9], energy[kParts];
       for (int part = 0; part < kParts; ++part) {
         const int r = n * kParts + part;
-        const typename M::template Sample<Native> sample(stage.frame(r));
         const auto w = weights_at<Group, M>(solid, g, part, p.weights);
-        Native psi = stress<M>(sample, w.data(), P[part]);
+        Native psi = stress<M>(stage.sample(r), w.data(), P[part]);
         if (p.damp_mu) {
           Native Fn[9], delta[9];
           split_matrix(frames[at(g)].Fn, part, Fn);

@@ -28,12 +28,12 @@ struct DampingFrame {
 /// Reusable memory of one evaluation at a time, of one model.
 struct ElasticityScratch {
   std::vector<double> vectors, partial, blocks;
-  /// Whether the solid's singular values are kept, so that another derivative at the same positions
-  /// (compared bit by bit) need not find them again. Not those of large bodies, see
+  /// Whether the solid's samples (material.h) are kept, so that another derivative at the same
+  /// positions (compared bit by bit) need not make them again. Not those of large bodies, see
   /// element_stage.h.
-  bool keep_frames = false;
-  std::vector<double> kept_at;  // positions that `frames` belongs to
-  AlignedBuffer<double> frames;
+  bool keep_samples = false;
+  std::vector<double> kept_at;  // positions that `samples` belongs to
+  AlignedBuffer<double> samples;
 };
 
 /// @param[in] x_frame     (num_nodes, 3) predicted positions, F_n [m]
@@ -52,21 +52,24 @@ void tangent(const SoftModel& model, const SoftParameters& parameters,
              const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
              ElasticityScratch& scratch, ThreadPool& pool);
 
-/// z . d(gradient)/dp for every parameter p of the energy, overwritten; the last four with damping
-/// only.
+/// z . d(gradient)/dp for every parameter p of the energy, overwritten.
 struct ParameterAdjoint {
   double* weights = nullptr;
   double* fiber_stiffness = nullptr;
   double* activation = nullptr;
-  double* damp_mu = nullptr;
+  double* damp_mu = nullptr;  // this and the next three by damping_adjoint
   double* damp_lambda = nullptr;
   double* x_frame = nullptr;     // (num_nodes, 3)
   double* x_velocity = nullptr;  // (num_nodes, 3)
   double* pressure = nullptr;    // (num_chambers,), by pressure_adjoint
 };
-void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
-                       const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                       const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
+void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters, const double* x,
+                       const double* z, const ParameterAdjoint& out, ElasticityScratch& scratch,
+                       ThreadPool& pool);
+/// Its part of damping, where there is any.
+void damping_adjoint(const SoftModel& model, const SoftParameters& parameters,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
 
 /// dE/dp for the weights, stiffnesses and activations of E, without damping, overwritten.
 void energy_slopes(const SoftModel& model, const SoftParameters& parameters, const double* x,

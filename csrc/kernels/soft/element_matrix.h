@@ -1,6 +1,8 @@
 // Element matrices: K_ab = sum over samples of weight grad_a^T H grad_b, H = dP/dF.
 #pragma once
 
+#include <algorithm>
+
 #include "kernels/soft/element_block.h"
 
 namespace diffsim {
@@ -86,11 +88,12 @@ inline void element_matrix(const NodeShape& shape, const GroupTangent& tangent, 
   }
 }
 
-/// Block (3, 3) of nodes a <= b in a hexahedron's matrix.
+/// Block (3, 3) of nodes a and b in a hexahedron's matrix.
 DIFFSIM_INLINE void element_block(const double* matrix, int a, int b, double block[9]) {
+  const int place[3] = {8 * a + b, 8 * std::min(a, b) + std::max(a, b), 8 * b + a};
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k)
-      block[3 * i + k] = matrix[64 * kComponentPair[i][k] + (i <= k ? 8 * a + b : 8 * b + a)];
+      block[3 * i + k] = matrix[64 * kComponentPair[i][k] + place[i < k ? 0 : i == k ? 1 : 2]];
 }
 
 constexpr std::int64_t kTetMatrixSize = 10 * 9 * kLanes;

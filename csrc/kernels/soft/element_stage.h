@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <new>
 
 #include "kernels/parallel.h"
 #include "kernels/soft/elasticity.h"
@@ -47,49 +48,54 @@ void for_stages(const ElementBlock& block, ThreadPool& pool, F&& f) {
   });
 }
 
-/// Principal frames of the solid kept between evaluations, one after another by part; null where
-/// they are not kept, and to be made where not ready.
-struct KeptFrames {
-  PrincipalFrame<Native>* data = nullptr;
+/// Samples of the solid kept between evaluations, one after another by part; null where they are
+/// not kept, and to be made where not ready.
+template <typename M>
+struct KeptSamples {
+  typename M::template Sample<Native>* data = nullptr;
   bool is_ready = false;
 };
 
-inline KeptFrames kept_frames(ElasticityScratch& scratch, const SoftModel& model, const double* x) {
+template <typename M>
+KeptSamples<M> kept_samples(ElasticityScratch& scratch, const SoftModel& model, const double* x) {
+  using Sample = typename M::template Sample<Native>;
   constexpr std::size_t kMostDoubles = std::size_t{1} << 25;  // 256 MiB
-  const std::size_t size =
-      at(model.solid.num_groups) * kParts * sizeof(PrincipalFrame<Native>) / sizeof(double);
-  if (!scratch.keep_frames || size > kMostDoubles) return {};
+  const std::size_t size = at(model.solid.num_groups) * kParts * sizeof(Sample) / sizeof(double);
+  if (!scratch.keep_samples || size > kMostDoubles) return {};
   const std::size_t count = at(3 * model.num_nodes);
   std::vector<double>& kept_at = scratch.kept_at;
   const bool is_ready =
       kept_at.size() == count && std::memcmp(kept_at.data(), x, count * sizeof(double)) == 0;
   if (!is_ready) kept_at.assign(x, x + count);
-  return {reinterpret_cast<PrincipalFrame<Native>*>(scratch.frames.resize(size)), is_ready};
+  return {reinterpret_cast<Sample*>(scratch.samples.resize(size)), is_ready};
 }
 
-/// Deformation gradients and principal frames of the groups of a stage, part by part.
-template <typename Group>
+/// Deformation gradients and samples of the groups of a stage, part by part.
+template <typename Group, typename M>
 class Stage {
  public:
-  Native F[kStageParts][9];  // made unless there are frames and no need
+  using Sample = typename M::template Sample<Native>;
+  Native F[kStageParts][9];  // made unless there are samples and no need
 
   Stage(const ElementBlock& block, Index first, int count, const double* x,
-        const KeptFrames& kept = {}, bool needs_F = true) {
-    if (kept.data) frames_ = kept.data + first * kParts;
+        const KeptSamples<M>& kept = {}, bool needs_F = true) {
+    if (kept.data) samples_ = kept.data + first * kParts;
     if (needs_F || !kept.is_ready)
       for (int n = 0; n < count; ++n)
         deformation_gradient<Group>(block, first + n, x, F + n * kParts);
-    if (!kept.is_ready) principal_frames(F, count * kParts, frames_);
+    if (kept.is_ready) return;
+    PrincipalFrame<Native> frames[kStageParts];
+    principal_frames(F, count * kParts, frames);
+    for (int r = 0; r < count * kParts; ++r) new (samples_ + r) Sample(frames[r]);
   }
   Stage(const Stage&) = delete;
   Stage& operator=(const Stage&) = delete;
 
-  const PrincipalFrame<Native>& frame(int part) const { return frames_[part]; }
-  const PrincipalFrame<Native>* frames() const { return frames_; }
+  const Sample& sample(int part) const { return samples_[part]; }
 
  private:
-  PrincipalFrame<Native> own_[kStageParts];
-  PrincipalFrame<Native>* frames_ = own_;
+  alignas(Sample) unsigned char own_[kStageParts * sizeof(Sample)];
+  Sample* samples_ = reinterpret_cast<Sample*>(own_);
 };
 
 /// One part of nine Lanes in memory.

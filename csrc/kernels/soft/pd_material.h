@@ -208,18 +208,21 @@ inline T fiber_stress(const FiberState<T>& f, const FiberPull<T>& pull, T P[9]) 
   return 0.5 * tension * pull.stretch;
 }
 
-/// dP_ij/dF_kl = C_ik m_j m_l with C = w (stretch/|l| (I - e e^T) + e e^T), e = l/|l|.
+/// Adds dP_ij/dF_kl = C_ik m_j m_l with C = w (stretch/|l| (I - e e^T) + e e^T), e = l/|l|, to the
+/// entries on and above the diagonal of H.
 template <class T>
-inline void fiber_tangent(const FiberState<T>& f, const FiberPull<T>& pull, bool clamp, T H[81]) {
+inline void add_fiber_tangent(const FiberState<T>& f, const FiberPull<T>& pull, bool clamp,
+                              T H[81]) {
   T across = pull.stretch / f.length;
   if (clamp) across = max(across, broadcast<T>(0.0));
-  T C[9];
-  for (int i = 0; i < 9; ++i)
+  T C[9], mm[9];
+  for (int i = 0; i < 9; ++i) {
     C[i] = pull.stiffness * ((1.0 - across) * f.unit[i / 3] * f.unit[i % 3] +
                              (i % 4 == 0 ? across : broadcast<T>(0.0)));
+    mm[i] = f.direction[i / 3] * f.direction[i % 3];
+  }
   for (int a = 0; a < 9; ++a)
-    for (int b = 0; b < 9; ++b)
-      H[9 * a + b] = C[3 * (a / 3) + b / 3] * f.direction[a % 3] * f.direction[b % 3];
+    for (int b = a; b < 9; ++b) H[9 * a + b] += C[3 * (a / 3) + b / 3] * mm[3 * (a % 3) + b % 3];
 }
 
 }  // namespace diffsim

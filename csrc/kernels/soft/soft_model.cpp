@@ -69,6 +69,16 @@ ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
   return block;
 }
 
+void list_fibers(SoftModel& model, const MeshTables& t) {
+  model.fibers_start.assign(at(t.num_elements + 1), 0);
+  for (Index k = 0; k < t.num_fibers; ++k) ++model.fibers_start[at(t.fiber_elements[k] + 1)];
+  for (Index e = 0; e < t.num_elements; ++e)
+    model.fibers_start[at(e + 1)] += model.fibers_start[at(e)];
+  model.fibers_of.resize(at(t.num_fibers));
+  std::vector<Index> fill(model.fibers_start.begin(), model.fibers_start.end() - 1);
+  for (Index k = 0; k < t.num_fibers; ++k) model.fibers_of[at(fill[at(t.fiber_elements[k])]++)] = k;
+}
+
 /// CSR graph of nodes that share an element or the rim of a chamber.
 void make_graph(SoftModel& model, const ChamberTables& chambers) {
   const int n = model.solid.nodes_per_element();
@@ -155,6 +165,7 @@ SoftModel make_soft_model(const MeshTables& t) {
   model.fiber = make_block(t, t.fiber_elements, t.num_fibers);
   model.fiber_directions.assign(t.fiber_directions, t.fiber_directions + 3 * t.num_fibers);
   model.fiber_pull_only.assign(t.fiber_pull_only, t.fiber_pull_only + t.num_fibers);
+  list_fibers(model, t);
   make_graph(model, t.chambers);
   model.solid_slot = make_slots(model, model.solid);
   model.fiber_slot = make_slots(model, model.fiber);

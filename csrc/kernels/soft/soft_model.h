@@ -38,8 +38,9 @@ struct SoftModel {
   Material material{};
   std::int64_t num_weights = 0;  // of the material, per element
   ElementBlock solid, fiber;
-  std::vector<double> fiber_directions;  // (num_fibers, 3)
-  std::vector<double> fiber_pull_only;   // (num_fibers,) 1 or 0
+  std::vector<double> fiber_directions;               // (num_fibers, 3)
+  std::vector<double> fiber_pull_only;                // (num_fibers,) 1 or 0
+  std::vector<std::int64_t> fibers_start, fibers_of;  // element -> its fibers
   Chambers chambers;
 
   std::vector<std::int64_t> row_start;  // CSR node graph

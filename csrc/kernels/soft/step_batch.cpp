@@ -1,23 +1,9 @@
 #include "kernels/soft/batch.h"
 #include "kernels/soft/implicit_step.h"
-#include "kernels/soft/lane_steps.h"
 #include "kernels/soft/linear_step.h"
+#include "kernels/soft/small_steps.h"
 
 namespace diffsim {
-namespace {
-
-/// Calls f(first, count, pool) for groups that fill the lanes of a register.
-template <typename F>
-void for_lanes(std::int64_t batch, int num_threads, F&& f) {
-  constexpr int kCount = LaneCholesky::kCount;
-  for_batch((batch + kCount - 1) / kCount, num_threads, [&](std::int64_t group, ThreadPool& pool) {
-    const std::int64_t first = group * kCount;
-    f(first, static_cast<int>(std::min<std::int64_t>(kCount, batch - first)), pool);
-  });
-}
-
-}  // namespace
-
 StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t k) {
   const std::int64_t size = 3 * model.num_nodes;
   StepInputs item = in;
@@ -64,16 +50,10 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
 void implicit_step_batch(const ConstantSystem& system, const StepInputs& inputs,
                          const StepOptions& options, std::int64_t batch, double* x,
                          StepStats* stats, int num_threads) {
-  if (steps_in_lanes(system, options)) {
-    for_lanes(batch, num_threads, [&](std::int64_t first, int count, ThreadPool& pool) {
-      const auto steps =
-          options.method == StepMethod::kLinearlyImplicit ? lane_linear_steps : lane_steps;
-      steps(system, inputs, options, first, count, x, stats, pool);
-    });
-    return;
-  }
+  const bool by_linear = options.method == StepMethod::kLinearlyImplicit;
+  const auto step = steps_are_small(system, options) ? (by_linear ? small_linear_step : small_step)
+                                                     : (by_linear ? linear_step : implicit_step);
   for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
-    const auto step = options.method == StepMethod::kLinearlyImplicit ? linear_step : implicit_step;
     stats[k] = step(system, batch_item(inputs, system.model(), k), options,
                     x + 3 * k * system.model().num_nodes, pool);
   });
@@ -84,15 +64,10 @@ void implicit_step_adjoint_batch(const ConstantSystem& system, const StepInputs&
                                  const double* grad_x, const StepAdjoint& out, StepStats* stats,
                                  int num_threads) {
   const std::int64_t size = 3 * system.model().num_nodes;
-  if (adjoints_in_lanes(system, options)) {
-    for_lanes(batch, num_threads, [&](std::int64_t first, int count, ThreadPool& pool) {
-      lane_adjoints(system, inputs, options, first, count, x, grad_x, out, stats, pool);
-    });
-    return;
-  }
-  for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
-    const auto adjoint = options.method == StepMethod::kLinearlyImplicit ? linear_step_adjoint
+  const auto adjoint = adjoints_are_small(system, options)               ? small_adjoint
+                       : options.method == StepMethod::kLinearlyImplicit ? linear_step_adjoint
                                                                          : implicit_step_adjoint;
+  for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
     stats[k] = adjoint(system, batch_item(inputs, system.model(), k), options, x + k * size,
                        grad_x + k * size, batch_item(out, system.model(), k), pool);
   });

@@ -9,7 +9,6 @@
 #include <mutex>
 #include <vector>
 
-#include "kernels/linalg/lane_cholesky.h"
 #include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/soft/elasticity.h"
 
@@ -19,12 +18,6 @@ struct StepMemory {
   AlignedBuffer<double> values;  // the tangent
   ElasticityScratch elastic;
   std::unique_ptr<RigidMultigrid> multigrid;  // none where no step has used one
-};
-
-/// What several small bodies factor and solve in.
-struct LaneMemory {
-  LaneCholesky matrices;
-  LaneCholesky::Columns columns, product, residual;
 };
 
 /// Memories that nobody uses at the moment; as many as were used at the same time.

@@ -38,7 +38,7 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
       scale_(force_scale(system, inputs)),
       memory_(system.pattern().memories().take()),
       by_multigrid_(by_multigrid) {
-  memory_->elastic.keep_frames = true;
+  memory_->elastic.keep_samples = true;
   if (in_.parameters.damp_mu)
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
@@ -77,15 +77,13 @@ void StepProblem::assemble(const Vector& x, bool clamp) {
                          pool_);
 }
 
-LaneTangent StepProblem::lane_tangent(const Vector& x) {
-  return {in_.parameters, &frames_, x.data(), &memory_->elastic};
-}
-
-void StepProblem::add_inertia(const LaneTables& tables, LaneCholesky& to, int lane) const {
+void StepProblem::add_small_tangent(const Vector& x, const SmallTables& tables, SmallCholesky& to) {
   const SoftModel& model = system_.model();
+  diffsim::add_small_tangent(model, in_.parameters, frames_, x.data(), tables.places,
+                             memory_->elastic, to);
   for (std::int64_t i = 0; i < model.num_nodes; ++i) {
-    double* block = to.block(tables.pattern.place(model.diagonal[at(i)]).block, lane);
-    for (int axis = 0; axis < 3; ++axis) block[4 * axis * LaneCholesky::kCount] += inertia()[i];
+    double* block = to.block(tables.pattern.place(model.diagonal[at(i)]).block);
+    for (int axis = 0; axis < 3; ++axis) block[(SmallCholesky::kColumn + 1) * axis] += inertia()[i];
   }
 }
 
@@ -104,9 +102,11 @@ void StepProblem::zero_fixed(Vector& v) const {
     if (system_.fixed()[i]) v[i] = 0.0;
 }
 
-void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector& rest,
-                                  const StepAdjoint& out) {
+Vector StepProblem::quadratic_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                                        const StepAdjoint& out) {
   const double* inertia = this->inertia();
+  Vector minus_z(z);
+  for (double& v : minus_z) v = -v;
   for (std::size_t i = 0; i < size_; ++i) {
     out.y[i] = inertia[i / 3] * z[i];
     out.force[i] = z[i];
@@ -114,25 +114,29 @@ void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector
     if (i % 3 == 0) out.inertia[i / 3] = 0.0;
     out.inertia[i / 3] -= z[i] * (x[i] - in_.y[i]);
   }
-  Vector minus_z(z);
-  for (double& v : minus_z) v = -v;
-  parameter_adjoint(system_.model(), in_.parameters, frames_, x.data(), minus_z.data(),
-                    out.parameters, memory_->elastic, pool_);
-  pressure_adjoint(system_.model(), x.data(), minus_z.data(), out.parameters.pressure, pool_);
+  damping_adjoint(system_.model(), in_.parameters, frames_, x.data(), minus_z.data(),
+                  out.parameters, memory_->elastic, pool_);
+  return minus_z;
+}
+
+void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                                  const StepAdjoint& out) {
+  const SoftModel& model = system_.model();
+  const Vector minus_z = quadratic_gradients(x, z, rest, out);
+  parameter_adjoint(model, in_.parameters, x.data(), minus_z.data(), out.parameters,
+                    memory_->elastic, pool_);
+  pressure_adjoint(model, x.data(), minus_z.data(), out.parameters.pressure, pool_);
 }
 
 void StepProblem::linear_input_gradients(const Vector& x, const Vector& z, const Vector& rest,
                                          const StepAdjoint& out) {
-  // Inertia, loads and damping are linear in x already: theirs are those of a step that ends in x.
-  input_gradients(x, z, rest, out);
   const SoftModel& model = system_.model();
-  Vector minus_z(z), d(x);
-  const Vector q(in_.guess, in_.guess + size_);
-  for (double& v : minus_z) v = -v;
-  for (std::size_t i = 0; i < size_; ++i) d[i] -= q[i];
-  linearized_adjoint(model, in_.parameters, q.data(), d.data(), minus_z.data(), out.guess,
+  const Vector minus_z = quadratic_gradients(x, z, rest, out);
+  Vector d(x);
+  for (std::size_t i = 0; i < size_; ++i) d[i] -= in_.guess[i];
+  linearized_adjoint(model, in_.parameters, in_.guess, d.data(), minus_z.data(), out.guess,
                      out.parameters, memory_->elastic, pool_);
-  linearized_pressure_adjoint(model, in_.parameters.pressure, q.data(), d.data(), minus_z.data(),
+  linearized_pressure_adjoint(model, in_.parameters.pressure, in_.guess, d.data(), minus_z.data(),
                               out.guess, out.parameters.pressure, pool_);
 }
 

@@ -41,10 +41,8 @@ class StepProblem {
   void assemble(const Vector& x, bool clamp);
   /// Where it was assembled last, or what multigrid is kept of (num_nodes, 3) [m].
   const Vector& assembled_at() const { return assembled_at_; }
-  /// What the same is made of in a lane, not clamped; of bodies without chambers. x must live on.
-  LaneTangent lane_tangent(const Vector& x);
-  /// Adds the inertia's part of it.
-  void add_inertia(const LaneTables& tables, LaneCholesky& to, int lane) const;
+  /// Adds the same, not clamped, to a matrix of a small body without chambers.
+  void add_small_tangent(const Vector& x, const SmallTables& tables, SmallCholesky& to);
   /// out = H in on free unknowns; fixed entries of `in` must be zero, those of `out` are zeroed.
   void multiply(const Vector& in, Vector& out);
   /// The same without zeroing: forces that fixed unknowns feel.
@@ -95,6 +93,11 @@ class StepProblem {
   int num_factorizations = 0;
 
  private:
+  /// Those of inertia, loads, targets and damping, whose energies are quadratic: the same of both
+  /// kinds of steps.
+  /// @return -z
+  Vector quadratic_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                             const StepAdjoint& out);
   void prepare_multigrid();
   /// The diagonal block of node i (block3.h).
   const double* diagonal_block(std::int64_t i) const;

@@ -1,4 +1,4 @@
-"""Small bodies are factored side by side, in the lanes of a register."""
+"""Small bodies have a factor and a search of their own."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def bars(kind: str, method: str, **options) -> tuple[soft.SoftBody, soft.State, 
 
 
 @pytest.mark.parametrize("kind", ["hex", "tet"])
-def test_answers_and_gradients_are_those_of_single_factors(kind):
+def test_answers_and_gradients_are_those_of_the_general_factor(kind):
     ends, grads = [], []
     for method in ("auto", "newton_cholesky"):
         body, state, leaves = bars(kind, method)
@@ -49,7 +49,7 @@ def test_answers_and_gradients_are_those_of_single_factors(kind):
 def test_a_member_that_buckles_leaves_the_others_as_they_are():
     body, state, _ = bars("hex", "auto")
     x = state.x.detach().clone()
-    x[1, :, 0] *= 0.5  # its tangent is not definite: it goes to the solver of single bodies
+    x[1, :, 0] *= 0.5  # its tangent is not definite: it goes to the solver of larger bodies
     state = soft.State(x, state.v.detach())
     with soft.record_stats() as solves:
         many = body(state).x
@@ -60,7 +60,7 @@ def test_a_member_that_buckles_leaves_the_others_as_they_are():
 
 
 def test_a_body_with_a_chamber_goes_on_by_its_own_first_factor():
-    """Lanes do not know chambers: one tangent is factored and serves the steps after it.
+    """The small factor leaves chambers out: one tangent is factored and serves the steps after it.
 
     To twelve digits that is the cheapest with every instruction set; to ten, SSE2 iterates.
     """
