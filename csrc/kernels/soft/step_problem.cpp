@@ -63,8 +63,8 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
   return kinetic - work + energy_ + inflation;
 }
 
-void StepProblem::assemble(const Vector& x, bool clamp) {
-  if (!is_multigrid_kept_) {
+void StepProblem::assemble(const Vector& x, bool clamp, bool by_old_multigrid) {
+  if (!is_multigrid_kept_ && (is_multigrid_stale_ || !by_old_multigrid)) {
     assembled_at_ = x;
     is_multigrid_stale_ = by_multigrid_;
   }

@@ -38,7 +38,8 @@ class StepProblem {
   double elastic_energy() const { return energy_; }
 
   /// Assembles d^2 g/dx^2 at x.
-  void assemble(const Vector& x, bool clamp);
+  /// @param by_old_multigrid  whether multigrid of an earlier one, if there is any, serves on
+  void assemble(const Vector& x, bool clamp, bool by_old_multigrid = false);
   /// Where it was assembled last, or what multigrid is kept of (num_nodes, 3) [m].
   const Vector& assembled_at() const { return assembled_at_; }
   /// Adds the same, not clamped, to a matrix of a small body without chambers.
