@@ -168,11 +168,10 @@ def gauss_newton(
     for _ in range(MAX_STEPS):
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
-        promised, far_less = s.promised(step), SLOPE_RTOL * behind
-        is_end = promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit)
-        if is_end or (promised < far_less and _promised_at_most(s, low, high) < far_less):
+        promised = s.promised(step)
+        if promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit, SLOPE_RTOL * behind):
             # so far behind that nothing hangs on what separates two names
-            is_outranked = far_less > ALONE_NATS
+            is_outranked = SLOPE_RTOL * behind > ALONE_NATS
             if s.at.slope_error == 0.0 or s.has_exact_slopes or is_outranked:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
@@ -195,12 +194,6 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
     at = replace(start, idx=coordinates, columns=slopes)
     residual = whitened(problem, measured_of(problem) - at.record)
     return _Iterate(problem, at, residual, whitened(problem, slopes))
-
-
-def _promised_at_most(s: _Iterate, low: Array, high: Array) -> float:
-    """Nats that the longest step promises: steps that were too long say nothing of what is left."""
-    widest = replace(s, radius=max(s.radius, MAX_RADIUS))
-    return widest.promised(_step(widest, low, high))
 
 
 def _step(s: _Iterate, low: Array, high: Array) -> Array:
