@@ -18,16 +18,20 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_from_rotation_vector,
+    quaternion_product,
     rpy_from_matrix,
 )
 from diffsim.data.study import Run
 from diffsim.identify.extended import ExtendedModel
+from diffsim.systems.multicopter.effects import torque_allocation
 from diffsim.systems.multicopter.flight import CopterFlight
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.shooting import Windows
 
 AHEAD = 50
+DT = 0.01  # of a sample [s]
 _CHUNK = 1500  # starts that are flown at once
+_SHORT = 5  # steps of a way that tells the balance of the rotors
 # Errors of an estimator over those of a steady swing, on average over the kinds of the fit flights:
 # 0.60 (square), 0.86 (random), 0.89 (multisine); python -m studies.nano_drone_estimator.
 SWING_SHARE = 0.78
@@ -64,6 +68,10 @@ class Record:
         """Some rows."""
         return Record(*(v[rows] for v in self.parts))
 
+    def at_step(self, step: int) -> Record:
+        """One step of flights (num_starts, num_steps, ...)."""
+        return Record(*(v[:, step] for v in self.parts))
+
     @property
     def parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """All four, in the order of ``COLUMNS``."""
@@ -71,6 +79,25 @@ class Record:
 
 
 Predict = Callable[[Tensor], Record]
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """How the flight before a start tells what the rotors give beyond the model.
+
+    The model flies short ways from the recorded states before the start. What it lacks on average
+    in angular acceleration, and in acceleration along the thrust, is held as constant thrusts. The
+    average is that of the last samples, drawn towards that of the whole flight before.
+
+    Attributes:
+        flies: Samples in flight, (num_samples,) bool: the others tell nothing.
+        window: Samples before a start that are asked.
+        prior: Samples for which the whole flight before counts.
+    """
+
+    flies: Tensor
+    window: int = 100
+    prior: int = 30
 
 
 class Scores(NamedTuple):
@@ -122,10 +149,12 @@ def compared(
     return Scores(means, {name: n for name, n in failed.items() if n}, len(chosen))
 
 
-def errors_ahead(predict: Predict, truth: Record, every: int = 1) -> Tensor:
+def errors_ahead(
+    predict: Predict, truth: Record, every: int = 1, starts: Tensor | None = None
+) -> Tensor:
     """Mean error by the number of samples ahead, (AHEAD, 4) in the order of ``COLUMNS``; arguments
     as of ``compared``."""
-    return compared({"": predict}, truth, every).errors[""]
+    return compared({"": predict}, truth, every, starts).errors[""]
 
 
 def _errors_from(predict: Predict, truth: Record, starts: Tensor) -> Tensor:
@@ -166,8 +195,27 @@ def naive(truth: Record) -> Predict:
     return lambda starts: Record(*(v[starts][:, None].expand(-1, AHEAD, -1) for v in truth.parts))
 
 
+def coasting(truth: Record) -> Predict:
+    """Velocity and body rates stay as they are."""
+
+    def predict(starts: Tensor) -> Record:
+        p, v, q, w = truth.at(starts).parts
+        times = DT * torch.arange(1, AHEAD + 1, dtype=p.dtype)[:, None]
+        turned = quaternion_from_rotation_vector(times * w[:, None])
+        q = quaternion_product(q[:, None].expand_as(turned), turned)
+        velocity, rates = (x[:, None].expand(-1, AHEAD, -1) for x in (v, w))
+        return Record(p[:, None] + times * v[:, None], velocity, q, rates)
+
+    return predict
+
+
 def flown(
-    model: ExtendedModel, run: Run, q: Tensor | None = None, *, is_past_known: bool = True
+    model: ExtendedModel,
+    run: Run,
+    q: Tensor | None = None,
+    *,
+    is_past_known: bool = True,
+    balance: Balance | None = None,
 ) -> Predict:
     """Flights of a described multicopter from the recorded states.
 
@@ -177,6 +225,7 @@ def flown(
         q: Standardized parameters; None: in the middle of the priors.
         is_past_known: Whether errors of an estimator follow from the record until each start; else
             from the state at the start alone.
+        balance: How the record until each start tells the balance of the rotors; None: it does not.
     """
     scene = model.scene(run, model.at_prior() if q is None else q)
     assert isinstance(scene, CopterFlight)
@@ -206,8 +255,9 @@ def flown(
     # delivered at a sample: over the step before it; the last step has none
     thrusts = torch.cat([thrusts, thrusts[-1:]])
 
-    def predict(starts: Tensor) -> Record:
-        rows = starts[:, None] + torch.arange(1, AHEAD + 1)
+    def fly(starts: Tensor, steps: int, more: Tensor) -> Record:
+        """Flights of some steps under the recorded commands and thrusts ``more`` beside them."""
+        rows = starts[:, None] + torch.arange(1, steps + 1)
         there = Windows(
             guess=torch.cat([states[starts], past.expand(len(starts), -1)], 1),
             measured=channels[rows],
@@ -216,7 +266,44 @@ def flown(
         )
         flyer = Flyer(scene.changed(windows=there), 1)
         with torch.no_grad():
-            read = flyer.fly_thrusts(states[starts][None], thrusts[rows][None])
+            # below zero, too: they stand for torques
+            given = thrusts[rows] + more[:, None]
+            read = flyer.fly_thrusts(states[starts][None], given[None])
         return Record.of(read[0])
 
-    return predict
+    none = thrusts.new_zeros(len(thrusts), thrusts.shape[1])
+    more = none
+    if balance is not None:
+        more = _lacking(scene, Record.of(channels), balance, lambda s: fly(s, _SHORT, none[s]))
+    return lambda starts: fly(starts, AHEAD, more[starts])
+
+
+def _lacking(scene: CopterFlight, truth: Record, balance: Balance, fly: Predict) -> Tensor:
+    """Thrusts that the flight before each sample asks for beside the model's, (num_samples,
+    n_rotors) [N]."""
+    vehicle, frames, seconds = scene.vehicle, scene.frames, _SHORT * scene.dt
+    last = len(balance.flies) - _SHORT
+    flies = balance.flies.unfold(0, _SHORT + 1, 1).all(-1)[:last]
+    rows = flies.nonzero().squeeze(-1)
+    got = fly(rows).at_step(-1)
+    want = truth.at(rows + _SHORT)
+    turning = frames.in_body(want.rates - got.rates) / seconds
+    rotation = matrix_from_quaternion(truth.at(rows).quaternion)
+    up = rotation[..., 2] if frames.body == "FLU" else -rotation[..., 2]
+    lift = ((want.velocity - got.velocity) * up).sum(-1) / seconds
+    torque = turning @ vehicle.inertia[0].mT
+    push = vehicle.mass[0] * lift / vehicle.num_rotors
+    shares = torque @ torque_allocation(vehicle)[0].mT + push[:, None]
+    # of the ways that end at a sample or before, and begin within the window or at all
+    whole = shares.new_zeros(last, shares.shape[1])
+    whole[rows] = shares
+    sums, counts = (
+        torch.cat([v.new_zeros(1, *v.shape[1:]), v.cumsum(0)]) for v in (whole, flies.double())
+    )
+    samples = torch.arange(len(balance.flies))
+    ends = (samples - _SHORT + 1).clamp(0, last)
+    begins = torch.minimum((samples - balance.window).clamp(0, last), ends)
+    usual = sums[ends] / counts[ends].clamp(min=1.0)[:, None]
+    told = (counts[ends] - counts[begins])[:, None]
+    total = sums[ends] - sums[begins] + balance.prior * usual
+    return total / (told + balance.prior).clamp(min=1.0)

@@ -8,7 +8,7 @@ flight counts no more than a calm one. Causes are neither added nor dropped.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,10 +35,12 @@ class Flights:
     Attributes:
         runs: Recorded runs, whole.
         every: Samples from start to start.
+        starts_of: Samples of a run that may be started from; None: all.
     """
 
     runs: Sequence[Run]
     every: int
+    starts_of: Callable[[Run], Tensor] | None = None
 
     def errors(self, model: ExtendedModel, q: Tensor) -> Tensor:
         """Error vectors over the mean error of holding everything in the same flight.
@@ -50,6 +52,10 @@ class Flights:
         for run in self.runs:
             truth = Record.of(torch.as_tensor(run.measured, dtype=torch.float64))
             starts = torch.arange(self.every, len(truth.position) - AHEAD, self.every)
+            counted = None
+            if self.starts_of is not None:
+                counted = self.starts_of(run)
+                starts = counted[torch.isin(counted, starts)]
             got, want = flown(model, run, q)(starts), truth.after(starts)
             product = _relative(want.quaternion, got.quaternion)
             parts = (
@@ -58,7 +64,7 @@ class Flights:
                 2.0 * product[..., 1:] * product[..., :1].sign(),
                 got.rates - want.rates,
             )
-            held = errors_ahead(naive(truth), truth).mean(0)
+            held = errors_ahead(naive(truth), truth, starts=counted).mean(0)
             out.append(torch.stack(parts, -2)[:, _COMPARED] / held[:, None])
         return torch.cat(out)
 
