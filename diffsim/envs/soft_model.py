@@ -117,7 +117,7 @@ class FoundRobot:
 
     def draw(self, batch: int, rng: np.random.Generator) -> Tensor:
         """Standardized sizes that the data allow, (batch, num_base)."""
-        return self.saved.draw([p.name for p in self.model.base], batch, rng)
+        return self.saved.draw_coordinates(self.model.base, batch, rng)
 
     def robot(self) -> DescribedRobot:
         """The body at the file's values."""

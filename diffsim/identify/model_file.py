@@ -53,11 +53,34 @@ _ENTRY_KEYS = ("value", "sd", "unit")
 
 
 class Range(NamedTuple):
-    """A value with its 90 % interval, in one unit."""
+    """A value with its 90 % interval, in one unit, which need not be symmetric."""
 
     value: float
     low: float
     high: float
+
+    @classmethod
+    def of_normal(cls, value: float, sd: float) -> Range:
+        """Of a number that nothing but its standard deviation is known of."""
+        return cls(value, value - HALF_LEVEL * sd, value + HALF_LEVEL * sd)
+
+    def drawn(self, normal: Tensor) -> Tensor:
+        """The number at draws of a standard normal, of any shape.
+
+        Two halves of a normal, each as wide as the interval on its side; in logarithms where the
+        whole interval has one sign. An interval that begins at 0 is of a number without a sign.
+        """
+        if self.low > 0.0 or self.high < 0.0:
+            sign = 1.0 if self.low > 0.0 else -1.0
+            low, value, high = sorted(math.log(abs(end)) for end in self)
+            return sign * torch.exp(_two_halves(low, value, high, sign * normal))
+        number = _two_halves(self.low, self.value, self.high, normal)
+        return number.clamp(min=0.0) if self.low == 0.0 else number
+
+
+def _two_halves(low: float, value: float, high: float, normal: Tensor) -> Tensor:
+    above, below = (high - value) / HALF_LEVEL, (value - low) / HALF_LEVEL
+    return value + normal * torch.where(normal > 0.0, above, below)
 
 
 @dataclass(frozen=True)
@@ -108,11 +131,12 @@ class SavedModel:
         rows = self.correlation
         return float(rows.get(a, {}).get(b, rows.get(b, {}).get(a, 0.0)))
 
-    def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
-        """Standardized deviations of sizes from their values, as the answer states them.
+    def range_of(self, name: str) -> Range:
+        """Of a parameter or component: the answer's, or, where there is none, the fit's."""
+        return self.ranges.get(name, Range.of_normal(self.values[name], self.sd[name]))
 
-        A half of a normal to either side, each as wide as the 90 % interval; none changes the sign
-        of an interval that has one. Without intervals: as the fit has them.
+    def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
+        """Values that the answer allows, as ``Range.drawn`` has them.
 
         Args:
             names: Parameters and components, in the order wanted.
@@ -120,31 +144,34 @@ class SavedModel:
             rng: Source of chance.
 
         Returns:
-            (count, len(names)) in ``sd``, within 3 standard deviations of the answer, with the
-            file's correlations.
+            (count, len(names)), each in its unit, with the file's correlations; normal draws are
+            cut at 3 standard deviations before they are stretched to intervals.
         """
-        unit = torch.from_numpy(rng.standard_normal((count, len(names))))
-        normal = correlated(unit, names, self.correlation_of).clamp(-FARTHEST, FARTHEST)
-        drawn = [self.deviation(n, z) for n, z in zip(names, normal.mT, strict=True)]
+        normal = self._normal(names, count, rng)
+        drawn = [self.range_of(n).drawn(z) for n, z in zip(names, normal.mT, strict=True)]
         return torch.stack(drawn, 1) if drawn else normal
 
-    def deviation(self, name: str, normal: Tensor) -> Tensor:
-        """Deviations of one number from its value, in its ``sd``, at draws of a standard normal.
+    def draw_coordinates(
+        self, base: Sequence[Parameter], count: int, rng: np.random.Generator
+    ) -> Tensor:
+        """The same as standardized coordinates, (count, num_base).
 
         Args:
-            name: Parameter or component.
-            normal: Draws, of any shape.
+            base: Parameters of the rebuilt model; those without an interval in the file, such as
+                nuisances of a new run, are drawn from their priors.
+            count: Number of draws.
+            rng: Source of chance.
         """
-        known, sd = self.ranges.get(name), self.sd.get(name, 0.0)
-        if known is None or sd <= 0.0:
-            return normal
-        unit = HALF_LEVEL * sd
-        above, below = (known.high - known.value) / unit, (known.value - known.low) / unit
-        away = normal * torch.where(normal > 0.0, above, below)
-        to_zero = -known.value / sd
-        if known.low > 0.0:
-            return away.clamp(min=to_zero)
-        return away.clamp(max=to_zero) if known.high < 0.0 else away
+        normal = self._normal([p.name for p in base], count, rng)
+        drawn = [
+            p.coordinate_at(self.ranges[p.name].drawn(z)) if p.name in self.ranges else z
+            for p, z in zip(base, normal.mT, strict=True)
+        ]
+        return torch.stack(drawn, 1) if drawn else normal
+
+    def _normal(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
+        unit = torch.from_numpy(rng.standard_normal((count, len(names))))
+        return correlated(unit, names, self.correlation_of).clamp(-FARTHEST, FARTHEST)
 
     def framed(self, study: Study) -> Study:
         """A study of new runs, its causes as they were where the model was fitted."""

@@ -1,8 +1,7 @@
 """Intervals of what is computed from the numbers of a saved model.
 
-Each number has a 90 % interval about its value, which need not be symmetric. It is drawn as two
-halves of a normal, in logarithms where the whole interval has one sign; draws of several numbers
-have the correlations of the posterior. So a formula of one number gets that number's own interval,
+Each number is drawn from its 90 % interval (``Range.drawn``); draws of several numbers have the
+correlations of the posterior. So a formula of one number gets that number's own interval,
 and one of several numbers what they allow together: a ratio may be known where its parts are not.
 """
 
@@ -17,7 +16,7 @@ import torch
 from torch import Tensor
 
 from diffsim.identify.fitting import Fit, correlated
-from diffsim.identify.model_file import HALF_LEVEL, LEVEL, Range
+from diffsim.identify.model_file import LEVEL, Range
 
 NUM_DRAWS = 2**14  # evenly spread: ends are exact to about a hundredth of a standard deviation
 Formula = Callable[[Mapping[str, Tensor]], Tensor]
@@ -75,8 +74,7 @@ def range_of_number(saved: Numbers, name: str) -> Range:
         name: Parameter or component of the file. Where the file has no interval, it is made of the
             standard deviation of the fit.
     """
-    value, half = saved.values[name], HALF_LEVEL * saved.sd[name]
-    return saved.ranges.get(name, Range(value, value - half, value + half))
+    return saved.ranges.get(name, Range.of_normal(saved.values[name], saved.sd[name]))
 
 
 def range_of(formula: Formula, names: Sequence[str], saved: Numbers) -> Range:
@@ -115,21 +113,4 @@ def draws_of(names: Sequence[str], saved: Numbers) -> dict[str, Tensor]:
     unit = torch.special.ndtri(engine.draw(NUM_DRAWS, dtype=torch.float64).clamp(1e-9, 1.0 - 1e-9))
     mixed = correlated(unit, names, saved.correlation_of)
     normal = mixed / mixed.square().mean(0).sqrt()
-    return {n: _draw_number(range_of_number(saved, n), normal[:, i]) for i, n in enumerate(names)}
-
-
-def _draw_number(known: Range, normal: Tensor) -> Tensor:
-    """A number at draws of a standard normal, (num_draws,) in its unit."""
-    if known.low > 0.0 or known.high < 0.0:
-        sign = 1.0 if known.low > 0.0 else -1.0
-        ends = (np.log(abs(end)) for end in (known.value, known.low, known.high))
-        value, low, high = (float(end) for end in ends)
-        return sign * torch.exp(_two_halves(value, low, high, normal, sign))
-    drawn = _two_halves(known.value, known.low, known.high, normal, 1.0)
-    return drawn.clamp(min=0.0) if known.low == 0.0 else drawn  # a size that has no sign
-
-
-def _two_halves(value: float, low: float, high: float, normal: Tensor, sign: float) -> Tensor:
-    """Deviations above the value as its upper end says, below as the lower one does."""
-    above, below = abs(high - value) / HALF_LEVEL, abs(value - low) / HALF_LEVEL
-    return value + sign * normal * torch.where(normal > 0.0, above, below)
+    return {n: range_of_number(saved, n).drawn(normal[:, i]) for i, n in enumerate(names)}

@@ -145,11 +145,9 @@ class Starfish:
             count: Number of draws.
             rng: Source of chance.
         """
-        known = {p.name: p for p in self.parameters}
         names = effect_coordinates(self.causes)
-        drawn = saved.draw(names, count, rng)
-        at = torch.stack([known[n].value_at(drawn[:, k]) for k, n in enumerate(names)], -1)
-        return [dict(values) | dict(zip(names, row, strict=True)) for row in at.tolist()]
+        drawn = saved.draw(names, count, rng).tolist()
+        return [dict(values) | dict(zip(names, row, strict=True)) for row in drawn]
 
     @cached_property
     def quarter(self) -> Quarter:

@@ -131,7 +131,7 @@ class Twin:
 
     def draw(self, count: int, rng: np.random.Generator) -> Tensor:
         """Standardized parameters and sizes that the data allow, (count, num_base)."""
-        return self.saved.draw([p.name for p in self.model.base], count, rng)
+        return self.saved.draw_coordinates(self.model.base, count, rng)
 
     def plain(self) -> Twin:
         """The plain model at its own fit to the same runs."""

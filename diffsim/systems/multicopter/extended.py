@@ -23,8 +23,7 @@ from diffsim.identify.model_file import FARTHEST, SavedModel, read_extended
 from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
 
 SYSTEM = "multicopter"  # name of the plain model in the file
-# What a fit knows by its logarithm: above zero in every draw.
-_LOGARITHMIC = (
+_POSITIVE = (
     "mass",
     "mass_gain",
     "thrust_gain",
@@ -56,7 +55,7 @@ class CopterSizes:
     Attributes:
         saved: Content of the file that they are of.
         names: Parameters and components of causes, each in the unit of the file.
-        values, sd: Of each, (num_sizes,).
+        values: Of each, (num_sizes,).
         set_aside: Names of what only the recording's instruments or single runs had.
         frames: That the recording is written in.
     """
@@ -64,7 +63,6 @@ class CopterSizes:
     saved: SavedModel
     names: tuple[str, ...]
     values: Tensor
-    sd: Tensor
     set_aside: tuple[str, ...]
     frames: RecordingFrames
 
@@ -104,7 +102,6 @@ class CopterSizes:
             saved=saved,
             names=tuple(names),
             values=torch.tensor([saved.values[n] for n in names], dtype=torch.float64),
-            sd=torch.tensor([saved.sd[n] for n in names], dtype=torch.float64),
             set_aside=tuple(aside),
             frames=_frames_of(saved, names),
         )
@@ -112,27 +109,20 @@ class CopterSizes:
     def draw(self, batch: int, rng: np.random.Generator) -> Tensor:
         """Sizes drawn from the posterior, (batch, num_sizes).
 
-        Numbers above zero are drawn by their logarithm, as they were fitted; no draw is farther
-        than 3 sd from its value, and no drag, load or delay is negative.
+        As ``SavedModel.draw`` has them; no drag, load or delay is negative.
         """
-        spread = self.saved.draw(self.names, batch, rng)
-        columns = []
-        for name, value, sd, z in zip(self.names, self.values, self.sd, spread.mT, strict=True):
-            if name in _LOGARITHMIC:
-                columns.append(value * torch.exp(sd / value * z))
-            else:
-                low = 0.0 if name in _NEVER_NEGATIVE else -torch.inf
-                columns.append((value + sd * z).clamp(min=low))
-        return torch.stack(columns, 1) if columns else spread
+        drawn = self.saved.draw(self.names, batch, rng)
+        low = [0.0 if name in _NEVER_NEGATIVE else -torch.inf for name in self.names]
+        return torch.maximum(drawn, torch.tensor(low, dtype=torch.float64))
 
     @property
     def most_delay(self) -> float:
         """Longest delay of a draw [s]."""
         if "delay" not in self.names:
             return 0.0
-        k = self.names.index("delay")
-        farthest = self.saved.deviation("delay", torch.tensor(FARTHEST, dtype=torch.float64))
-        return float(self.values[k] + farthest * self.sd[k])
+        return float(
+            self.saved.range_of("delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64))
+        )
 
     def has_any(self, names: tuple[str, ...]) -> bool:
         """Whether the file holds one of some sizes."""
@@ -361,7 +351,7 @@ def _of_another(
 def _is_known(name: str, num_rotors: int) -> bool:
     if found := _OF_ROTOR.fullmatch(name):
         return 1 <= int(found[2] or found[3]) <= num_rotors
-    return name in (*_LOGARITHMIC, *_CENTER, *_MOVED, *_NEVER_NEGATIVE)
+    return name in (*_POSITIVE, *_CENTER, *_MOVED, *_NEVER_NEGATIVE)
 
 
 def _frames_of(saved: SavedModel, names: list[str]) -> RecordingFrames:
