@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from benchmarks.servo_bench import constant_error, is_read
+from diffsim.cli import main
 from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
 from diffsim.identify import fit
@@ -122,6 +125,29 @@ def test_hidden_causes_of_a_twin_are_fitted_from_its_files(twin):
         for run in runs:
             left = run.measured - found.problem.predict(run, torch.from_numpy(found.x)).numpy()
             assert np.nanmean(np.abs(left)) < 5e-3
+
+
+def test_play_of_an_answer_is_exported_with_its_interval(twin, tmp_path):
+    numbers = {"supply": 12.0, "error_gain": 0.165, "kt": 2.2, "resistance": 4.2}
+    numbers |= {"armature": 0.02, "coulomb": 0.12, "open_drag": 0.01, "zero": 0.0}
+    saved = {
+        "model": "my_servo",
+        "study": "my_servo",
+        "verdict": "named",
+        "parameters": {name: {"value": v, "sd": 0.0, "unit": "-"} for name, v in numbers.items()},
+        "effects": {
+            "play_behind_encoder": {
+                "value": 0.012, "sd": 1e-4, "unit": "rad", "low": 0.011, "high": 0.0135,
+            }
+        },
+    }  # fmt: skip
+    (tmp_path / "extended_model.yaml").write_text(yaml.safe_dump(saved))
+    assert main(["diagnose", "export", str(twin), "--out", str(tmp_path)]) == 0
+    constants = json.loads((tmp_path / "mujoco.json").read_text())
+    assert constants["half_play_rad"] == pytest.approx(0.012)
+    assert constants["frictionloss"] == pytest.approx(0.12)
+    play = json.loads((tmp_path / "export.json").read_text())["mujoco"]["half_play_rad"]
+    assert (play["low"], play["high"]) == pytest.approx((0.011, 0.0135), rel=0.02)
 
 
 def test_misread_samples_are_left_out_by_the_readme_s_rule():
