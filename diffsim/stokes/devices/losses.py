@@ -33,11 +33,9 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     """
     grid = field.grid
     axis, side = grid.face_axis(face)
-    layers = [torch.zeros_like(values)] * grid.node_shape[axis]
-    layers[-1 if side else 0] = values
-    normal = torch.stack(layers, 1 + axis)
-    zero = torch.zeros_like(normal)
-    carrier = torch.stack([normal if a == axis else zero for a in range(grid.dim)], -1)
+    nodal = values.new_zeros(len(values), *grid.node_shape)
+    normal = nodal.select_scatter(values, 1 + axis, grid.shape[axis] if side else 0)
+    carrier = nodal.new_zeros(*nodal.shape, grid.dim).select_scatter(normal, -1, axis)
     return dataclasses.replace(field, velocity=carrier).flux(axis, -side)
 
 
