@@ -17,9 +17,10 @@ def binomials(degree: int) -> Tensor:
 
 def basis(t: Tensor, degree: int) -> Tensor:
     """C(n, k) t^k (1 - t)^(n - k), (..., n + 1)."""
+    s = 1.0 - t
     rising, falling = [torch.ones_like(t)], [torch.ones_like(t)]
     for _ in range(degree):
         rising.append(rising[-1] * t)
-        falling.append(falling[-1] * (1.0 - t))
+        falling.append(falling[-1] * s)
     products = [up * down for up, down in zip(rising, reversed(falling), strict=True)]
     return binomials(degree) * torch.stack(products, -1)
