@@ -2,6 +2,7 @@
 #include <nanobind/stl/shared_ptr.h>
 
 #include "bindings/bindings.h"
+#include "kernels/stokes/closest_curve.h"
 #include "kernels/stokes/cut_cells.h"
 #include "kernels/stokes/flow_system.h"
 
@@ -183,6 +184,16 @@ void bind_stokes(nb::module_& m) {
       },
       nb::kw_only(), "shape"_a, "phi"_a, "fixed"_a, "open"_a, "options"_a, "plan"_a,
       "num_threads"_a);
+  m.def(
+      "closest_on_curves",
+      [](Address homogeneous, std::int64_t num_curves, int degree, bool closed, double size,
+         Address rays, Address points, std::int64_t num_points, Address tau, Address normal) {
+        nb::gil_scoped_release release;
+        const CurveChain chain{num_curves, degree, in(homogeneous), closed, size, in(rays)};
+        closest_on_curves(chain, in(points), num_points, out(tau), out(normal));
+      },
+      nb::kw_only(), "homogeneous"_a, "num_curves"_a, "degree"_a, "closed"_a, "size"_a, "rays"_a,
+      "points"_a, "num_points"_a, "tau"_a, "normal"_a);
   m.def(
       "cut_cells",
       [](const GridShape& shape, Address phi, Address volume, Address area, Address normal,

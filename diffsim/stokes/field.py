@@ -96,7 +96,8 @@ class FlowField:
 
     def with_imbalance(self) -> FlowField:
         """This field with the imbalance of ``mass_report`` in its stats."""
-        imbalance = self.mass_report()["imbalance"].detach()
+        constant = dataclasses.replace(self, phi=self.phi.detach(), velocity=self.velocity.detach())
+        imbalance = constant.mass_report()["imbalance"]
         return dataclasses.replace(self, stats={**self.stats, "imbalance": imbalance})
 
     def sample(self, points: Tensor) -> Tensor:

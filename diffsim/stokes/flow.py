@@ -240,7 +240,7 @@ def count_thin_cells(grid: Grid, phi: Tensor) -> int:
             low, high = slope.narrow(a, 0, grid.shape[a]), slope.narrow(a, 1, grid.shape[a])
             slope = (high - low) / grid.spacing[a] if a == axis else 0.5 * (high + low)
         slopes.append(slope)
-    norm = torch.stack(slopes).norm(dim=0)
+    norm = torch.stack(slopes).square().sum(0).sqrt()
     usual = norm[norm > 0].median() if bool((norm > 0).any()) else norm.new_ones(())
     near = center.abs() < 0.5 * min(grid.spacing) * usual
     return int((near & (norm < 0.5 * usual)).sum())

@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from diffsim.stokes.shapes import BezierCurve2d, bernstein
+from diffsim.stokes import _ops_curve
+from diffsim.stokes.shapes import BezierCurve2d
 from tests.gradients import check_directions
 
 F64 = torch.float64
@@ -238,14 +239,41 @@ def test_errors_say_what_to_do():
         BezierCurve2d(eight, degree=1, closed=True)
 
 
-def test_roots_are_found_in_a_few_newton_steps(monkeypatch):
-    """A root once found must not be thrown back into its bracket: ten steps reach 1e-13."""
-    monkeypatch.setattr(bernstein, "_MAX_STEPS", 10)
-    root = torch.linspace(0.05, 0.95, 200, dtype=torch.float64)
-    t = torch.linspace(0.0, 1.0, 4, dtype=torch.float64)
-    # (t - root)(t^2 + 1) rises through one root; Bernstein coefficients by interpolation
-    values = (t - root[:, None]) * (t**2 + 1.0)
-    coefficients = torch.linalg.solve(bernstein.basis(t, 3), values.T).T
-    rows, roots = bernstein.rising_roots(coefficients)
-    assert sorted(rows.tolist()) == list(range(200))
-    torch.testing.assert_close(roots, root[rows], rtol=0.0, atol=1e-13)
+def test_the_op_of_closest_points():
+    curve = quiet(random(21, 4, 2), weights=0.5 + random(22, 4))
+    chain, rays = curve._chain(), curve._rays()
+    args = (random(23, 5, 2), chain.homogeneous, rays, chain.closed, chain.size)
+    torch.library.opcheck(_ops_curve.closest_on_curves, args)
+    with pytest.raises(ValueError, match="wrong shapes"):
+        _ops_curve.closest_on_curves(random(23, 5, 3), *args[1:])
+    with pytest.raises(TypeError, match="float64"):
+        _ops_curve.closest_on_curves(args[0].float(), *args[1:])
+
+
+@pytest.mark.parametrize("weights", [None, tensor([1.0, 0.5, 2.0, 1.0])])
+def test_parameters_of_points_beside_the_curve_are_found_to_rounding(weights):
+    curve = BezierCurve2d(
+        tensor([[0, 0.1], [0.3, 0.1], [0.6, 0.5], [1, 0.3]]), weights=weights, ends="stop"
+    )
+    tau = torch.linspace(0.01, 0.99, 200, dtype=F64)
+    on = curve.point(tau).detach().requires_grad_()
+    (normal,) = torch.autograd.grad(curve(on).sum(), on)
+    for offset in (-0.02, 0.03):
+        torch.testing.assert_close(
+            curve.closest(on.detach() + offset * normal), tau, atol=1e-13, rtol=0
+        )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_side_behind_an_end_with_repeated_control_points(seed):
+    """Where a curve starts at rest, rounding must not choose its direction."""
+    points, p = random(seed, 9, 2), 3.0 * random(20 + seed, 400, 2) - 1.0
+    points[1] = points[0]
+    curve = quiet(points, weights=0.2 + random(40 + seed, 9), ends="stop")
+    at_start = curve.closest(p) == 0
+    x, y = (points[2] - points[0]).tolist()
+    away = (p - points[0])[at_start]
+    across = (x * away[:, 1] - y * away[:, 0]) / (math.hypot(x, y) * away.norm(dim=1))
+    clear = across.abs() > 1e-3
+    assert clear.sum() > 20
+    assert ((curve(p)[at_start] > 0) == (across > 0))[clear].all()

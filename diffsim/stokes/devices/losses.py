@@ -33,30 +33,33 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     """
     grid = field.grid
     axis, side = grid.face_axis(face)
-    layers = [torch.zeros_like(values)] * grid.node_shape[axis]
-    layers[-1 if side else 0] = values
-    normal = torch.stack(layers, 1 + axis)
-    zero = torch.zeros_like(normal)
-    carrier = torch.stack([normal if a == axis else zero for a in range(grid.dim)], -1)
+    nodal = values.new_zeros(len(values), *grid.node_shape)
+    normal = nodal.select_scatter(values, 1 + axis, grid.shape[axis] if side else 0)
+    carrier = nodal.new_zeros(*nodal.shape, grid.dim).select_scatter(normal, -1, axis)
     return dataclasses.replace(field, velocity=carrier).flux(axis, -side)
 
 
 def area(field: FlowField, faces: Sequence[str]) -> Tensor:
     """Fluid area of faces, scalar [m^(dim-1)]; refuses closed ones."""
-    total = torch.zeros((), dtype=torch.float64)
-    for face in faces:
-        ones = torch.ones_like(on_face(field.grid, field.phi[None], face))
-        total = total + integral(field, face, ones)[0]
-    if not float(total.detach()) > 0:
-        raise ValueError(f"no fluid at the outlets {list(faces)}: the design closes them")
-    return total
+    return _integrals_and_area(field, faces, field.phi.new_zeros(0, *field.grid.node_shape))[-1]
 
 
 def mean(field: FlowField, faces: Sequence[str], nodal: Tensor) -> Tensor:
     """Average over the fluid part of faces: nodal (cases, *node_shape) -> (cases,)."""
-    grid = field.grid
-    total = torch.stack([integral(field, f, on_face(grid, nodal, f)) for f in faces]).sum(0)
-    return total / area(field, faces)
+    both = _integrals_and_area(field, faces, nodal)
+    return both[:-1] / both[-1]
+
+
+def _integrals_and_area(field: FlowField, faces: Sequence[str], nodal: Tensor) -> Tensor:
+    """Integrals of nodal (cases, *node_shape) over faces, and their area, (cases + 1,)."""
+    grid, total = field.grid, nodal.new_zeros(len(nodal) + 1)
+    for face in faces:
+        values = on_face(grid, nodal, face)
+        ones = values.new_ones(1, *values.shape[1:])
+        total = total + integral(field, face, torch.cat([values, ones]))
+    if not float(total[-1].detach()) > 0:
+        raise ValueError(f"no fluid at the outlets {list(faces)}: the design closes them")
+    return total
 
 
 def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -> Tensor:

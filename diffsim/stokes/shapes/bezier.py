@@ -9,11 +9,10 @@ from diffsim.core.check import require, require_choice, require_constants, requi
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.bernstein import basis
-from diffsim.stokes.shapes.closest_curve import Chain, closest
+from diffsim.stokes.shapes.closest_curve import Chain
 from diffsim.stokes.shapes.crossing import crossing
 from diffsim.stokes.shapes.envelope import signed_distance
 
-_ASIDE = 1e-5  # parameter distance at which the tangents beside a corner are taken
 _DRAWN = 32  # chords per curve where the chain is drawn
 
 
@@ -102,16 +101,17 @@ class BezierCurve2d(Shape):
         require_constants(
             hint, points=points, control_points=self.control_points, weights=self.weights
         )
-        chain = self._chain()
-        return closest(chain, require("points", points, ("N", 2)).detach(), self._rays(chain))
+        rays = self._rays()
+        rays = None if rays is None else rays.detach()
+        return self._chain().closest(require("points", points, ("N", 2)).detach(), rays)[0]
 
     def level(self, points: Tensor) -> Tensor:
-        chain = self._chain()
-        rays = self._rays(chain)
-        p = points.detach()
-        tau = closest(chain, p, rays)
-        foot = self._foot(chain, tau, rays is not None)
-        normal = self._normal(chain, tau, p - foot.detach(), rays)
+        chain, rays = self._chain(), self._rays()
+        tau, normal = chain.closest(points.detach(), None if rays is None else rays.detach())
+        foot = self._on_curve(*chain.split(tau))
+        if rays is not None:
+            beyond = torch.stack([-tau, tau - chain.num_curves], 1).clamp(min=0.0)
+            foot = foot + beyond @ rays
         return signed_distance(points, foot, self._side(chain) * normal)
 
     def _on_curve(self, curve: Tensor, t: Tensor) -> Tensor:
@@ -125,14 +125,6 @@ class BezierCurve2d(Shape):
             return b @ self.control_points[self._index[0]]
         return (b[:, :, None] * self.control_points[index]).sum(1)
 
-    def _foot(self, chain: Chain, tau: Tensor, rays: bool) -> Tensor:
-        foot = self._on_curve(*chain.split(tau))
-        if not rays:
-            return foot
-        before, after = (-tau).clamp(min=0.0), (tau - chain.num_curves).clamp(min=0.0)
-        first, last = self._end_direction(False), self._end_direction(True)
-        return foot + before[:, None] * first + after[:, None] * last
-
     def _end_direction(self, at_end: bool) -> Tensor:
         """Unit vector (2,) out of an open curve's end: away from the next distinct point."""
         points = self.control_points if at_end else self.control_points.flip(0)
@@ -140,10 +132,11 @@ class BezierCurve2d(Shape):
         distinct = torch.nonzero(away.detach().norm(dim=1) > 1e-12 * self._size())[-1, 0]
         return away[distinct] / away[distinct].norm()
 
-    def _rays(self, chain: Chain) -> Tensor | None:
-        if chain.closed or self.ends == "stop":
+    def _rays(self) -> Tensor | None:
+        """Directions (2, 2) in which the curve goes on beyond its start and its end, if it does."""
+        if self.closed or self.ends == "stop":
             return None
-        return torch.stack([self._end_direction(False), self._end_direction(True)]).detach()
+        return torch.stack([self._end_direction(False), self._end_direction(True)])
 
     def _size(self) -> float:
         p = self.control_points.detach()
@@ -169,33 +162,3 @@ class BezierCurve2d(Shape):
         if abs(area) < 1e-12 * chain.size**2:
             raise ValueError("the loop encloses no area: inside and outside are not defined")
         return 1.0 if (area > 0) == (self.fluid == "inside") else -1.0
-
-    def _normal(self, chain: Chain, tau: Tensor, away: Tensor, rays: Tensor | None) -> Tensor:
-        """Unit normals (N, 2) on the left side, such that away.normal is the signed distance."""
-        tangent = chain.tangent(tau)
-        if rays is not None:
-            tangent[tau <= 0] = -chain.size * rays[0]
-            tangent[tau >= chain.num_curves] = chain.size * rays[1]
-        length, distance = tangent.norm(dim=1), away.norm(dim=1)
-        smooth = length > 1e-7 * chain.size
-        tangent = tangent / torch.where(smooth, length, 1.0)[:, None]
-        along = (away * tangent).sum(1).abs()
-        corner = ~smooth | ((along > 1e-6 * distance) & (distance > 1e-10 * chain.size))
-        if bool(corner.any()):
-            tangent[corner] = self._between(chain, tau[corner])
-        left = torch.stack([-tangent[:, 1], tangent[:, 0]], 1)
-        sign = torch.where((left * away).sum(1) < 0, -1.0, 1.0)
-        far = corner & (distance > 1e-10 * chain.size)
-        straight = (sign / torch.where(far, distance, 1.0))[:, None] * away
-        return torch.where(far[:, None], straight, left)
-
-    @staticmethod
-    def _between(chain: Chain, tau: Tensor) -> Tensor:
-        """Mean direction (N, 2) of the curve before and after a corner, cusp or end."""
-        sides = [chain.tangent(tau + aside) for aside in (-_ASIDE, _ASIDE)]
-        least = 1e-14 * chain.size  # slower than this is standing still: the other side decides
-        before, after = (v / v.norm(dim=1, keepdim=True).clamp(min=least) for v in sides)
-        mean = before + after
-        length = mean.norm(dim=1, keepdim=True)
-        back = length < 1e-9  # the curve returns the way it came: no side, take the way on
-        return torch.where(back, after, mean / torch.where(back, 1.0, length))
