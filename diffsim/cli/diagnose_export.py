@@ -14,8 +14,8 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.effect import effect_coordinates
-from diffsim.identify.model_file import Range, SavedModel
-from diffsim.identify.ranges import range_of
+from diffsim.identify.model_file import SavedModel
+from diffsim.identify.ranges import Range, range_of
 from diffsim.systems.description import quantities_of
 from diffsim.systems.registry import description_of, setup_of
 

@@ -71,10 +71,6 @@ class Parameter:
         raw = self.value * torch.exp(self.sd * q) if self.log else self.value + self.sd * q
         return raw.clamp(self.lower, self.upper)
 
-    def coordinate_at(self, values: Tensor) -> Tensor:
-        """Standardized coordinates of values [unit], of any shape: back from ``value_at``."""
-        return (torch.log(values / self.value) if self.log else values - self.value) / self.sd
-
     def coordinate_of(self, value: float) -> float:
         """Standardized coordinate of a value [unit]."""
         if self.log:

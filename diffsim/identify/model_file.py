@@ -25,12 +25,11 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 import yaml
-from scipy.special import ndtri
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
@@ -42,45 +41,13 @@ from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit, correlated
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
+from diffsim.identify.ranges import Range, range_of_number
 from diffsim.identify.setup import DiagnosisSetup
 
 MODEL_FILE = "extended_model.yaml"
 LEAST_CORRELATION = 0.01  # that is worth a place in the file
 FARTHEST = 3.0  # standard deviations that a draw may be off
-LEVEL = 0.9  # of every interval
-HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 _ENTRY_KEYS = ("value", "sd", "unit")
-
-
-class Range(NamedTuple):
-    """A value with its 90 % interval, in one unit, which need not be symmetric."""
-
-    value: float
-    low: float
-    high: float
-
-    @classmethod
-    def of_normal(cls, value: float, sd: float) -> Range:
-        """Of a number that nothing but its standard deviation is known of."""
-        return cls(value, value - HALF_LEVEL * sd, value + HALF_LEVEL * sd)
-
-    def drawn(self, normal: Tensor) -> Tensor:
-        """The number at draws of a standard normal, of any shape.
-
-        Two halves of a normal, each as wide as the interval on its side; in logarithms where the
-        whole interval has one sign. An interval that begins at 0 is of a number without a sign.
-        """
-        if self.low > 0.0 or self.high < 0.0:
-            sign = 1.0 if self.low > 0.0 else -1.0
-            low, value, high = sorted(math.log(abs(end)) for end in self)
-            return sign * torch.exp(_two_halves(low, value, high, sign * normal))
-        number = _two_halves(self.low, self.value, self.high, normal)
-        return number.clamp(min=0.0) if self.low == 0.0 else number
-
-
-def _two_halves(low: float, value: float, high: float, normal: Tensor) -> Tensor:
-    above, below = (high - value) / HALF_LEVEL, (value - low) / HALF_LEVEL
-    return value + normal * torch.where(normal > 0.0, above, below)
 
 
 @dataclass(frozen=True)
@@ -131,10 +98,6 @@ class SavedModel:
         rows = self.correlation
         return float(rows.get(a, {}).get(b, rows.get(b, {}).get(a, 0.0)))
 
-    def range_of(self, name: str) -> Range:
-        """Of a parameter or component: the answer's, or, where there is none, the fit's."""
-        return self.ranges.get(name, Range.of_normal(self.values[name], self.sd[name]))
-
     def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
         """Values that the answer allows, as ``Range.drawn`` has them.
 
@@ -148,7 +111,7 @@ class SavedModel:
             cut at 3 standard deviations before they are stretched to intervals.
         """
         normal = self._normal(names, count, rng)
-        drawn = [self.range_of(n).drawn(z) for n, z in zip(names, normal.mT, strict=True)]
+        drawn = [range_of_number(self, n).drawn(z) for n, z in zip(names, normal.mT, strict=True)]
         return torch.stack(drawn, 1) if drawn else normal
 
     def draw_coordinates(
@@ -163,11 +126,11 @@ class SavedModel:
             rng: Source of chance.
         """
         normal = self._normal([p.name for p in base], count, rng)
-        drawn = [
-            p.coordinate_at(self.ranges[p.name].drawn(z)) if p.name in self.ranges else z
-            for p, z in zip(base, normal.mT, strict=True)
-        ]
-        return torch.stack(drawn, 1) if drawn else normal
+        for k, p in enumerate(base):
+            if p.name in self.ranges:
+                values = self.ranges[p.name].drawn(normal[:, k]).tolist()
+                normal[:, k] = normal.new_tensor([p.coordinate_of(v) for v in values])
+        return normal
 
     def _normal(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
         unit = torch.from_numpy(rng.standard_normal((count, len(names))))

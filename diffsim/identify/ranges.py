@@ -7,19 +7,48 @@ and one of several numbers what they allow together: a ratio may be known where 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
+from scipy.special import ndtri
 from torch import Tensor
 
 from diffsim.identify.fitting import Fit, correlated
-from diffsim.identify.model_file import LEVEL, Range
 
 NUM_DRAWS = 2**14  # evenly spread: ends are exact to about a hundredth of a standard deviation
+LEVEL = 0.9  # of every interval
+HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
 Formula = Callable[[Mapping[str, Tensor]], Tensor]
+
+
+class Range(NamedTuple):
+    """A value with its 90 % interval, in one unit, which need not be symmetric."""
+
+    value: float
+    low: float
+    high: float
+
+    def drawn(self, normal: Tensor) -> Tensor:
+        """The number at draws of a standard normal, of any shape.
+
+        Two halves of a normal, each as wide as the interval on its side; in logarithms where the
+        whole interval has one sign. An interval that begins at 0 is of a number without a sign.
+        """
+        if self.low > 0.0 or self.high < 0.0:
+            sign = 1.0 if self.low > 0.0 else -1.0
+            low, value, high = sorted(math.log(abs(end)) for end in self)
+            return sign * torch.exp(_two_halves(low, value, high, sign * normal))
+        number = _two_halves(self.low, self.value, self.high, normal)
+        return number.clamp(min=0.0) if self.low == 0.0 else number
+
+
+def _two_halves(low: float, value: float, high: float, normal: Tensor) -> Tensor:
+    above, below = (high - value) / HALF_LEVEL, (value - low) / HALF_LEVEL
+    return value + normal * torch.where(normal > 0.0, above, below)
 
 
 class Numbers(Protocol):
@@ -74,7 +103,8 @@ def range_of_number(saved: Numbers, name: str) -> Range:
         name: Parameter or component of the file. Where the file has no interval, it is made of the
             standard deviation of the fit.
     """
-    return saved.ranges.get(name, Range.of_normal(saved.values[name], saved.sd[name]))
+    value, half = saved.values[name], HALF_LEVEL * saved.sd[name]
+    return saved.ranges.get(name, Range(value, value - half, value + half))
 
 
 def range_of(formula: Formula, names: Sequence[str], saved: Numbers) -> Range:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim.identify.model_file import FARTHEST, Range, SavedModel
+from diffsim.identify.model_file import FARTHEST, SavedModel
+from diffsim.identify.ranges import Range, range_of_number
 
 
 def saved(**ranges: tuple[float, float]) -> SavedModel:
@@ -48,5 +49,5 @@ def test_no_draw_changes_the_sign_of_an_interval() -> None:
 
 def test_the_farthest_draw_is_told() -> None:
     model = saved(delay=(0.01, 0.05))
-    most = float(model.range_of("delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64)))
+    most = float(range_of_number(model, "delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64)))
     assert drawn(model, "delay").max() <= most

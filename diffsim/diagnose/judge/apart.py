@@ -21,8 +21,7 @@ from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, Interval
 from diffsim.identify import Fit
 from diffsim.identify.effect import effect_coordinates
-from diffsim.identify.model_file import Range
-from diffsim.identify.ranges import FittedNumbers, Numbers, range_of
+from diffsim.identify.ranges import FittedNumbers, Numbers, Range, range_of
 
 ALL = "all"  # component of a cause that all groups have
 

@@ -12,7 +12,7 @@ from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.records import EFFECT, HALF_LEVEL, BaseRow, CauseRow, Interval
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, effect_coordinates
-from diffsim.identify.model_file import Range
+from diffsim.identify.ranges import Range
 
 
 def ranges_of_answer(

@@ -13,7 +13,7 @@ from math import isfinite
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import UNTOLD_PULL
-from diffsim.identify import model_file
+from diffsim.identify import ranges
 
 CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
@@ -23,8 +23,8 @@ WRONG_DATA_SHEET = "a wrong data sheet of "  # what may stand in place of a caus
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 SURE = 0.99  # probability from which a cause is certain; that no right data sheet passes for wrong
-LEVEL = model_file.LEVEL  # of every interval, and share of readings in the band of an unseen run
-HALF_LEVEL = model_file.HALF_LEVEL  # half of a normal interval [sd]
+LEVEL = ranges.LEVEL  # of every interval, and share of readings in the band of an unseen run
+HALF_LEVEL = ranges.HALF_LEVEL  # half of a normal interval [sd]
 SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike
 UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
 

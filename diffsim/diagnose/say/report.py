@@ -29,7 +29,8 @@ from diffsim.diagnose.search.evidence import Screen
 from diffsim.identify import Fit
 from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel
-from diffsim.identify.model_file import MODEL_FILE, Range, save_extended
+from diffsim.identify.model_file import MODEL_FILE, save_extended
+from diffsim.identify.ranges import Range
 
 Array = NDArray[np.float64]
 

@@ -20,6 +20,7 @@ from torch import Tensor
 from diffsim.copter import Feedback, Fleet, Flight, FlightEffects, FlightState, Multicopter, fly
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag, RotorDrag
 from diffsim.identify.model_file import FARTHEST, SavedModel, read_extended
+from diffsim.identify.ranges import range_of_number
 from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
 
 SYSTEM = "multicopter"  # name of the plain model in the file
@@ -121,7 +122,7 @@ class CopterSizes:
         if "delay" not in self.names:
             return 0.0
         return float(
-            self.saved.range_of("delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64))
+            range_of_number(self.saved, "delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64))
         )
 
     def has_any(self, names: tuple[str, ...]) -> bool:

@@ -8,7 +8,8 @@ import pytest
 
 from diffsim.cli import main
 from diffsim.diagnose.judge.apart import apart_rows, apart_words
-from diffsim.identify.model_file import Range, read_extended
+from diffsim.identify.model_file import read_extended
+from diffsim.identify.ranges import Range
 
 CLOCK = 0.01 * np.arange(200)  # s
 FRICTION = {"left": 0.06, "right": 0.12}  # N m: all else is alike
