@@ -159,7 +159,7 @@ def test_misread_samples_are_left_out_by_the_readme_s_rule():
 @pytest.mark.parametrize(
     ("name", "uses"),
     [
-        ("servo_sts3215", (13, 17, 16)),
+        ("servo_sts3215", (30, 17, 16)),
         ("servo_sts3250", (20, 8, 12)),
         ("servo_go1", (5, 3, 2)),
     ],
