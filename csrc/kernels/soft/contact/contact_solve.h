@@ -18,6 +18,12 @@ class ContactSolve {
   void statuses_changed() { stale_statuses_ = true; }
   void matrix_changed() { stale_matrix_ = true; }
 
+  /// Whether the next solve is on multigrid, whose errors hold rigid motion.
+  bool on_multigrid() {
+    choose();
+    return kind_ == Kind::kBase && problem_.by_multigrid();
+  }
+
   /// q in the range of P with [P H + mu t (n . H) + D] q = r, r in the range of P.
   KrylovResult solve(const Vector& r, double tolerance, int max_iters, Vector& q);
   /// The same, or its transpose: p with P H (p + mu (t . p) n) + D p = r, at an answer x of a step,

@@ -54,7 +54,7 @@ NewtonStep newton_step(ContactProblem& p, double forcing, double tolerance, bool
                        ContactIterate& at) {
   p.objective.assemble(at.x, is_clamped);
   p.solve.matrix_changed();
-  const double enough = p.objective.by_multigrid() ? kEnoughOnMultigrid : kEnoughOfTolerance;
+  const double enough = p.solve.on_multigrid() ? kEnoughOnMultigrid : kEnoughOfTolerance;
   const ContactDirection loose =
       contact_direction(p, at, {forcing, enough * tolerance}, is_clamped);
   const SearchResult first = search_along(p, loose, forcing > kTightForcing, at);
@@ -89,7 +89,7 @@ void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
     if (stats.converged != 0.0 || iter == p.options.max_iters) break;
     relaxation.remember(p.space);
     const double forcing = std::min(forcing_term(stats.residual_norm, last_norm),
-                                    p.objective.by_multigrid() ? kMultigridForcing : 1.0);
+                                    p.solve.on_multigrid() ? kMultigridForcing : 1.0);
     const NewtonStep step = newton_step(p, forcing, stats.tolerance, is_clamped, at);
     last_norm = stats.residual_norm;
     is_clamped = step.clamps_next;
