@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from diffsim.identify.model import Parameter
 from diffsim.identify.model_file import FARTHEST, SavedModel
 from diffsim.identify.ranges import Range, range_of_number
 
@@ -26,7 +28,11 @@ def saved(**ranges: tuple[float, float]) -> SavedModel:
 
 def drawn(model: SavedModel, *names: str) -> np.ndarray:
     """Values in their units, (20000, num_names)."""
-    return model.draw(names, 20_000, np.random.default_rng(0)).numpy()
+    return model.draw(names, 20_000, fresh()).numpy()
+
+
+def fresh() -> np.random.Generator:
+    return np.random.default_rng(0)
 
 
 def test_ends_of_draws_are_those_of_the_answer() -> None:
@@ -45,6 +51,31 @@ def test_no_draw_changes_the_sign_of_an_interval() -> None:
     assert found[:, 0].min() >= 0.0 and found[:, 1].max() <= 1e-15
     both = drawn(saved(delay=(-0.01, 0.04)), "delay")
     assert both.min() < 0.0
+
+
+def test_draws_of_negative_numbers_keep_their_correlation() -> None:
+    model = replace(saved(wind=(-3.0, -0.4)), correlation={"wind": {"mass": 0.8}})
+    found = drawn(model, "mass", "wind")
+    assert np.corrcoef(found[:, 0], -np.log(-found[:, 1]))[0, 1] > 0.75
+
+
+def test_numbers_without_a_sign_are_never_below_zero() -> None:
+    found = drawn(saved(delay=(0.0, 0.04)), "delay")
+    assert found.min() == 0.0
+    np.testing.assert_allclose(np.quantile(found, 0.95), 0.04, rtol=0.03)
+
+
+def test_coordinates_of_draws_lead_back_to_the_draws() -> None:
+    model = saved(mass=(1.9, 2.3), delay=(0.01, 0.05))
+    base = [Parameter("mass", 2.1, 0.1, "kg", log=True), Parameter("delay", 0.02, 0.01, "s")]
+    at = model.draw_coordinates(base, 500, fresh())
+    back = torch.stack([p.value_at(at[:, k]) for k, p in enumerate(base)], 1)
+    torch.testing.assert_close(back, model.draw(("mass", "delay"), 500, fresh()))
+
+
+def test_what_the_file_does_not_know_is_drawn_from_its_prior() -> None:
+    at = saved().draw_coordinates([Parameter("offset@new", 5.0, 0.5, "m")], 20_000, fresh())
+    assert abs(float(at.mean())) < 0.03 and abs(float(at.std()) - 1.0) < 0.03
 
 
 def test_the_farthest_draw_is_told() -> None:

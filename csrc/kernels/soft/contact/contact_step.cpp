@@ -54,7 +54,9 @@ NewtonStep newton_step(ContactProblem& p, double forcing, double tolerance, bool
                        ContactIterate& at) {
   p.objective.assemble(at.x, is_clamped);
   p.solve.matrix_changed();
-  const double enough = p.solve.on_multigrid() ? kEnoughOnMultigrid : kEnoughOfTolerance;
+  const bool on_multigrid = p.solve.on_multigrid();
+  const double enough = on_multigrid ? kEnoughOnMultigrid : kEnoughOfTolerance;
+  if (on_multigrid) forcing = std::min(forcing, kMultigridForcing);
   const ContactDirection loose =
       contact_direction(p, at, {forcing, enough * tolerance}, is_clamped);
   const SearchResult first = search_along(p, loose, forcing > kTightForcing, at);
@@ -88,8 +90,7 @@ void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
     stats.converged = on_constraints && stats.residual_norm <= stats.tolerance ? 1.0 : 0.0;
     if (stats.converged != 0.0 || iter == p.options.max_iters) break;
     relaxation.remember(p.space);
-    const double forcing = std::min(forcing_term(stats.residual_norm, last_norm),
-                                    p.solve.on_multigrid() ? kMultigridForcing : 1.0);
+    const double forcing = forcing_term(stats.residual_norm, last_norm);
     const NewtonStep step = newton_step(p, forcing, stats.tolerance, is_clamped, at);
     last_norm = stats.residual_norm;
     is_clamped = step.clamps_next;
