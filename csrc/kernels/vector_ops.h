@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
+#include "kernels/linalg/lanes.h"
 #include "kernels/parallel.h"
 
 namespace diffsim {
@@ -50,11 +52,18 @@ class VectorOps {
 
   static double dot_of_chunk(const Vector& a, const Vector& b, std::int64_t begin,
                              std::int64_t end) {
-    // Eight running sums let the compiler use vector registers without reordering a sum.
-    double lane[8] = {0, 0, 0, 0, 0, 0, 0, 0};
+    // Eight running sums fill vector registers without reordering a sum.
+    Native sums[kParts] = {};
     std::int64_t i = begin;
-    for (; i + 8 <= end; i += 8)
-      for (int k = 0; k < 8; ++k) lane[k] += a[u(i + k)] * b[u(i + k)];
+    for (; i + kLanes <= end; i += kLanes)
+      for (int part = 0; part < kParts; ++part) {
+        Native x, y;
+        std::memcpy(&x, a.data() + i + part * kNativeLanes, sizeof(Native));
+        std::memcpy(&y, b.data() + i + part * kNativeLanes, sizeof(Native));
+        sums[part] += x * y;
+      }
+    double lane[kLanes];
+    std::memcpy(lane, sums, sizeof(lane));
     double total = 0.0;
     for (double v : lane) total += v;
     for (; i < end; ++i) total += a[u(i)] * b[u(i)];

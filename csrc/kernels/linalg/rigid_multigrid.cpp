@@ -15,13 +15,12 @@ using Index = std::int64_t;
 // largest eigenvalue.
 constexpr int kDegree = 2;
 constexpr float kSmoothedRange = 1.0F / 10.0F;
-constexpr Index kRowsPerTask = 256;
 
 template <typename F>
-void for_rows(Index num_rows, ThreadPool& pool, F&& f) {
-  const Index tasks = (num_rows + kRowsPerTask - 1) / kRowsPerTask;
+void for_rows(Index num_rows, Index task_rows, ThreadPool& pool, F&& f) {
+  const Index tasks = (num_rows + task_rows - 1) / task_rows;
   const auto run = [&](Index task) {
-    f(task * kRowsPerTask, std::min(num_rows, (task + 1) * kRowsPerTask));
+    f(task * task_rows, std::min(num_rows, (task + 1) * task_rows));
   };
   if (tasks < 4)  // waking threads would cost more than the work
     for (Index task = 0; task < tasks; ++task) run(task);
@@ -71,70 +70,81 @@ RigidMultigrid::RigidMultigrid(std::shared_ptr<const RigidHierarchy> hierarchy)
   for (int l = 0; l < hierarchy_->num_levels(); ++l) {
     Level& level = levels_[at(l)];
     const std::size_t size = at(pattern(l).num_rows() * stride(l));
-    for (std::vector<float>* v : {&level.x, &level.b, &level.residual, &level.step, &level.image})
+    for (std::vector<float>* v :
+         {&level.x, &level.b, &level.residual, &level.step, &level.next, &level.image})
       v->assign(size, 0.0F);
   }
 }
 
-void RigidMultigrid::multiply(int l, const float* x, float* y, ThreadPool& pool) const {
-  const Level& level = levels_[at(l)];
-  for_rows(pattern(l).num_rows(), pool, [&](Index begin, Index end) {
-    if (l == 0)
-      multiply_fine(pattern(0), level.matrix.data(), x, y, begin, end);
-    else
-      multiply_blocks(pattern(l), level.matrix.data(), x, y, begin, end);
-  });
+void RigidMultigrid::multiply_rows(int l, const float* x, float* y, Index begin, Index end) const {
+  const float* values = levels_[at(l)].matrix.data();
+  if (l == 0)
+    multiply_fine(pattern(0), values, x, y, begin, end);
+  else
+    multiply_blocks(pattern(l), values, x, y, begin, end);
 }
 
-void RigidMultigrid::scale(int l, const float* r, float* z, ThreadPool& pool) const {
+void RigidMultigrid::scale_rows(int l, const float* r, float* z, Index begin, Index end) const {
   const float* inverse = levels_[at(l)].inverse.data();
-  for_rows(pattern(l).num_rows(), pool, [&](Index begin, Index end) {
-    for (Index i = begin; i < end; ++i) {
-      if (l == 0)
-        scale_block<3>(inverse + 9 * i, r + 3 * i, z + 3 * i);
-      else
-        scale_block<6>(inverse + 36 * i, r + kFloatLanes * i, z + kFloatLanes * i);
-    }
-  });
+  for (Index i = begin; i < end; ++i) {
+    if (l == 0)
+      scale_block<3>(inverse + 9 * i, r + 3 * i, z + 3 * i);
+    else
+      scale_block<6>(inverse + 36 * i, r + kFloatLanes * i, z + kFloatLanes * i);
+  }
 }
 
+/// One pass over the rows for each polynomial: what a row needs of others is the last step alone,
+/// so the next one is written beside it.
 void RigidMultigrid::smooth(int l, bool from_zero, bool keep_residual, ThreadPool& pool) {
   Level& v = levels_[at(l)];
-  const std::size_t size = v.x.size();
+  const Index width = stride(l), rows = pattern(l).num_rows();
   const float high = v.largest, low = kSmoothedRange * high;
   const float center = 0.5F * (high + low), radius = 0.5F * (high - low);
   const float sigma = center / radius;
   float rho = 1.0F / sigma;
-  const auto subtract = [&](const std::vector<float>& from) {  // residual = from - A ...
-    for (std::size_t i = 0; i < size; ++i) v.residual[i] = from[i] - v.image[i];
+  float *x = v.x.data(), *residual = v.residual.data(), *image = v.image.data();
+  float *step = v.step.data(), *next = v.next.data();
+  const auto subtract = [&](const float* from, Index first, Index last) {
+    for (Index i = first; i < last; ++i) residual[i] = from[i] - image[i];
   };
-  if (from_zero) {
-    std::fill(v.x.begin(), v.x.end(), 0.0F);
-    v.residual = v.b;
-  } else {
-    multiply(l, v.x.data(), v.image.data(), pool);
-    subtract(v.b);
-  }
-  scale(l, v.residual.data(), v.image.data(), pool);
-  for (std::size_t i = 0; i < size; ++i) {
-    v.step[i] = v.image[i] / center;
-    v.x[i] += v.step[i];
-  }
-  for (int k = 1; k < kDegree; ++k) {
-    multiply(l, v.step.data(), v.image.data(), pool);
-    subtract(v.residual);
-    scale(l, v.residual.data(), v.image.data(), pool);
-    const float next = 1.0F / (2.0F * sigma - rho);
-    const float keep = next * rho, add = 2.0F * next / radius;
-    rho = next;
-    for (std::size_t i = 0; i < size; ++i) {
-      v.step[i] = keep * v.step[i] + add * v.image[i];
-      v.x[i] += v.step[i];
+  for_rows(rows, task_rows(l), pool, [&](Index begin, Index end) {
+    const Index first = width * begin, last = width * end;
+    if (from_zero) {
+      std::copy(v.b.data() + first, v.b.data() + last, residual + first);
+    } else {
+      multiply_rows(l, x, image, begin, end);
+      subtract(v.b.data(), first, last);
     }
+    scale_rows(l, residual, image, begin, end);
+    for (Index i = first; i < last; ++i) step[i] = image[i] / center;
+  });
+  bool at_zero = from_zero;  // x is to be overwritten
+  const auto advance = [&](Index first, Index last) {
+    for (Index i = first; i < last; ++i) x[i] = (at_zero ? 0.0F : x[i]) + step[i];
+  };
+  for (int k = 1; k < kDegree; ++k) {
+    const float factor = 1.0F / (2.0F * sigma - rho);
+    const float keep = factor * rho, add = 2.0F * factor / radius;
+    rho = factor;
+    for_rows(rows, task_rows(l), pool, [&](Index begin, Index end) {
+      const Index first = width * begin, last = width * end;
+      advance(first, last);
+      multiply_rows(l, step, image, begin, end);
+      subtract(residual, first, last);
+      scale_rows(l, residual, image, begin, end);
+      for (Index i = first; i < last; ++i) next[i] = keep * step[i] + add * image[i];
+    });
+    at_zero = false;
+    std::swap(step, next);
   }
-  if (!keep_residual) return;
-  multiply(l, v.step.data(), v.image.data(), pool);
-  subtract(v.residual);
+  for_rows(rows, task_rows(l), pool, [&](Index begin, Index end) {
+    const Index first = width * begin, last = width * end;
+    advance(first, last);
+    if (!keep_residual) return;
+    multiply_rows(l, step, image, begin, end);
+    subtract(residual, first, last);
+  });
 }
 
 void RigidMultigrid::restrict_residual(int l, ThreadPool& pool) {
@@ -142,7 +152,7 @@ void RigidMultigrid::restrict_residual(int l, ThreadPool& pool) {
   const Level& fine = levels_[at(l)];
   Level& coarse = levels_[at(l + 1)];
   const int K = l == 0 ? 3 : 6, from = stride(l);
-  for_rows(t.aggregates.count, pool, [&](Index begin, Index end) {
+  for_rows(t.aggregates.count, task_rows(l + 1), pool, [&](Index begin, Index end) {
     for (Index I = begin; I < end; ++I) {
       FloatLane total = {};
       for (Index e = t.restriction.begin(I); e < t.restriction.end(I); ++e) {
@@ -160,7 +170,7 @@ void RigidMultigrid::prolong(int l, ThreadPool& pool) {
   Level& fine = levels_[at(l)];
   const Level& coarse = levels_[at(l + 1)];
   const int K = l == 0 ? 3 : 6, to = stride(l);
-  for_rows(p.num_rows(), pool, [&](Index begin, Index end) {
+  for_rows(p.num_rows(), task_rows(l), pool, [&](Index begin, Index end) {
     for (Index i = begin; i < end; ++i) {
       FloatLane total[6] = {};
       for (Index e = p.begin(i); e < p.end(i); ++e) {
@@ -196,18 +206,30 @@ void RigidMultigrid::cycle(int l, ThreadPool& pool) {
 
 void RigidMultigrid::apply(const Vector& r, Vector& z, ThreadPool& pool) {
   Level& fine = levels_[0];
+  const Index rows = pattern(0).num_rows();
+  largest_of_.assign(at((rows + task_rows(0) - 1) / task_rows(0)), 0.0);
+  for_rows(rows, task_rows(0), pool, [&](Index begin, Index end) {
+    double largest = 0.0;
+    for (Index i = 3 * begin; i < 3 * end; ++i) largest = std::max(largest, std::abs(r[at(i)]));
+    largest_of_[at(begin / task_rows(0))] = largest;
+  });
   double largest = 0.0;
-  for (double v : r) largest = std::max(largest, std::abs(v));
+  for (double v : largest_of_) largest = std::max(largest, v);
   z.resize(r.size());
   if (!(largest > 0.0) || !std::isfinite(largest)) {
     z = r;
     return;
   }
   const double unit = 1.0 / largest;  // float32 has no room for forces of any size
-  for (std::size_t i = 0; i < r.size(); ++i)
-    fine.b[i] = fixed_[i] ? 0.0F : static_cast<float>(unit * r[i]);
+  for_rows(rows, task_rows(0), pool, [&](Index begin, Index end) {
+    for (std::size_t i = at(3 * begin); i < at(3 * end); ++i)
+      fine.b[i] = fixed_[i] ? 0.0F : static_cast<float>(unit * r[i]);
+  });
   cycle(0, pool);
-  for (std::size_t i = 0; i < r.size(); ++i) z[i] = largest * static_cast<double>(fine.x[i]);
+  for_rows(rows, task_rows(0), pool, [&](Index begin, Index end) {
+    for (std::size_t i = at(3 * begin); i < at(3 * end); ++i)
+      z[i] = largest * static_cast<double>(fine.x[i]);
+  });
 }
 
 std::int64_t RigidMultigrid::bytes() const {

@@ -57,10 +57,12 @@ class RigidMultigrid {
     double length = 1.0;                // of which a rotation of one moves by one [m]
     float largest = 0.0F;               // eigenvalue of inverse times matrix
     std::vector<float> mode;            // its eigenvector, as far as known
-    std::vector<float> x, b, residual, step, image;
+    std::vector<float> x, b, residual, step, next, image;
   };
   const Pattern& pattern(int l) const { return hierarchy_->matrix(l); }
   int stride(int l) const { return l == 0 ? 3 : 8; }
+  /// Rows that a task takes: some microseconds of work, and tasks for all threads on small bodies.
+  static std::int64_t task_rows(int l) { return l == 0 ? 128 : 16; }
 
   void hold(const std::vector<HeldNode>& held, std::int64_t num_nodes);
   /// Projection (3, 3) on what a node may do, or null where that is every motion.
@@ -79,8 +81,8 @@ class RigidMultigrid {
   void mirror_coarse(int l, ThreadPool& pool);
   void factorize_coarsest(ThreadPool& pool);
 
-  void multiply(int l, const float* x, float* y, ThreadPool& pool) const;
-  void scale(int l, const float* r, float* z, ThreadPool& pool) const;
+  void multiply_rows(int l, const float* x, float* y, std::int64_t begin, std::int64_t end) const;
+  void scale_rows(int l, const float* r, float* z, std::int64_t begin, std::int64_t end) const;
   void smooth(int l, bool from_zero, bool keep_residual, ThreadPool& pool);
   void restrict_residual(int l, ThreadPool& pool);
   void prolong(int l, ThreadPool& pool);
@@ -94,6 +96,7 @@ class RigidMultigrid {
   CholeskyFactor coarsest_;
   CholeskyWorkspace cholesky_;
   std::vector<double> coarse_rhs_, coarse_blocks_;
+  std::vector<double> largest_of_;  // of every task's rows
 };
 
 }  // namespace diffsim

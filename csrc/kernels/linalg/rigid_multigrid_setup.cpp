@@ -19,19 +19,36 @@ constexpr float kEigenvalueMargin = 1.1F;
 // Unknowns of a coarse level that nothing moves (an aggregate of one node does not turn) get this
 // of the largest entry beside them.
 constexpr float kLeastDiagonal = 1e-5F;
-constexpr Index kSetupRowsPerTask = 512;
 
-/// Calls f(row, local) for every row, with scratch of a task's own.
-template <typename Local, typename F>
-void for_rows(Index num_rows, ThreadPool& pool, Local&& make_local, F&& f) {
-  pool.run((num_rows + kSetupRowsPerTask - 1) / kSetupRowsPerTask, [&](Index task) {
-    auto local = make_local();
-    const Index last = std::min(num_rows, (task + 1) * kSetupRowsPerTask);
-    for (Index i = task * kSetupRowsPerTask; i < last; ++i) f(i, local);
+/// Calls f(row) for every row.
+template <typename F>
+void for_rows(Index num_rows, Index task_rows, ThreadPool& pool, F&& f) {
+  pool.run((num_rows + task_rows - 1) / task_rows, [&](Index task) {
+    const Index last = std::min(num_rows, (task + 1) * task_rows);
+    for (Index i = task * task_rows; i < last; ++i) f(i);
   });
 }
 
-struct Nothing {};
+/// Where the entries of a row lie, by column; what a row does not have is undefined.
+class Places {
+ public:
+  explicit Places(Index num_columns) : place_(new Index[at(num_columns)]) {}
+  Index& operator[](Index column) { return place_[at(column)]; }
+
+ private:
+  std::unique_ptr<Index[]> place_;
+};
+
+/// Calls f(row, places) for every row.
+template <typename F>
+void for_rows_with_places(Index num_rows, Index task_rows, Index num_columns, ThreadPool& pool,
+                          F&& f) {
+  pool.run((num_rows + task_rows - 1) / task_rows, [&](Index task) {
+    Places places(num_columns);
+    const Index last = std::min(num_rows, (task + 1) * task_rows);
+    for (Index i = task * task_rows; i < last; ++i) f(i, places);
+  });
+}
 
 /// Entries of the matrix of a level.
 template <int K>
@@ -127,15 +144,12 @@ const float* RigidMultigrid::projection(Index node) const {
 
 void RigidMultigrid::copy_matrix(const BlockMatrix& matrix, ThreadPool& pool) {
   float* to = levels_[0].matrix.resize(pattern(0).column.size() * kBlock3 + kBehindBlocks3);
-  for_rows(
-      matrix.num_nodes, pool, [] { return Nothing{}; },
-      [&](Index i, Nothing&) {
-        const Index begin = kBlock3 * pattern(0).begin(i), end = kBlock3 * pattern(0).end(i);
-        for (Index k = begin; k < end; ++k) to[k] = static_cast<float>(matrix.values[k]);
-        float* own = to + kBlock3 * hierarchy_->diagonal(0, i);
-        for (int a = 0; a < 3; ++a)
-          own[block3_place(a, a)] += static_cast<float>(matrix.diagonal[i]);
-      });
+  for_rows(matrix.num_nodes, task_rows(0), pool, [&](Index i) {
+    const Index begin = kBlock3 * pattern(0).begin(i), end = kBlock3 * pattern(0).end(i);
+    for (Index k = begin; k < end; ++k) to[k] = static_cast<float>(matrix.values[k]);
+    float* own = to + kBlock3 * hierarchy_->diagonal(0, i);
+    for (int a = 0; a < 3; ++a) own[block3_place(a, a)] += static_cast<float>(matrix.diagonal[i]);
+  });
   if (!matrix.held) return;
   for (const HeldNode& h : *matrix.held) {
     float* own = to + kBlock3 * hierarchy_->diagonal(0, h.node);
@@ -148,34 +162,32 @@ void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
   const Index n = pattern(l).num_rows();
   const int size = l == 0 ? 9 : 36;
   float* inverse = level.inverse.resize(at(n * size));
-  for_rows(
-      n, pool, [] { return Nothing{}; },
-      [&](Index i, Nothing&) {
-        const Index entry = hierarchy_->diagonal(l, i);
-        if (l > 0) {
-          const Entries<6> entries{level.matrix.data()};
-          Eigen::Matrix<double, 6, 6> block;
-          for (int k = 0; k < 6; ++k)
-            for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(entries(entry, k, m));
-          invert<6>(block, inverse + i * size);
-          return;
-        }
-        const Entries<3> entries{level.matrix.data()};
-        const std::uint8_t* fixed = fixed_.data() + 3 * i;
-        Eigen::Matrix3d block;
-        for (int k = 0; k < 3; ++k)
-          for (int m = 0; m < 3; ++m)
-            block(k, m) = fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0)
-                                               : static_cast<double>(entries(entry, k, m));
-        float* out = inverse + i * size;
-        const float* held = projection(i);
-        if (held) restrict_to(held, block);
-        invert<3>(block, out);
-        if (held) project_block(held, out);
-        for (int k = 0; k < 3; ++k)
-          if (fixed[k])
-            for (int m = 0; m < 3; ++m) out[3 * k + m] = out[3 * m + k] = 0.0F;
-      });
+  for_rows(n, task_rows(l), pool, [&](Index i) {
+    const Index entry = hierarchy_->diagonal(l, i);
+    if (l > 0) {
+      const Entries<6> entries{level.matrix.data()};
+      Eigen::Matrix<double, 6, 6> block;
+      for (int k = 0; k < 6; ++k)
+        for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(entries(entry, k, m));
+      invert<6>(block, inverse + i * size);
+      return;
+    }
+    const Entries<3> entries{level.matrix.data()};
+    const std::uint8_t* fixed = fixed_.data() + 3 * i;
+    Eigen::Matrix3d block;
+    for (int k = 0; k < 3; ++k)
+      for (int m = 0; m < 3; ++m)
+        block(k, m) =
+            fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0) : static_cast<double>(entries(entry, k, m));
+    float* out = inverse + i * size;
+    const float* held = projection(i);
+    if (held) restrict_to(held, block);
+    invert<3>(block, out);
+    if (held) project_block(held, out);
+    for (int k = 0; k < 3; ++k)
+      if (fixed[k])
+        for (int m = 0; m < 3; ++m) out[3 * k + m] = out[3 * m + k] = 0.0F;
+  });
 }
 
 void RigidMultigrid::estimate_largest(int l, ThreadPool& pool) {
@@ -190,21 +202,41 @@ void RigidMultigrid::estimate_largest(int l, ThreadPool& pool) {
       v = static_cast<float>(static_cast<double>(random >> 11) * 0x1p-53 - 0.5);
     }
   }
-  level.image.resize(size);
-  level.step.resize(size);
-  for (int k = 0; k < (is_first ? kFirstPowers : kMorePowers); ++k) {
-    multiply(l, level.mode.data(), level.image.data(), pool);
-    scale(l, level.image.data(), level.step.data(), pool);
+  struct Squares {
     double before = 0.0, after = 0.0;
-    for (std::size_t i = 0; i < size; ++i) {
-      const double m = static_cast<double>(level.mode[i]), s = static_cast<double>(level.step[i]);
-      before += m * m;
-      after += s * s;
+  };
+  const Index rows = pattern(l).num_rows(), width = stride(l);
+  const Index tasks = (rows + task_rows(l) - 1) / task_rows(l);
+  std::vector<Squares> of_task(at(tasks));
+  const auto for_tasks = [&](auto&& f) {
+    pool.run(tasks, [&](Index task) {
+      f(task, task * task_rows(l), std::min(rows, (task + 1) * task_rows(l)));
+    });
+  };
+  float *mode = level.mode.data(), *image = level.image.data(), *step = level.step.data();
+  for (int k = 0; k < (is_first ? kFirstPowers : kMorePowers); ++k) {
+    for_tasks([&](Index task, Index begin, Index end) {
+      multiply_rows(l, mode, image, begin, end);
+      scale_rows(l, image, step, begin, end);
+      Squares sum;
+      for (Index i = width * begin; i < width * end; ++i) {
+        const double m = static_cast<double>(mode[i]), s = static_cast<double>(step[i]);
+        sum.before += m * m;
+        sum.after += s * s;
+      }
+      of_task[at(task)] = sum;
+    });
+    double before = 0.0, after = 0.0;
+    for (const Squares& sum : of_task) {
+      before += sum.before;
+      after += sum.after;
     }
     if (!(after > 0.0)) break;
     level.largest = kEigenvalueMargin * static_cast<float>(std::sqrt(after / before));
     const float norm = static_cast<float>(1.0 / std::sqrt(after));
-    for (std::size_t i = 0; i < size; ++i) level.mode[i] = norm * level.step[i];
+    for_tasks([&](Index, Index begin, Index end) {
+      for (Index i = width * begin; i < width * end; ++i) mode[i] = norm * step[i];
+    });
   }
 }
 
@@ -240,34 +272,32 @@ void RigidMultigrid::make_tentative(int l, ThreadPool& pool) {
   const int K = l == 0 ? 3 : 6;
   const Index n = pattern(l).num_rows();
   float* tentative = fine.tentative.resize(at(n * K * kFloatLanes));
-  for_rows(
-      n, pool, [] { return Nothing{}; },
-      [&](Index i, Nothing&) {
-        float* T = tentative + i * K * kFloatLanes;
-        std::fill(T, T + K * kFloatLanes, 0.0F);
-        double d[3];
-        for (int k = 0; k < 3; ++k)
-          d[k] = (fine.position[at(3 * i + k)] -
-                  coarse.position[at(3 * aggregates.of_node[at(i)] + k)]) /
-                 coarse.length;
-        for (int k = 0; k < 3; ++k) {  // u = t + w x d
-          if (l == 0 && fixed_[at(3 * i + k)]) continue;
-          float* row = T + k * kFloatLanes;
-          const int p = (k + 1) % 3, q = (k + 2) % 3;
-          row[k] = 1.0F;
-          row[3 + p] = static_cast<float>(d[q]);
-          row[3 + q] = static_cast<float>(-d[p]);
-        }
-        for (int k = 3; k < K; ++k)
-          T[k * kFloatLanes + k] = static_cast<float>(fine.length / coarse.length);
-        const float* P = l == 0 ? projection(i) : nullptr;
-        if (!P) return;
-        FloatLane rows[3];
-        for (int k = 0; k < 3; ++k) rows[k] = load_floats(T + k * kFloatLanes);
-        for (int k = 0; k < 3; ++k)
-          store_floats(T + k * kFloatLanes,
-                       P[3 * k] * rows[0] + P[3 * k + 1] * rows[1] + P[3 * k + 2] * rows[2]);
-      });
+  for_rows(n, task_rows(l), pool, [&](Index i) {
+    float* T = tentative + i * K * kFloatLanes;
+    std::fill(T, T + K * kFloatLanes, 0.0F);
+    double d[3];
+    for (int k = 0; k < 3; ++k)
+      d[k] =
+          (fine.position[at(3 * i + k)] - coarse.position[at(3 * aggregates.of_node[at(i)] + k)]) /
+          coarse.length;
+    for (int k = 0; k < 3; ++k) {  // u = t + w x d
+      if (l == 0 && fixed_[at(3 * i + k)]) continue;
+      float* row = T + k * kFloatLanes;
+      const int p = (k + 1) % 3, q = (k + 2) % 3;
+      row[k] = 1.0F;
+      row[3 + p] = static_cast<float>(d[q]);
+      row[3 + q] = static_cast<float>(-d[p]);
+    }
+    for (int k = 3; k < K; ++k)
+      T[k * kFloatLanes + k] = static_cast<float>(fine.length / coarse.length);
+    const float* P = l == 0 ? projection(i) : nullptr;
+    if (!P) return;
+    FloatLane rows[3];
+    for (int k = 0; k < 3; ++k) rows[k] = load_floats(T + k * kFloatLanes);
+    for (int k = 0; k < 3; ++k)
+      store_floats(T + k * kFloatLanes,
+                   P[3 * k] * rows[0] + P[3 * k + 1] * rows[1] + P[3 * k + 2] * rows[2]);
+  });
 }
 
 template <int K>
@@ -279,17 +309,16 @@ void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
   const Entries<K> entries{level.matrix.data()};
   const float omega =
       level.largest > 0.0F ? static_cast<float>(kProlongationDamping) / level.largest : 0.0F;
-  for_rows(
-      p.num_rows(), pool, [&] { return std::vector<Index>(at(t.aggregates.count)); },
-      [&](Index i, std::vector<Index>& place) {
+  for_rows_with_places(
+      p.num_rows(), task_rows(l), t.aggregates.count, pool, [&](Index i, Places& place) {
         for (Index e = p.begin(i); e < p.end(i); ++e) {
-          place[at(p[e])] = e;
+          place[p[e]] = e;
           std::fill(out + e * K * kFloatLanes, out + (e + 1) * K * kFloatLanes, 0.0F);
         }
         for (Index e = pattern(l).begin(i); e < pattern(l).end(i); ++e) {
           const Index j = pattern(l)[e];
           const float* T = level.tentative.data() + j * K * kFloatLanes;
-          float* to = out + place[at(t.aggregates.of_node[at(j)])] * K * kFloatLanes;
+          float* to = out + place[t.aggregates.of_node[at(j)]] * K * kFloatLanes;
           FloatLane rows[K];
           for (int m = 0; m < K; ++m) rows[m] = load_floats(T + m * kFloatLanes);
           for (int k = 0; k < K; ++k) {
@@ -309,7 +338,7 @@ void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
             store_floats(to + k * kFloatLanes, total);
           }
         }
-        float* own = out + place[at(t.aggregates.of_node[at(i)])] * K * kFloatLanes;
+        float* own = out + place[t.aggregates.of_node[at(i)]] * K * kFloatLanes;
         const float* T = level.tentative.data() + i * K * kFloatLanes;
         for (int k = 0; k < K * kFloatLanes; ++k) own[k] += T[k];
       });
@@ -323,10 +352,9 @@ void RigidMultigrid::make_product(int l, ThreadPool& pool) {
   const Pattern& ap = t.product;
   float* out = level.product.resize(ap.column.size() * K * kFloatLanes);
   const Entries<K> entries{level.matrix.data()};
-  for_rows(
-      ap.num_rows(), pool, [&] { return std::vector<Index>(at(t.aggregates.count)); },
-      [&](Index i, std::vector<Index>& place) {
-        for (Index e = ap.begin(i); e < ap.end(i); ++e) place[at(ap[e])] = e;
+  for_rows_with_places(
+      ap.num_rows(), task_rows(l), t.aggregates.count, pool, [&](Index i, Places& place) {
+        for (Index e = ap.begin(i); e < ap.end(i); ++e) place[ap[e]] = e;
         std::fill(out + ap.begin(i) * K * kFloatLanes, out + ap.end(i) * K * kFloatLanes, 0.0F);
         for (Index e = pattern(l).begin(i); e < pattern(l).end(i); ++e) {
           const Index j = pattern(l)[e];
@@ -335,7 +363,7 @@ void RigidMultigrid::make_product(int l, ThreadPool& pool) {
             for (int m = 0; m < K; ++m) a[k][m] = entries(e, k, m);
           for (Index q = p.begin(j); q < p.end(j); ++q) {
             const float* P = level.prolongation.data() + q * K * kFloatLanes;
-            float* to = out + place[at(p[q])] * K * kFloatLanes;
+            float* to = out + place[p[q]] * K * kFloatLanes;
             FloatLane rows[K];
             for (int m = 0; m < K; ++m) rows[m] = load_floats(P + m * kFloatLanes);
             for (int k = 0; k < K; ++k) {
@@ -356,10 +384,9 @@ void RigidMultigrid::make_coarse(int l, ThreadPool& pool) {
   const RigidTransfer& t = hierarchy_->transfer(l);
   const Pattern& matrix = pattern(l + 1);
   float* out = coarse.matrix.resize(matrix.column.size() * kFloatBlock);
-  for_rows(
-      matrix.num_rows(), pool, [&] { return std::vector<Index>(at(matrix.num_rows())); },
-      [&](Index I, std::vector<Index>& place) {
-        for (Index e = matrix.begin(I); e < matrix.end(I); ++e) place[at(matrix[e])] = e;
+  for_rows_with_places(
+      matrix.num_rows(), task_rows(l + 1), matrix.num_rows(), pool, [&](Index I, Places& place) {
+        for (Index e = matrix.begin(I); e < matrix.end(I); ++e) place[matrix[e]] = e;
         std::fill(out + matrix.begin(I) * kFloatBlock, out + matrix.end(I) * kFloatBlock, 0.0F);
         for (Index r = t.restriction.begin(I); r < t.restriction.end(I); ++r) {
           const Index i = t.restriction[r];
@@ -370,7 +397,7 @@ void RigidMultigrid::make_coarse(int l, ThreadPool& pool) {
             const Index J = t.product[e];
             if (J < I) continue;
             const float* AP = level.product.data() + e * K * kFloatLanes;
-            float* to = out + place[at(J)] * kFloatBlock;
+            float* to = out + place[J] * kFloatBlock;
             for (int c = 0; c < 6; ++c) {
               FloatLane total = load_floats(to + c * kFloatLanes);
               for (int m = 0; m < K; ++m) total += AP[m * kFloatLanes + c] * rows[m];
@@ -385,28 +412,26 @@ void RigidMultigrid::mirror_coarse(int l, ThreadPool& pool) {
   Level& level = levels_[at(l)];
   const Pattern& matrix = pattern(l);
   float* values = level.matrix.data();
-  for_rows(
-      matrix.num_rows(), pool, [] { return Nothing{}; },
-      [&](Index I, Nothing&) {
-        for (Index e = matrix.begin(I); e < matrix.end(I); ++e) {
-          const Index J = matrix[e];
-          if (J >= I) break;
-          const auto first = matrix.column.begin() + matrix.begin(J);
-          const auto last = matrix.column.begin() + matrix.end(J);
-          const Index other =
-              std::lower_bound(first, last, static_cast<std::int32_t>(I)) - matrix.column.begin();
-          for (int c = 0; c < 6; ++c)
-            for (int k = 0; k < 6; ++k)
-              values[e * kFloatBlock + c * kFloatLanes + k] =
-                  values[other * kFloatBlock + k * kFloatLanes + c];
-        }
-        float* diagonal = values + hierarchy_->diagonal(l, I) * kFloatBlock;
-        float largest = 0.0F;
+  for_rows(matrix.num_rows(), task_rows(l), pool, [&](Index I) {
+    for (Index e = matrix.begin(I); e < matrix.end(I); ++e) {
+      const Index J = matrix[e];
+      if (J >= I) break;
+      const auto first = matrix.column.begin() + matrix.begin(J);
+      const auto last = matrix.column.begin() + matrix.end(J);
+      const Index other =
+          std::lower_bound(first, last, static_cast<std::int32_t>(I)) - matrix.column.begin();
+      for (int c = 0; c < 6; ++c)
         for (int k = 0; k < 6; ++k)
-          largest = std::max(largest, std::abs(diagonal[k * kFloatLanes + k]));
-        if (!(largest > 0.0F)) largest = 1.0F / kLeastDiagonal;  // all of its nodes are fixed
-        for (int k = 0; k < 6; ++k) diagonal[k * kFloatLanes + k] += kLeastDiagonal * largest;
-      });
+          values[e * kFloatBlock + c * kFloatLanes + k] =
+              values[other * kFloatBlock + k * kFloatLanes + c];
+    }
+    float* diagonal = values + hierarchy_->diagonal(l, I) * kFloatBlock;
+    float largest = 0.0F;
+    for (int k = 0; k < 6; ++k)
+      largest = std::max(largest, std::abs(diagonal[k * kFloatLanes + k]));
+    if (!(largest > 0.0F)) largest = 1.0F / kLeastDiagonal;  // all of its nodes are fixed
+    for (int k = 0; k < 6; ++k) diagonal[k * kFloatLanes + k] += kLeastDiagonal * largest;
+  });
 }
 
 void RigidMultigrid::factorize_coarsest(ThreadPool& pool) {

@@ -11,6 +11,8 @@ using namespace elements;
 // Groups whose element matrices are held at once while the tangent is assembled: less than a core's
 // own cache (hexahedra: 384 KiB), and a task for each of eight threads.
 constexpr Index kChunk = 8 * kTask;
+// Entries of the matrix that a task sets to zero.
+constexpr Index kZeros = 1 << 16;
 
 /// How the matrices of a group are made and read.
 struct HexMatrices {
@@ -51,8 +53,8 @@ DIFFSIM_INLINE void add_transposed(double* to, const double block[9]) {
     for (int k = 0; k < 3; ++k) to[block3_place(i, k)] += block[3 * k + i];
 }
 
-/// Adds the element matrices of groups [first, last) to rows, a fixed row range per thread: every
-/// entry receives its contributions in element order.
+/// Adds the element matrices of groups [first, last) to rows. The rows that these have are dealt to
+/// the threads: every entry receives its contributions in element order.
 template <typename Group>
 void scatter_matrices(const SoftModel& model, const ElementBlock& block,
                       const std::vector<std::int32_t>& slots, const double* matrices, Index first,
@@ -60,14 +62,22 @@ void scatter_matrices(const SoftModel& model, const ElementBlock& block,
   using Matrices = MatricesOf<Group>;
   constexpr int n = Group::kNodes;
   const Index element_end = std::min(block.num_elements, last * Matrices::kElements);
+  const Index element_begin = first * Matrices::kElements;
+  const Index* nodes = block.nodes.data();
+  Index lowest = nodes[n * element_begin], highest = lowest;
+  for (Index k = n * element_begin; k < n * element_end; ++k) {
+    lowest = std::min(lowest, nodes[k]);
+    highest = std::max(highest, nodes[k]);
+  }
+  const Index num_rows = highest - lowest + 1;
   const int parts = pool.size();
   pool.run(parts, [&](Index part) {
-    const Index row_begin = model.num_nodes * part / parts;
-    const Index row_end = model.num_nodes * (part + 1) / parts;
-    for (Index e = first * Matrices::kElements; e < element_end; ++e) {
+    const Index row_begin = lowest + num_rows * part / parts;
+    const Index row_end = lowest + num_rows * (part + 1) / parts;
+    for (Index e = element_begin; e < element_end; ++e) {
       const double* matrix = matrices + (e / Matrices::kElements - first) * Matrices::kSize;
       const int lane = static_cast<int>(e % Matrices::kElements);
-      const Index* node = block.nodes.data() + e * n;
+      const Index* node = nodes + e * n;
       const std::int32_t* slot = slots.data() + e * n * n;
       double* row[n];  // null where another thread's
       for (int a = 0; a < n; ++a) {
@@ -170,7 +180,11 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
                 double* values, ElasticityScratch& scratch, ThreadPool& pool) {
   const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_samples<M>(scratch, model, x)};
   const auto solid = [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); };
-  std::fill(values, values + model.values_size(), 0.0);
+  const Index size = static_cast<Index>(model.values_size());
+  const Index chunks = (size + kZeros - 1) / kZeros;
+  pool.run(chunks, [&](Index k) {
+    std::fill(values + k * kZeros, values + std::min(size, (k + 1) * kZeros), 0.0);
+  });
   assemble<Group>(model, model.solid, model.solid_slot, solid, values, scratch, pool);
   if constexpr (kFibersInSolid<Group>) return;
   const auto fibers = [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); };
