@@ -17,13 +17,14 @@ GAP, FALL_SPEED = 2e-3, 0.63  # at the napkin's start [m], [m/s]: after a fall o
 ROLLING_DT, NAPKIN_DT = 5e-3, 2e-3  # [s]
 
 
-def rolling_sphere(spacing: float) -> soft.SoftBody:
+def rolling_sphere(spacing: float, contrast: float = 1.0) -> soft.SoftBody:
     """A ball of 5 cm radius, E = 2 MPa, nu = 0.4, that touches z = 0 at one node.
 
     Args:
         spacing: Edge length of the hexahedra at the surface [m].
+        contrast: The half x > 0 is so many times stiffer.
     """
-    return _rolling(mesh.hex_sphere(RADIUS, spacing, (0.0, 0.0, RADIUS)))
+    return _rolling(mesh.hex_sphere(RADIUS, spacing, (0.0, 0.0, RADIUS)), contrast)
 
 
 def voxel_sphere(cells: int = 10) -> soft.SoftBody:
@@ -36,11 +37,12 @@ def voxel_sphere(cells: int = 10) -> soft.SoftBody:
     return _rolling(mesh.hex_from_sdf(ball, bounds, 2.0 * RADIUS / cells))
 
 
-def _rolling(ball: mesh.HexMesh) -> soft.SoftBody:
+def _rolling(ball: mesh.HexMesh, contrast: float = 1.0) -> soft.SoftBody:
+    stiff = ball.x_rest[ball.elements].mean(1)[:, 0] > 0.0
     return soft.SoftBody(
         ball,
         dt=ROLLING_DT,
-        youngs_modulus=2e6,
+        youngs_modulus=2e6 * torch.where(stiff, contrast, 1.0).double(),
         poissons_ratio=0.4,
         density=1e3,
         material=soft.Material(volume_weight="thesis"),

@@ -6,6 +6,8 @@
 #include <cstdio>
 #include <cstdlib>
 
+#include "kernels/linalg/flexible_gmres.h"
+
 using diffsim::KrylovResult;
 using diffsim::KrylovScratch;
 using diffsim::ThreadPool;
@@ -93,9 +95,20 @@ void gmres(VectorOps& ops) {
     diagonal[i] = 2.0 + 0.01 * static_cast<double>(i);
   const Tridiagonal sheared{diagonal, 0.9, -0.7};
   const Vector b = ramp(diagonal.size());
-  KrylovResult r = diffsim::gmres(sheared, identity, b, x, 1e-9, 1000, ops);
+  KrylovResult r = diffsim::flexible_gmres<double>(sheared, identity, b, x, 1e-9, 1000, 60, ops);
   require(r.converged && residual(sheared, x, b) < 2e-9, "gmres solves an unsymmetric matrix");
   require(std::abs(r.residual_norm - residual(sheared, x, b)) < 1e-12, "and knows its residual");
+  // A preconditioner that rounds to single precision, and by another share at every call.
+  int calls = 0;
+  const auto varying = [&](const Vector& in, Vector& out) {
+    out.resize(in.size());
+    const double share = ++calls % 2 ? 1.1 : 0.9;
+    for (std::size_t i = 0; i < in.size(); ++i)
+      out[i] = static_cast<double>(static_cast<float>(share * in[i] / diagonal[i]));
+  };
+  r = diffsim::flexible_gmres<float>(sheared, varying, b, x, 1e-9, 1000, 60, ops);
+  require(r.converged && residual(sheared, x, b) < 2e-9, "and bears a preconditioner that varies");
+  require(std::abs(r.residual_norm - residual(sheared, x, b)) < 1e-12, "whose residual it knows");
   // A cyclic shift: nothing is gained before the last iteration, so restarts gain nothing at all.
   const auto shift = [](const Vector& in, Vector& out) {
     out.resize(in.size());
@@ -103,7 +116,7 @@ void gmres(VectorOps& ops) {
   };
   Vector first(100, 0.0);
   first[0] = 1.0;
-  r = diffsim::gmres(shift, identity, first, x, 1e-9, 1000, ops);
+  r = diffsim::flexible_gmres<double>(shift, identity, first, x, 1e-9, 1000, 60, ops);
   require(!r.converged && r.num_iters <= 60, "restarts that gain nothing end");
 }
 

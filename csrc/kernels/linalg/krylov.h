@@ -200,43 +200,4 @@ class GmresCycle {
   std::vector<double> H_, cs_, sn_, g_;
 };
 
-/// Restarted GMRES (Saad and Schultz 1986), preconditioned from the right, for any A; starts from
-/// zero. The residual norm is that of b - A x itself.
-template <typename Apply, typename Precondition>
-KrylovResult gmres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
-                   double tolerance, int max_iters, VectorOps& ops) {
-  const std::size_t n = b.size();
-  KrylovResult result;
-  x.assign(n, 0.0);
-  Vector r = b, z(n), combined(n);
-  GmresCycle cycle(60, n);
-  while (true) {
-    const double beta = ops.norm(r);
-    result.residual_norm = beta;
-    result.converged = beta <= tolerance;
-    if (result.converged || result.num_iters >= max_iters || !std::isfinite(beta)) return result;
-    cycle.start(r, beta);
-    for (bool done = false; !done && !cycle.full() && result.num_iters < max_iters;) {
-      precondition(cycle.latest(), z);
-      apply(z, cycle.image());
-      done = cycle.take(0.5 * tolerance, ops);
-      ++result.num_iters;
-    }
-    const std::vector<double>& y = cycle.coefficients();
-    std::fill(combined.begin(), combined.end(), 0.0);
-    for (int i = 0; i < cycle.size(); ++i)
-      ops.add(y[static_cast<std::size_t>(i)], cycle.basis(i), combined);
-    precondition(combined, z);
-    ops.add(1.0, z, x);
-    apply(x, r);
-    for (std::size_t i = 0; i < n; ++i) r[i] = b[i] - r[i];
-    // A restart that gains nothing will gain nothing next time either.
-    if (cycle.size() == 0 || ops.norm(r) > 0.999 * beta) {
-      result.residual_norm = ops.norm(r);
-      result.converged = result.residual_norm <= tolerance;
-      return result;
-    }
-  }
-}
-
 }  // namespace diffsim

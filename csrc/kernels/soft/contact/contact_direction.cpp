@@ -10,25 +10,29 @@ constexpr double kLargestResidual = 0.5;
 // Of one linear solve. What needs more gets a factor of the tangent, where the method allows one.
 constexpr std::size_t kMaxKrylovIterations = 2000;
 
-/// q of ContactSolve::solve; a tangent that is not positive definite is clamped, one on which
-/// iterations do not converge is factorized where the method allows it.
+/// q of ContactSolve::solve; one on which iterations do not converge gets a factor of the tangent,
+/// where the method allows one. A tangent that is not positive definite is clamped: conjugate
+/// gradients meet its negative curvature, GMRES stalls and then it has no factor.
 /// @return whether H is clamped now
 bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double tolerance,
                   bool is_clamped, Vector& q) {
   const int limit =
       static_cast<int>(std::min<std::size_t>(p.objective.size(), kMaxKrylovIterations));
+  const bool may_factor = p.options.method == StepMethod::kAuto;
+  const auto solve_factored = [&] {
+    p.solve.use_tangent();
+    p.solve.statuses_changed();
+    return p.solve.solve(rhs, tolerance, limit, q);
+  };
   KrylovResult result = p.solve.solve(rhs, tolerance, limit, q);
-  if (result.negative_curvature && !is_clamped) {
+  if (!result.converged && !result.negative_curvature && may_factor) result = solve_factored();
+  if (!result.converged && !is_clamped) {
     is_clamped = true;
     p.objective.assemble(x, true);
     p.solve.matrix_changed();
     result = p.solve.solve(rhs, tolerance, limit, q);
   }
-  if (!result.converged && p.options.method == StepMethod::kAuto) {
-    p.solve.use_tangent();
-    p.solve.statuses_changed();
-    p.solve.solve(rhs, tolerance, limit, q);
-  }
+  if (!result.converged && may_factor) solve_factored();
   return is_clamped;
 }
 

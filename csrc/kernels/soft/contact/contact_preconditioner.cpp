@@ -30,6 +30,9 @@ constexpr double kAligned = 1.0 - 1e-14;
 constexpr double kCycleOverhead = 1.4;
 // A solve streams the factor forwards and backwards.
 constexpr double kFactorStreams = 2.0;
+// Stiffness across the slip, of the node's diagonal entry of A, above which single precision loses
+// what the node has beside it: of 1e6 a tenth would be left.
+constexpr double kFloatStiffness = 1e3;
 
 /// Axis that a unit vector lies along, or -1.
 int aligned_axis(const double* n) {
@@ -106,12 +109,46 @@ void ContactPreconditioner::factorize_group(Group& group) {
 void ContactPreconditioner::prepare_base() {
   kind_ = Kind::kBase;
   if (problem_.by_multigrid()) {
-    problem_.hold_nodes(space_.held_nodes());
+    problem_.hold_nodes(without_stiff_slips());
     return;
   }
   prepare_columns();
   rotations_.prepare(problem_, system_, problem_.assembled_at(),
                      [this](Vector& v) { hold(nullptr, v); });
+}
+
+std::vector<HeldNode> ContactPreconditioner::without_stiff_slips() {
+  std::vector<HeldNode> held = space_.held_nodes();
+  stiff_slips_.clear();
+  std::size_t place = 0;
+  for (std::size_t k = 0; k < space_.size(); ++k) {
+    if (space_.status[k] == ContactStatus::kSeparate) continue;
+    HeldNode& h = held[place++];
+    const double stiffness = space_.slip_stiffness[k];
+    if (space_.status[k] != ContactStatus::kSlip || space_.on_rail(k) ||
+        !(stiffness > kFloatStiffness * system_.diagonal()[h.node]))
+      continue;
+    const double* n = space_.normal(k);
+    const double* t = space_.direction.data() + 3 * k;
+    stiff_slips_.push_back(
+        {h.node,
+         {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]},
+         1.0 / stiffness});
+    for (int i = 0; i < 9; ++i) {
+      h.free[i] = t[i / 3] * t[i % 3];
+      h.stiffness[i] = 0.0;
+    }
+  }
+  return held;
+}
+
+void ContactPreconditioner::add_stiff_slips(const Vector& r, Vector& z) const {
+  for (const StiffSlip& slip : stiff_slips_) {
+    const std::size_t first = at(3 * slip.node);
+    double along = 0.0;
+    for (std::size_t i = 0; i < 3; ++i) along += slip.across[i] * r[first + i];
+    for (std::size_t i = 0; i < 3; ++i) z[first + i] += slip.compliance * along * slip.across[i];
+  }
 }
 
 void ContactPreconditioner::prepare_columns() {
@@ -175,6 +212,7 @@ void ContactPreconditioner::apply(const Vector& r, Vector& z) {
   if (on_tangent() || problem_.by_multigrid()) {
     on_tangent() ? problem_.solve_factorized(r, z) : problem_.precondition(r, z);
     space_.project(z);
+    if (!on_tangent()) add_stiff_slips(r, z);
     return;
   }
   problem_.solve_constant(r, z);

@@ -1,7 +1,8 @@
 // Approximate inverses of P H P + D on the range of P (see contact_space.h).
 //
 // By multigrid: what contact takes away is taken out of the prolongation and of the smoother
-// (rigid_multigrid.h), whatever the number of contacts.
+// (rigid_multigrid.h), whatever the number of contacts. Nodes that all but stick are too stiff
+// across their slip for its single precision; across they move beside it.
 // On the constant factor: with J the directions that contact takes away,
 //   z = A^-1 (r - J^T l),   (J A^-1 J^T) l = J A^-1 r,
 // is the exact inverse of A on what is left; J A^-1 J^T needs only entries of (A^-1)_CC (thesis
@@ -59,6 +60,16 @@ class ContactPreconditioner {
     std::shared_ptr<const Factor> factor;
     int axes = 1;  // 3: the same rows on all axes, of which `rows` lists those of axis 0
   };
+  /// A node that friction holds across its slip more stiffly than single precision bears.
+  struct StiffSlip {
+    std::int64_t node;
+    double across[3];
+    double compliance;  // [m/N]
+  };
+  /// Nodes in contact; those that all but stick are kept from moving across, and put aside.
+  std::vector<HeldNode> without_stiff_slips();
+  /// What these move across, each by its own compliance.
+  void add_stiff_slips(const Vector& r, Vector& z) const;
   void make_rows();
   void prepare_columns();
   void factorize_group(Group& group);
@@ -77,6 +88,7 @@ class ContactPreconditioner {
   std::vector<std::int64_t> active_;         // nodes in contact
   std::vector<std::size_t> active_contact_;  // and their contacts
   std::vector<Group> groups_;
+  std::vector<StiffSlip> stiff_slips_;
   std::unique_ptr<InverseColumns> own_columns_;
   InverseColumns* columns_ = nullptr;
   RigidRotations rotations_;

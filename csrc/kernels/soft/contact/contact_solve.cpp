@@ -2,7 +2,17 @@
 
 #include <limits>
 
+#include "kernels/linalg/flexible_gmres.h"
+
 namespace diffsim {
+namespace {
+
+// Directions of GMRES before it begins anew; bytes that half of them move for each unknown of an
+// iteration: of a vector and two neighbors read, one written.
+constexpr int kRestart = 60;
+constexpr double kBasisBytes = 0.5 * kRestart * 4.0 * sizeof(double);
+
+}  // namespace
 
 ContactSolve::ContactSolve(StepProblem& problem, const ConstantSystem& system,
                            const ContactSpace& space, StepMethod method, double rtol,
@@ -27,9 +37,15 @@ void ContactSolve::choose() {
                             : iterations(plan.jacobi_iterations) * plan.jacobi_cost;
   kind_ = jacobi < base ? Kind::kJacobi : Kind::kBase;
   const double tangent = at_answer_ ? plan.factorized_cost() : preconditioner_.tangent_cost();
-  if (std::min(base, jacobi) > tangent ||
-      spent_ > plan.patience(kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.iteration_cost))
-    kind_ = Kind::kTangent;
+  if (std::min(base, jacobi) > tangent || spent_ > patience()) kind_ = Kind::kTangent;
+}
+
+int ContactSolve::patience() const {
+  const SolverPlan& plan = system_.plan();
+  double cost = kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.iteration_cost;
+  if (space_.any_sliding_friction())
+    cost += streaming_cost(kBasisBytes * static_cast<double>(problem_.size()));
+  return plan.patience(cost);
 }
 
 double ContactSolve::iterations(double at_rest) const {
@@ -42,7 +58,9 @@ void ContactSolve::prepare() {
   const bool old_factor =
       preconditioner_.on_tangent() && stale_matrix_ &&
       (method_ == StepMethod::kNewtonCholesky || age_ >= system_.plan().refactor_after());
-  if (kind_ == Kind::kBase && stale_statuses_) preconditioner_.prepare_base();
+  // Multigrid is made anew on a new matrix, and takes the slips as they are then.
+  const bool stale_base = stale_statuses_ || (stale_matrix_ && problem_.by_multigrid());
+  if (kind_ == Kind::kBase && stale_base) preconditioner_.prepare_base();
   if (kind_ == Kind::kTangent && (stale_statuses_ || old_factor || !preconditioner_.on_tangent())) {
     age_ = 0;
     if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_base();
@@ -64,9 +82,12 @@ KrylovResult ContactSolve::iterate(Apply&& apply, const Vector& r, double tolera
                                    Vector& q) {
   prepare();
   const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
+  if (method_ == StepMethod::kAuto && !preconditioner_.on_tangent())
+    max_iters = std::min(max_iters, std::max(patience() + 1 - spent_, 1));
   KrylovResult result;
   if (space_.any_sliding_friction())
-    result = gmres(apply, precondition, r, q, tolerance, max_iters, problem_.ops());
+    result = flexible_gmres<double>(apply, precondition, r, q, tolerance, max_iters, kRestart,
+                                    problem_.ops());
   else
     result = conjugate_gradients(apply, precondition, r, q, false, tolerance, max_iters, krylov_,
                                  problem_.ops());
@@ -107,7 +128,8 @@ KrylovResult ContactSolve::solve_answer(const Vector& x, LinearSide side, const 
   if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_base();
   problem_.assemble(x, false);
   const auto precondition = [this](const Vector& in, Vector& z) { this->precondition(in, z); };
-  KrylovResult again = gmres(apply, precondition, r, out, tolerance, max_iters, problem_.ops());
+  KrylovResult again = flexible_gmres<double>(apply, precondition, r, out, tolerance, max_iters,
+                                              kRestart, problem_.ops());
   again.num_iters += first.num_iters;
   return again;
 }

@@ -36,6 +36,8 @@ class ContactSolve {
  private:
   enum class Kind { kBase, kTangent, kJacobi };
   void choose();
+  /// Iterations without a factor of the tangent after which one would have been cheaper.
+  int patience() const;
   /// Expected of a step, or of one solve at an answer, by those at rest.
   double iterations(double at_rest) const;
   void prepare();

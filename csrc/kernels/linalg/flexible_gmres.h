@@ -1,4 +1,4 @@
-// Flexible GMRES (Saad 1993): the preconditioner may round, here to single precision.
+// Flexible GMRES (Saad 1993): the preconditioner may round to single precision, or vary.
 #pragma once
 
 #include <cmath>
@@ -8,21 +8,23 @@
 
 namespace diffsim {
 
-/// Preconditioned from the right, restarted; x starts from zero. Corrections are kept in single
-/// precision and applied as kept, so the residual norm is that of b - A x itself.
+/// Preconditioned from the right, restarted, for any A; x starts from zero. Corrections are kept
+/// and applied as kept, so the residual norm is that of b - A x itself. (Preconditioning their sum
+/// instead, as plain GMRES does, leaves what rounding of the preconditioner makes of large
+/// coefficients that cancel.)
+/// @tparam Kept         float or double, what corrections are kept in
 /// @param apply         apply(in, out): out = A in
 /// @param precondition  precondition(in, out): out about A^-1 in
-template <typename Apply, typename Precondition>
+/// @param restart       directions after which it begins anew; memory grows with those taken
+template <typename Kept, typename Apply, typename Precondition>
 KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
-                            double tolerance, int max_iters, VectorOps& ops) {
+                            double tolerance, int max_iters, int restart, VectorOps& ops) {
   const std::size_t n = b.size();
   KrylovResult result;
   x.assign(n, 0.0);
   Vector r = b, z(n);
-  // Pressures that hardly anything holds need a long memory: with 50 directions an incompressible
-  // flow took three times the iterations. Memory grows with the directions that are taken.
-  GmresCycle cycle(300, n);
-  std::vector<std::vector<float>> corrections;
+  GmresCycle cycle(restart, n);
+  std::vector<std::vector<Kept>> corrections;
   while (true) {
     const double beta = result.residual_norm = ops.norm(r);
     result.converged = beta <= tolerance;
@@ -33,7 +35,7 @@ KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Ve
       precondition(cycle.latest(), z);
       if (corrections.size() == j) corrections.emplace_back(n);
       for (std::size_t i = 0; i < n; ++i) {
-        corrections[j][i] = static_cast<float>(z[i]);
+        corrections[j][i] = static_cast<Kept>(z[i]);
         z[i] = static_cast<double>(corrections[j][i]);
       }
       apply(z, cycle.image());
