@@ -37,8 +37,8 @@ class RunSamples:
         recorded_s: Clock of the file at these rows, (num_samples,) [s].
         time_s: Clock of the run at these rows, (num_samples,) [s].
         facts: Facts of the run by name.
-        holds: Whether columns of further files keep their value until their next sample; else they
-            follow straight lines.
+        holds: Whether columns of further files keep their value until their next sample, averaged
+            from row to row; else they follow straight lines.
     """
 
     tables: Sequence[Table]
@@ -113,9 +113,21 @@ def _interpolate_straight(at: Array, clock: Array, values: Array) -> Array:
 
 
 def _hold_last_sample(at: Array, clock: Array, values: Array) -> Array:
-    """The last value that was sampled; NaN before the first."""
-    last = np.searchsorted(clock, at, side="right") - 1
-    return np.where(last < 0, np.nan, values[np.maximum(last, 0)])
+    """What is held until its next sample, on average from each row to the next; NaN before it.
+
+    A command that comes shortly after a row acts nearly until the next one. The value at the row
+    itself is an interval old.
+    """
+    end = np.append(at[1:], at[-1:])
+    start = np.maximum(at, clock[0])
+    last = np.maximum(np.searchsorted(clock, start + _SLACK_S, side="right") - 1, 0)
+    until = np.maximum(np.searchsorted(clock, end - _SLACK_S, side="right") - 1, 0)
+    held = np.where((at < clock[0] - _SLACK_S) & (end <= clock[0]), np.nan, values[last])
+    changes = (until > last) & (end > start)
+    sums = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(clock))])
+    whole = sums[until] + values[until] * (end - clock[until])
+    whole -= sums[last] + values[last] * (start - clock[last])
+    return np.where(changes, whole / np.where(changes, end - start, 1.0), held)
 
 
 def in_si(raw: Array, source: Source, unit: str | None) -> Array:

@@ -292,6 +292,21 @@ def test_a_command_of_a_further_file_is_held_where_its_study_says_so(folder, for
     np.testing.assert_allclose(sent("linear"), np.interp(times, [0.1, 0.2], [1.0, 4.0]))
 
 
+def test_a_held_command_that_comes_between_rows_counts_for_what_is_left_of_the_row(folder):
+    """Sent 1 ms after every other row of 10 ms: old for a tenth of the row, new for the rest.
+
+    Read at the row itself it was an interval old, and motors seemed to lag by 19 ms less.
+    """
+    write_csv(folder / "sent.csv", [[i * 20 + 1, i] for i in range(20)], ["t (ms)", "sent"])
+    command = {"name": "force", "unit": "N", "fill": "hold", "column": "sent"}
+    entry = {"name": "a", "file": ["a.csv", "sent.csv"]}
+    force = load(folder, commands=[command], runs=[entry]).runs[0].command["force"]
+    rows_of = np.arange(len(force) - 1)
+    first = rows_of % 2 == 0  # the row within which the command comes
+    want = np.where(first, np.maximum(0.5 * rows_of - 0.1, 0.0), 0.5 * (rows_of - 1))
+    np.testing.assert_allclose(force[:-1][rows_of < 38], want[rows_of < 38], atol=1e-9)
+
+
 def test_each_file_of_a_run_has_the_clock_that_it_holds(folder):
     """A camera counts milliseconds, an inertial unit seconds, in columns of other names."""
     write_csv(folder / "imu.csv", [[0.1 * i, 2.0 * i] for i in range(3)], ["stamp", "load_N"])
