@@ -118,16 +118,17 @@ def _hold_last_sample(at: Array, clock: Array, values: Array) -> Array:
     A command that comes shortly after a row acts nearly until the next one. The value at the row
     itself is an interval old.
     """
+    at, clock = at - clock[0], clock - clock[0]  # seconds since 1970 would round
     end = np.append(at[1:], at[-1:])
     start = np.maximum(at, clock[0])
     last = np.maximum(np.searchsorted(clock, start + _SLACK_S, side="right") - 1, 0)
     until = np.maximum(np.searchsorted(clock, end - _SLACK_S, side="right") - 1, 0)
     held = np.where((at < clock[0] - _SLACK_S) & (end <= clock[0]), np.nan, values[last])
+    jumps = np.append(0.0, np.diff(values))
+    height, moment = np.cumsum(jumps), np.cumsum(jumps * clock)
+    later = end * (height[until] - height[last]) - (moment[until] - moment[last])
     changes = (until > last) & (end > start)
-    sums = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(clock))])
-    whole = sums[until] + values[until] * (end - clock[until])
-    whole -= sums[last] + values[last] * (start - clock[last])
-    return np.where(changes, whole / np.where(changes, end - start, 1.0), held)
+    return held + np.where(changes, later / np.where(changes, end - start, 1.0), 0.0)
 
 
 def in_si(raw: Array, source: Source, unit: str | None) -> Array:
