@@ -8,8 +8,8 @@ python -m benchmarks.contact_large --landing 48       a drilled ball that lands,
 
 The rolling sphere is the thesis's (benchmarks/contact_scenes.py). With a contrast its half x > 0 is
 so many times stiffer. Every row is a process of its own; one thread. The first step is not counted,
-for it prepares the body. Size and contrast are the largest that Lai et al. show on a GPU (DiffPhD,
-arXiv 2605.14526, 2026); their scenes are not published.
+for it prepares the body. The contrast is the largest that DiffPhD claims on a GPU (Lai et al.,
+arXiv 2605.14526, 2026), whose scenes were not found.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@
 // content do not depend on it, and combine partial results in task order.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
@@ -57,6 +58,13 @@ class ThreadPool {
     drain();
     open_.store(false);
     for (int spin = 0; active_.load() != 0; ++spin) pause(spin);
+  }
+
+  /// Calls f(begin, end) for ranges of `size` that cover [0, n), in any order, and waits.
+  template <typename F>
+  void run_ranges(std::int64_t n, std::int64_t size, F&& f) {
+    run((n + size - 1) / size,
+        [&](std::int64_t task) { f(task * size, std::min(n, (task + 1) * size)); });
   }
 
  private:

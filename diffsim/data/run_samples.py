@@ -120,10 +120,10 @@ def _hold_last_sample(at: Array, clock: Array, values: Array) -> Array:
     """
     at, clock = at - clock[0], clock - clock[0]  # seconds since 1970 would round
     end = np.append(at[1:], at[-1:])
-    start = np.maximum(at, clock[0])
+    start = np.maximum(at, 0.0)
     last = np.maximum(np.searchsorted(clock, start + _SLACK_S, side="right") - 1, 0)
     until = np.maximum(np.searchsorted(clock, end - _SLACK_S, side="right") - 1, 0)
-    held = np.where((at < clock[0] - _SLACK_S) & (end <= clock[0]), np.nan, values[last])
+    held = np.where((at < -_SLACK_S) & (end <= 0.0), np.nan, values[last])
     jumps = np.append(0.0, np.diff(values))
     height, moment = np.cumsum(jumps), np.cumsum(jumps * clock)
     later = end * (height[until] - height[last]) - (moment[until] - moment[last])

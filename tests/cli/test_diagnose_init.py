@@ -470,8 +470,12 @@ def test_files_of_two_instruments_are_one_run(tmp_path, capsys):
     at = 20.0 * np.arange(40) + 5.0
     expected = np.interp(T, at, np.deg2rad(np.cos(0.01 * at) + noisy(0)[:40]), np.nan)
     np.testing.assert_allclose(run.measured[:, 1], expected, atol=1e-8)
-    # held between its own samples, and before the first; it jumps in the middle of a row
-    assert sorted(set(run.command["throttle"].round(12))) == [0.4, 0.5, 0.6]
+    # held between its own samples, and before the first; a jump in the middle of a row is halved
+    throttle = run.command["throttle"]
+    assert sorted(set(throttle.round(12))) == [0.4, 0.5, 0.6]
+    jumps = np.flatnonzero(np.abs(throttle - 0.5) < 1e-12)
+    assert set(throttle) - set(throttle[jumps]) == {0.4, 0.6}
+    assert (throttle[jumps - 1] != throttle[jumps + 1]).all()
 
 
 def test_a_command_that_ramps_is_straight_between_the_samples_of_its_instrument(tmp_path):

@@ -8,6 +8,81 @@
 
 namespace diffsim {
 
+/// One cycle of restarted GMRES: an orthonormal basis, and the least-squares problem of the
+/// residual made triangular by Givens rotations as its columns come.
+class GmresCycle {
+ public:
+  GmresCycle(int restart, std::size_t n)
+      : restart_(restart),
+        n_(n),
+        H_(u(restart * (restart + 1))),
+        cs_(u(restart)),
+        sn_(u(restart)),
+        g_(u(restart + 1)) {}
+
+  void start(const Vector& r, double norm) {
+    beta_ = norm;
+    size_ = 0;
+    grow(0);
+    for (std::size_t i = 0; i < n_; ++i) basis_[0][i] = r[i] / norm;
+    std::fill(g_.begin(), g_.end(), 0.0);
+    g_[0] = norm;
+  }
+  int size() const { return size_; }
+  bool full() const { return size_ == restart_; }
+  const Vector& basis(int i) const { return basis_[u(i)]; }
+  /// The direction whose image is wanted next, and where to put that image.
+  const Vector& latest() const { return basis_[u(size_)]; }
+  Vector& image() {
+    grow(size_ + 1);
+    return basis_[u(size_ + 1)];
+  }
+  /// Takes the image in; true where the residual is at the target or the space is exhausted.
+  bool take(double target, VectorOps& ops) {
+    const int k = size_++;
+    Vector& w = basis_[u(k + 1)];
+    h(0, k) = ops.dot(basis_[0], w);
+    for (int i = 0; i < k; ++i)  // of the rest, what the next direction has
+      h(i + 1, k) = ops.add_and_dot(-h(i, k), basis_[u(i)], w, basis_[u(i + 1)]);
+    const double next = std::sqrt(ops.add_and_dot(-h(k, k), basis_[u(k)], w, w));
+    for (int i = 0; i < k; ++i) {  // the earlier rotations
+      const double upper = h(i, k), lower = h(i + 1, k);
+      h(i, k) = cs_[u(i)] * upper + sn_[u(i)] * lower;
+      h(i + 1, k) = cs_[u(i)] * lower - sn_[u(i)] * upper;
+    }
+    const double length = std::max(std::hypot(h(k, k), next), std::numeric_limits<double>::min());
+    cs_[u(k)] = h(k, k) / length;
+    sn_[u(k)] = next / length;
+    h(k, k) = length;
+    g_[u(k + 1)] = -sn_[u(k)] * g_[u(k)];
+    g_[u(k)] *= cs_[u(k)];
+    if (std::abs(g_[u(k + 1)]) <= target || next <= 1e-15 * beta_) return true;
+    for (double& v : w) v /= next;
+    return false;
+  }
+  /// Coefficients of the solution, one per column taken; ends the cycle.
+  const std::vector<double>& coefficients() {
+    for (int i = size_ - 1; i >= 0; --i) {  // back substitution
+      for (int j = i + 1; j < size_; ++j) g_[u(i)] -= h(i, j) * g_[u(j)];
+      g_[u(i)] /= h(i, i);
+    }
+    return g_;
+  }
+
+ private:
+  static std::size_t u(int i) { return static_cast<std::size_t>(i); }
+  double& h(int i, int j) { return H_[u(j * (restart_ + 1) + i)]; }
+  void grow(int i) {
+    if (basis_.size() == u(i)) basis_.emplace_back(n_);
+  }
+
+  int restart_, size_ = 0;
+  std::size_t n_;
+  double beta_ = 0.0;
+  std::vector<Vector> basis_;
+  std::vector<double> H_, cs_, sn_, g_;
+};
+
 /// Preconditioned from the right, restarted, for any A; x starts from zero. Corrections are kept
 /// and applied as kept, so the residual norm is that of b - A x itself. (Preconditioning their sum
 /// instead, as plain GMRES does, leaves what rounding of the preconditioner makes of large

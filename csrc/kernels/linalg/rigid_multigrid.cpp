@@ -18,14 +18,9 @@ constexpr float kSmoothedRange = 1.0F / 10.0F;
 
 template <typename F>
 void for_rows(Index num_rows, Index task_rows, ThreadPool& pool, F&& f) {
-  const Index tasks = (num_rows + task_rows - 1) / task_rows;
-  const auto run = [&](Index task) {
-    f(task * task_rows, std::min(num_rows, (task + 1) * task_rows));
-  };
-  if (tasks < 4)  // waking threads would cost more than the work
-    for (Index task = 0; task < tasks; ++task) run(task);
-  else
-    pool.run(tasks, run);
+  if (num_rows > 3 * task_rows) return pool.run_ranges(num_rows, task_rows, f);
+  for (Index begin = 0; begin < num_rows; begin += task_rows)  // waking threads would cost more
+    f(begin, std::min(num_rows, begin + task_rows));
 }
 
 /// y = A x for rows of blocks (3, 3).

@@ -23,9 +23,8 @@ constexpr float kLeastDiagonal = 1e-5F;
 /// Calls f(row) for every row.
 template <typename F>
 void for_rows(Index num_rows, Index task_rows, ThreadPool& pool, F&& f) {
-  pool.run((num_rows + task_rows - 1) / task_rows, [&](Index task) {
-    const Index last = std::min(num_rows, (task + 1) * task_rows);
-    for (Index i = task * task_rows; i < last; ++i) f(i);
+  pool.run_ranges(num_rows, task_rows, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) f(i);
   });
 }
 
@@ -43,10 +42,9 @@ class Places {
 template <typename F>
 void for_rows_with_places(Index num_rows, Index task_rows, Index num_columns, ThreadPool& pool,
                           F&& f) {
-  pool.run((num_rows + task_rows - 1) / task_rows, [&](Index task) {
+  pool.run_ranges(num_rows, task_rows, [&](Index begin, Index end) {
     Places places(num_columns);
-    const Index last = std::min(num_rows, (task + 1) * task_rows);
-    for (Index i = task * task_rows; i < last; ++i) f(i, places);
+    for (Index i = begin; i < end; ++i) f(i, places);
   });
 }
 
@@ -206,16 +204,10 @@ void RigidMultigrid::estimate_largest(int l, ThreadPool& pool) {
     double before = 0.0, after = 0.0;
   };
   const Index rows = pattern(l).num_rows(), width = stride(l);
-  const Index tasks = (rows + task_rows(l) - 1) / task_rows(l);
-  std::vector<Squares> of_task(at(tasks));
-  const auto for_tasks = [&](auto&& f) {
-    pool.run(tasks, [&](Index task) {
-      f(task, task * task_rows(l), std::min(rows, (task + 1) * task_rows(l)));
-    });
-  };
+  std::vector<Squares> of_task(at((rows + task_rows(l) - 1) / task_rows(l)));
   float *mode = level.mode.data(), *image = level.image.data(), *step = level.step.data();
   for (int k = 0; k < (is_first ? kFirstPowers : kMorePowers); ++k) {
-    for_tasks([&](Index task, Index begin, Index end) {
+    pool.run_ranges(rows, task_rows(l), [&](Index begin, Index end) {
       multiply_rows(l, mode, image, begin, end);
       scale_rows(l, image, step, begin, end);
       Squares sum;
@@ -224,7 +216,7 @@ void RigidMultigrid::estimate_largest(int l, ThreadPool& pool) {
         sum.before += m * m;
         sum.after += s * s;
       }
-      of_task[at(task)] = sum;
+      of_task[at(begin / task_rows(l))] = sum;
     });
     double before = 0.0, after = 0.0;
     for (const Squares& sum : of_task) {
@@ -234,7 +226,7 @@ void RigidMultigrid::estimate_largest(int l, ThreadPool& pool) {
     if (!(after > 0.0)) break;
     level.largest = kEigenvalueMargin * static_cast<float>(std::sqrt(after / before));
     const float norm = static_cast<float>(1.0 / std::sqrt(after));
-    for_tasks([&](Index, Index begin, Index end) {
+    pool.run_ranges(rows, task_rows(l), [&](Index begin, Index end) {
       for (Index i = width * begin; i < width * end; ++i) mode[i] = norm * step[i];
     });
   }

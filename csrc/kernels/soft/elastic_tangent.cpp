@@ -180,11 +180,8 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
                 double* values, ElasticityScratch& scratch, ThreadPool& pool) {
   const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_samples<M>(scratch, model, x)};
   const auto solid = [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); };
-  const Index size = static_cast<Index>(model.values_size());
-  const Index chunks = (size + kZeros - 1) / kZeros;
-  pool.run(chunks, [&](Index k) {
-    std::fill(values + k * kZeros, values + std::min(size, (k + 1) * kZeros), 0.0);
-  });
+  pool.run_ranges(model.values_size(), kZeros,
+                  [&](Index begin, Index end) { std::fill(values + begin, values + end, 0.0); });
   assemble<Group>(model, model.solid, model.solid_slot, solid, values, scratch, pool);
   if constexpr (kFibersInSolid<Group>) return;
   const auto fibers = [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); };

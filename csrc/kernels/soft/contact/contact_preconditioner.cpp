@@ -75,11 +75,9 @@ void ContactPreconditioner::make_rows() {
     groups_[group].rows.push_back({i, {n[0], n[1], n[2]}, 0.0});
     const double stiffness = space_.slip_stiffness[k];
     if (stiffness > kLeastSlipStiffness * system_.diagonal()[active_[i]]) {
-      const double* t = space_.direction.data() + 3 * k;
-      groups_[group].rows.push_back(
-          {i,
-           {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]},
-           1.0 / stiffness});
+      Row row{i, {}, 1.0 / stiffness};
+      space_.across_slip(k, row.direction);
+      groups_[group].rows.push_back(row);
     }
   }
 }
@@ -118,26 +116,20 @@ void ContactPreconditioner::prepare_base() {
 }
 
 std::vector<HeldNode> ContactPreconditioner::without_stiff_slips() {
-  std::vector<HeldNode> held = space_.held_nodes();
+  std::vector<HeldNode> held;
   stiff_slips_.clear();
-  std::size_t place = 0;
   for (std::size_t k = 0; k < space_.size(); ++k) {
     if (space_.status[k] == ContactStatus::kSeparate) continue;
-    HeldNode& h = held[place++];
+    const std::int64_t node = space_.inputs().node[k];
     const double stiffness = space_.slip_stiffness[k];
-    if (space_.status[k] != ContactStatus::kSlip || space_.on_rail(k) ||
-        !(stiffness > kFloatStiffness * system_.diagonal()[h.node]))
-      continue;
-    const double* n = space_.normal(k);
-    const double* t = space_.direction.data() + 3 * k;
-    stiff_slips_.push_back(
-        {h.node,
-         {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]},
-         1.0 / stiffness});
-    for (int i = 0; i < 9; ++i) {
-      h.free[i] = t[i / 3] * t[i % 3];
-      h.stiffness[i] = 0.0;
-    }
+    const bool on_rail = space_.on_rail(k);
+    const bool stiff = space_.status[k] == ContactStatus::kSlip && !on_rail &&
+                       stiffness > kFloatStiffness * system_.diagonal()[node];
+    held.push_back(space_.held_node(k, on_rail || stiff));
+    if (!stiff) continue;
+    StiffSlip slip{node, {}, 1.0 / stiffness};
+    space_.across_slip(k, slip.across);
+    stiff_slips_.push_back(slip);
   }
   return held;
 }

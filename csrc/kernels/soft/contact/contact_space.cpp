@@ -111,19 +111,31 @@ void ContactSpace::add_slip_stiffness(const Vector& v, Vector& out) const {
 std::vector<HeldNode> ContactSpace::held_nodes() const {
   std::vector<HeldNode> held;
   for (std::size_t k = 0; k < size(); ++k) {
-    if (status[k] == ContactStatus::kSeparate) continue;
-    HeldNode h{in_.node[k], {}, {}};
-    const double* n = normal(k);
-    const double* t = direction.data() + 3 * k;
-    for (int i = 0; i < 9 && status[k] == ContactStatus::kSlip; ++i) {
-      const double along = t[i / 3] * t[i % 3];
-      h.free[i] = on_rail(k) ? along : (i % 4 == 0) - n[i / 3] * n[i % 3];
-      if (!on_rail(k) && slip_stiffness[k] > 0.0)
-        h.stiffness[i] = slip_stiffness[k] * (h.free[i] - along);
-    }
-    held.push_back(h);
+    if (status[k] != ContactStatus::kSeparate) held.push_back(held_node(k, on_rail(k)));
   }
   return held;
+}
+
+HeldNode ContactSpace::held_node(std::size_t k, bool on_rail) const {
+  HeldNode h{in_.node[k], {}, {}};
+  const double* n = normal(k);
+  const double* t = direction.data() + 3 * k;
+  for (int i = 0; i < 9 && status[k] == ContactStatus::kSlip; ++i) {
+    const double along = t[i / 3] * t[i % 3];
+    h.free[i] = on_rail ? along : (i % 4 == 0) - n[i / 3] * n[i % 3];
+    if (!on_rail && slip_stiffness[k] > 0.0)
+      h.stiffness[i] = slip_stiffness[k] * (h.free[i] - along);
+  }
+  return h;
+}
+
+void ContactSpace::across_slip(std::size_t k, double across[3]) const {
+  const double* n = normal(k);
+  const double* t = direction.data() + 3 * k;
+  for (int i = 0; i < 3; ++i) {
+    const int p = (i + 1) % 3, q = (i + 2) % 3;
+    across[i] = n[p] * t[q] - n[q] * t[p];
+  }
 }
 
 void ContactSpace::restore(const std::int64_t* taken, const Vector& x, const Vector& r,

@@ -73,6 +73,10 @@ class ContactSpace {
   void add_slip_stiffness(const Vector& v, Vector& out) const;
   /// Nodes in contact with P and D, for what preconditions.
   std::vector<HeldNode> held_nodes() const;
+  /// One of them; on_rail: it may only move along t.
+  HeldNode held_node(std::size_t k, bool on_rail) const;
+  /// n x t, in the surface across the slip.
+  void across_slip(std::size_t k, double across[3]) const;
   /// Whether the node may only move along t.
   bool on_rail(std::size_t k) const;
   /// The statuses of a step that was taken, with slip directions and stiffnesses of its answer x.
