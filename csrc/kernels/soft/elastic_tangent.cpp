@@ -8,9 +8,10 @@ namespace {
 
 using namespace elements;
 
-// Groups whose element matrices are held at once while the tangent is assembled: less than a core's
-// own cache (hexahedra: 384 KiB), and a task for each of eight threads.
-constexpr Index kChunk = 8 * kTask;
+// Tasks whose element matrices are held at once while the tangent is assembled: on few threads less
+// than a core's own cache (hexahedra: 384 KiB), on many some for each, so that their elements have
+// rows for all.
+constexpr Index kLeastTasks = 8, kTasksPerThread = 4;
 // Entries of the matrix that a task sets to zero.
 constexpr Index kZeros = 1 << 16;
 
@@ -102,9 +103,10 @@ void assemble(const SoftModel& model, const ElementBlock& block,
               const std::vector<std::int32_t>& slots, Fill&& fill, double* values,
               ElasticityScratch& scratch, ThreadPool& pool) {
   using Matrices = MatricesOf<Group>;
-  scratch.blocks.resize(at(std::min(kChunk, block.num_groups) * Matrices::kSize));
-  for (Index first = 0; first < block.num_groups; first += kChunk) {
-    const Index last = std::min(block.num_groups, first + kChunk);
+  const Index chunk = kTask * std::max(kLeastTasks, kTasksPerThread * pool.size());
+  scratch.blocks.resize(at(std::min(chunk, block.num_groups) * Matrices::kSize));
+  for (Index first = 0; first < block.num_groups; first += chunk) {
+    const Index last = std::min(block.num_groups, first + chunk);
     pool.run(num_tasks(last - first, kTask), [&](Index task) {
       const Index begin = first + task * kTask;
       for_stages(begin, std::min(last, begin + kTask), [&](Index g, int count) {
