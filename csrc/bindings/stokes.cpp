@@ -3,6 +3,7 @@
 
 #include "bindings/bindings.h"
 #include "kernels/stokes/closest_curve.h"
+#include "kernels/stokes/closest_surface.h"
 #include "kernels/stokes/cut_cells.h"
 #include "kernels/stokes/flow_system.h"
 
@@ -37,6 +38,62 @@ GridShape make_shape(nb::sequence cells, nb::sequence spacing) {
     shape.spacing[a] = nb::cast<double>(spacing[a]);
   }
   return shape;
+}
+
+SplineSurface make_spline_surface(Address homogeneous, nb::sequence axes) {
+  SplineSurface surface;
+  surface.homogeneous = in(homogeneous);
+  for (int k = 0; k < 2; ++k) surface.axes[k] = nb::cast<SplineAxis>(axes[k]);
+  return surface;
+}
+
+/// Closest points of curves and surfaces.
+void bind_closest(nb::module_& m) {
+  m.attr("MAX_SPLINE_DEGREE") = kMaxSplineDegree;
+  nb::class_<SplineAxis>(m, "SplineAxis");
+  nb::class_<SplineSurface>(m, "SplineSurface");
+  m.def(
+      "make_spline_axis",
+      [](std::int64_t num, int degree, std::int64_t num_spans, Address breaks, Address coefficients,
+         Address first, std::int64_t num_kinks, Address kinks, double low, double high) {
+        return SplineAxis{
+            num,       degree,    num_spans, in(breaks), in(coefficients), in_index(first),
+            num_kinks, in(kinks), low,       high};
+      },
+      nb::kw_only(), "num"_a, "degree"_a, "num_spans"_a, "breaks"_a, "coefficients"_a, "first"_a,
+      "num_kinks"_a, "kinks"_a, "low"_a, "high"_a);
+  m.def("make_spline_surface", &make_spline_surface, nb::kw_only(), "homogeneous"_a, "axes"_a);
+  m.def(
+      "surface_frames",
+      [](const SplineSurface& surface, Address uv, std::int64_t num_points, Address frames) {
+        nb::gil_scoped_release release;
+        surface_frames(surface, in(uv), num_points, out(frames));
+      },
+      nb::kw_only(), "surface"_a, "uv"_a, "num_points"_a, "frames"_a);
+  m.def(
+      "closest_on_surface",
+      [](const SplineSurface& surface, nb::sequence num_samples, Address sample_uv,
+         Address sample_points, double gap, Address points, std::int64_t num_points, double band,
+         Address uv, Address slope, int num_threads) {
+        SurfaceSamples samples{{0, 0}, in(sample_uv), in(sample_points), gap};
+        for (int k = 0; k < 2; ++k) samples.num[k] = nb::cast<std::int64_t>(num_samples[k]);
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        closest_on_surface(surface, samples, in(points), num_points, band, out(uv), out(slope),
+                           pool);
+      },
+      nb::kw_only(), "surface"_a, "num_samples"_a, "sample_uv"_a, "sample_points"_a, "gap"_a,
+      "points"_a, "num_points"_a, "band"_a, "uv"_a, "slope"_a, "num_threads"_a);
+  m.def(
+      "closest_on_curves",
+      [](Address homogeneous, std::int64_t num_curves, int degree, bool closed, double size,
+         Address rays, Address points, std::int64_t num_points, Address tau, Address normal) {
+        nb::gil_scoped_release release;
+        const CurveChain chain{num_curves, degree, in(homogeneous), closed, size, in(rays)};
+        closest_on_curves(chain, in(points), num_points, out(tau), out(normal));
+      },
+      nb::kw_only(), "homogeneous"_a, "num_curves"_a, "degree"_a, "closed"_a, "size"_a, "rays"_a,
+      "points"_a, "num_points"_a, "tau"_a, "normal"_a);
 }
 
 }  // namespace
@@ -184,16 +241,7 @@ void bind_stokes(nb::module_& m) {
       },
       nb::kw_only(), "shape"_a, "phi"_a, "fixed"_a, "open"_a, "options"_a, "plan"_a,
       "num_threads"_a);
-  m.def(
-      "closest_on_curves",
-      [](Address homogeneous, std::int64_t num_curves, int degree, bool closed, double size,
-         Address rays, Address points, std::int64_t num_points, Address tau, Address normal) {
-        nb::gil_scoped_release release;
-        const CurveChain chain{num_curves, degree, in(homogeneous), closed, size, in(rays)};
-        closest_on_curves(chain, in(points), num_points, out(tau), out(normal));
-      },
-      nb::kw_only(), "homogeneous"_a, "num_curves"_a, "degree"_a, "closed"_a, "size"_a, "rays"_a,
-      "points"_a, "num_points"_a, "tau"_a, "normal"_a);
+  bind_closest(m);
   m.def(
       "cut_cells",
       [](const GridShape& shape, Address phi, Address volume, Address area, Address normal,

@@ -12,7 +12,7 @@ from diffsim.core.check import require, require_choice, require_number, require_
 from diffsim.core.errors import ConvergenceWarning
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
-from diffsim.stokes.shapes.closest_surface import SurfacePatch, SurfaceSamples, closest
+from diffsim.stokes.shapes.closest_surface import SurfacePatch, SurfaceSamples
 from diffsim.stokes.shapes.envelope import signed_distance
 from diffsim.stokes.shapes.spline_basis import SplineBasis
 
@@ -118,7 +118,7 @@ class NurbsSurface(Shape):
     def level(self, points: Tensor) -> Tensor:
         p, patch = points.detach(), self._patch()
         samples = SurfaceSamples(patch, self.samples, _REACH)
-        uv, slope = closest(patch, samples, p, self.band)
+        uv, slope = patch.closest(samples, p, self.band)
         foot = self.point(uv)
         normal = self._normal(patch, uv, p - foot.detach(), slope)
         return signed_distance(points, foot, self._side(patch) * normal)
@@ -159,7 +159,7 @@ class NurbsSurface(Shape):
             return 1.0 if self.fluid == "front" else -1.0
         u = torch.arange(_SAMPLES, dtype=torch.float64) / _SAMPLES
         v = (torch.arange(_SAMPLES, dtype=torch.float64) + 0.5) / _SAMPLES
-        s, su, sv = patch.derivatives(torch.cartesian_prod(u, v), 1)
+        s, su, sv = patch.derivatives(torch.cartesian_prod(u, v))
         rings = s.reshape(_SAMPLES, _SAMPLES, 3)
         away = (rings - rings.mean(0)).reshape(-1, 3)
         flux = (away * torch.linalg.cross(su, sv)).sum(1)
@@ -171,7 +171,7 @@ class NurbsSurface(Shape):
 
     def _normal(self, patch: SurfacePatch, uv: Tensor, away: Tensor, slope: Tensor) -> Tensor:
         """Unit normals (N, 3) on the front, such that away.normal is the signed distance."""
-        _, su, sv = patch.derivatives(uv, 1)
+        _, su, sv = patch.derivatives(uv)
         front = torch.linalg.cross(su, sv)
         area, distance = front.norm(dim=1), away.norm(dim=1)
         smooth = area > 1e-7 * patch.size**2
@@ -193,7 +193,7 @@ class NurbsSurface(Shape):
     def _between(patch: SurfacePatch, uv: Tensor) -> Tensor:
         """Mean normal (N, 3) of the surface around an edge, pole or end."""
         total = torch.zeros(len(uv), 3, dtype=torch.float64)
-        pole = patch.derivatives(uv, 1)[1].norm(dim=1)
+        pole = patch.derivatives(uv)[1].norm(dim=1)
         for du in (-1.0, 1.0):
             for dv in (-1.0, 1.0):
                 beside = uv + _ASIDE * torch.tensor([du, dv], dtype=torch.float64)
@@ -231,6 +231,6 @@ class BSplineSurface(NurbsSurface):
 
 
 def _unit_normal(patch: SurfacePatch, uv: Tensor) -> Tensor:
-    _, su, sv = patch.derivatives(uv, 1)
+    _, su, sv = patch.derivatives(uv)
     front = torch.linalg.cross(su, sv)
     return front / front.norm(dim=1, keepdim=True).clamp(min=1e-300)

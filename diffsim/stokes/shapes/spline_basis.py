@@ -51,9 +51,9 @@ class SplineBasis:
         repeated = [k for k in set(full[spans].tolist()) if (full == k).sum() >= degree]
         self.kinks = sorted(k for k in repeated if periodic or 0.0 < k < 1.0)
         """Parameters at which the derivative may jump (knots repeated ``degree`` times)."""
-        self._coefficients = torch.tensor(np.stack([_span(full, s, degree) for s in spans]))
+        self.coefficients = torch.tensor(np.stack([_span(full, s, degree) for s in spans]))
         active = torch.tensor(spans)[:, None] - degree + torch.arange(degree + 1)
-        self._active = active % num
+        self.active = active % num
 
     def __call__(self, u: Tensor, order: int = 2) -> Tensor:
         """Values and derivatives up to an order <= 2, (order + 1, N, num), at u (N,)."""
@@ -68,16 +68,16 @@ class SplineBasis:
             lower = powers[-1]
             powers.append([lower[0] * x, *((k / h) * lower[i] for i in range(order))])
         monomials = torch.stack([torch.stack(row, -1) for row in powers], 1)
-        local = (self._coefficients[span] @ monomials).permute(2, 0, 1)  # (order + 1, N, active)
+        local = (self.coefficients[span] @ monomials).permute(2, 0, 1)  # (order + 1, N, active)
         beyond = u - inside
         if self.extend and not self.periodic and bool((beyond != 0).any()):
-            slope = local[1] if order > 0 else self(inside, 1)[1].gather(1, self._active[span])
+            slope = local[1] if order > 0 else self(inside, 1)[1].gather(1, self.active[span])
             straight = [local[0] + beyond[:, None] * slope, *local[1:]]
             if order == 2:
                 straight[2] = torch.where((beyond != 0)[:, None], 0.0, local[2])
             local = torch.stack(straight)
         out = torch.zeros(order + 1, len(u), self.num, dtype=torch.float64)
-        return out.scatter_add_(2, self._active[span].expand_as(local), local)
+        return out.scatter_add_(2, self.active[span].expand_as(local), local)
 
     def samples(self, per_span: int, reach: float) -> Tensor:
         """Parameters evenly spread over each span, and ``reach`` beyond both ends."""
