@@ -26,6 +26,7 @@ KERNEL_TESTS = (
     "tests/copter/dynamics/test_ops.py",
     "tests/soft/test_input_checks.py",
     "tests/soft/test_step_order.py",
+    "tests/stokes/test_closest_surface.py",
     "tests/stokes/test_cut_cells.py",
     "tests/stokes/test_equations.py",
     "tests/stokes/test_flow_tangents.py",

@@ -140,7 +140,8 @@ def test_torus_is_exact():
         periodic=(True, True),
         fluid="outside",
     )
-    p = 4.0 * random(1, 500, 3) - 2.0
+    as_near_all_around = random(2, 20, 1) * tensor([0.0, 0.0, 3.0])
+    p = torch.cat([4.0 * random(1, 500, 3) - 2.0, as_near_all_around])
     want = torch.hypot(torch.hypot(p[:, 0], p[:, 1]) - 1.0, p[:, 2]) - 0.4
     torch.testing.assert_close(ring(p), want, atol=1e-12, rtol=0)
 
@@ -150,6 +151,7 @@ def test_cylinder_goes_on_beyond_its_ends():
     x, w = revolved(tensor([[0.5, 0.0], [0.5, 1.0]]), tensor([1.0, 1.0]))
     tube = NurbsSurface(x, weights=w, degree=(2, 1), knots=(_KNOTS, None), fluid="inside")
     p = tensor([2.0, 2.0, 1.8]) * random(2, 300, 3) - tensor([1.0, 1.0, 0.4])
+    p[-20:, :2] = 0.0  # as near all around
     want = 0.5 - torch.hypot(p[:, 0], p[:, 1])
     torch.testing.assert_close(tube(p), want, atol=1e-12, rtol=0)
 

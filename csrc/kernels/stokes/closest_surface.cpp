@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "kernels/stokes/sample_tree.h"
@@ -16,10 +15,10 @@ constexpr int kMaxShortened = 12;  // steps, to a quarter each
 // nearest ones are more.
 constexpr int kCloseNeighbors = 8, kFarNeighbors = 24;
 constexpr double kCloseBy = 4.0;  // sample spacings
-constexpr int kMaxSheets = 3;
+// Without kinks three searches find what more would; four pieces may meet at a corner.
+constexpr int kMaxSmoothSheets = 3, kMaxSheets = 6;
 constexpr std::int64_t kBeside = 3;  // samples along each parameter that are on one sheet
-constexpr double kLeastBend =
-    1e-5;                         // eigenvalue where the Hessian is singular (curvature's center)
+constexpr double kLeastBend = 1e-5;  // eigenvalue taken where H is singular: curvature's center
 constexpr double kAside = 1e-12;  // parameter distance at which feet on a kink are held beside it
 constexpr double kOver = 2.5 * kAside;  // steps over a kink, from one of its sides to the other
 constexpr double kBetter = 1e-11;  // f beyond a kink must fall by this part, or rounding decides
@@ -108,7 +107,11 @@ class SurfaceSearch {
       : evaluator_(surface),
         samples_(samples),
         tree_(samples.points, samples.num[0] * samples.num[1]) {
-    for (int k = 0; k < 2; ++k) collect_kinks(surface.axes[k], kinks_[k]);
+    for (int k = 0; k < 2; ++k) {
+      collect_kinks(surface.axes[k], kinks_[k]);
+      number_pieces(k);
+    }
+    max_sheets_ = kinks_[0].empty() && kinks_[1].empty() ? kMaxSmoothSheets : kMaxSheets;
   }
 
   Foot closest(const double* p, double band) const {
@@ -138,6 +141,18 @@ class SurfaceSearch {
     kinks.push_back(first + 1.0);
   }
 
+  /// Piece without kinks of every row of samples; the last one before a turn is the first one.
+  void number_pieces(int k) {
+    const std::int64_t num = samples_.num[k], stride = k == 0 ? samples_.num[1] : 1;
+    const std::vector<double>& kinks = kinks_[k];
+    piece_of_[k].assign(num, 0);
+    for (std::int64_t i = 0; i < num && !kinks.empty(); ++i) {
+      const auto after = std::upper_bound(kinks.begin(), kinks.end(), sample(i * stride)[k]);
+      piece_of_[k][i] = after - kinks.begin();
+      if (periodic(k)) piece_of_[k][i] %= evaluator_.axis(k).num_kinks;
+    }
+  }
+
   /// Range of the piece without kinks in which uv lies.
   Range piece(const Pair& uv) const {
     Range range;
@@ -157,7 +172,7 @@ class SurfaceSearch {
   Foot best_of_sheets(const SampleTree::Near* near, int num, Four p) const {
     std::int64_t seen[kMaxSheets] = {near[0].index};
     Foot best = descend_over(sample(seen[0]), p);
-    for (int sheet = 1; sheet < kMaxSheets; ++sheet) {
+    for (int sheet = 1; sheet < max_sheets_; ++sheet) {
       seen[sheet] = other_sheet(near, num, seen, sheet);
       if (seen[sheet] < 0) break;
       const Foot foot = descend_over(sample(seen[sheet]), p);
@@ -179,12 +194,14 @@ class SurfaceSearch {
 
   bool beside(std::int64_t i, std::int64_t j) const {
     const std::int64_t n = samples_.num[1];
-    return along(0, i / n, j / n) <= kBeside && along(1, i % n, j % n) <= kBeside;
+    return beside(0, i / n, j / n) && beside(1, i % n, j % n);
   }
 
-  std::int64_t along(int k, std::int64_t i, std::int64_t j) const {
-    const std::int64_t away = std::abs(i - j);
-    return periodic(k) ? std::min(away, samples_.num[k] - away) : away;
+  /// Feet on both sides of a valley may be closer than samples: other pieces are other sheets.
+  bool beside(int k, std::int64_t i, std::int64_t j) const {
+    std::int64_t away = std::abs(i - j);
+    if (periodic(k)) away = std::min(away, samples_.num[k] - away);
+    return away <= kBeside && piece_of_[k][i] == piece_of_[k][j];
   }
 
   /// `descend` that goes on beyond a kink at which it was held.
@@ -269,6 +286,8 @@ class SurfaceSearch {
   SurfaceSamples samples_;
   SampleTree tree_;
   std::vector<double> kinks_[2];
+  std::vector<std::int64_t> piece_of_[2];  // rows of samples
+  int max_sheets_;
 };
 
 }  // namespace

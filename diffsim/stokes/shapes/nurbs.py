@@ -33,12 +33,13 @@ class NurbsSurface(Shape):
     of control points at one place makes a pole (with ``ends="stop"``); flat lids come from
     ``tube | Plane(...)``.
 
-    The closest point is the best of up to three searches: from the nearest of many samples and from
-    the nearest ones on other sheets; it is stationary to rounding, or on a kink (a knot repeated
-    ``degree`` times). phi is then exact, and so are its gradients with respect to control points,
-    weights and points. On the medial axis, where sheets are equally near, one is taken, the same at
-    every call; there, far from a wavy surface, a better one can be missed (measured: by 1e-5 of the
-    size at 1 of 20000 nodes; more ``samples`` help). Self-intersections are not looked for.
+    The closest point is the best of up to three searches, six where there are kinks: from the
+    nearest of many samples and from the nearest ones on other sheets; it is stationary to rounding,
+    or on a kink (a knot repeated ``degree`` times). phi is then exact, and so are its gradients
+    with respect to control points, weights and points. On the medial axis, where sheets are equally
+    near, one is taken, the same at every call; there, far from a wavy surface, a better one can be
+    missed (measured: by 1e-5 of the size at 1 of 20000 nodes; more ``samples`` help).
+    Self-intersections are not looked for.
 
     Args:
         control_points: Control points, (nu, nv, 3) float64 [m]; periodic directions do not repeat

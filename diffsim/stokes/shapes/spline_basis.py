@@ -20,6 +20,13 @@ class SplineBasis:
             Periodic: num + 1 values, not falling, one period; function i lives on knots i to i +
             degree + 1. Scaled to [0, 1]; uniform if None.
         extend: Clamped only: beyond 0 and 1 go on with the tangent instead of stopping.
+
+    Attributes:
+        breaks: Different knots from 0 to 1, (num_spans + 1,).
+        coefficients: Of the functions that are not zero on each span, in powers of x, which goes
+            from 0 to 1 there; (num_spans, degree + 1, degree + 1).
+        active: Which functions these are, (num_spans, degree + 1).
+        kinks: Parameters at which the derivative may jump (knots repeated ``degree`` times).
     """
 
     def __init__(
@@ -50,7 +57,6 @@ class SplineBasis:
         self.breaks = self.breaks.to(torch.float64)
         repeated = [k for k in set(full[spans].tolist()) if (full == k).sum() >= degree]
         self.kinks = sorted(k for k in repeated if periodic or 0.0 < k < 1.0)
-        """Parameters at which the derivative may jump (knots repeated ``degree`` times)."""
         self.coefficients = torch.tensor(np.stack([_span(full, s, degree) for s in spans]))
         active = torch.tensor(spans)[:, None] - degree + torch.arange(degree + 1)
         self.active = active % num
