@@ -68,35 +68,64 @@ void clamp_tangent(PrincipalTangent<T>& c) {
   for (int i = 0; i < 9; ++i) c.diagonal[i] = 0.5 * (c.diagonal[i] + absolute[i]);
 }
 
-/// H[9 a + b] = dP_a / dF_b for a <= b, from its principal form; the rest, its mirror image, is
-/// left as it is.
+/// What expand_tangent() puts between rows of U, both (3, 3, 3) with u_m, v_m the columns:
+///   own[m] = A_mm v_m v_m^T + sum_(p != m) b_mp v_p v_p^T
+///   mixed[k] = A_mp v_m v_p^T + c_mp v_p v_m^T for pair k = (m, p)
+/// where A is the diagonal's core, b half the sum of a pair's coefficients, c half the difference.
 template <class T>
-void expand_tangent(const PrincipalFrame<T>& p, const PrincipalTangent<T>& c, T H[81]) {
-  T d[3][9];  // u_i v_i^T
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 9; ++k) d[i][k] = p.U[3 * (k / 3) + i] * p.V[3 * (k % 3) + i];
-  T e[3][9];
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 9; ++k)
-      e[i][k] = c.diagonal[3 * i] * d[0][k] + c.diagonal[3 * i + 1] * d[1][k] +
-                c.diagonal[3 * i + 2] * d[2][k];
-  for (int a = 0; a < 9; ++a)
-    for (int b = a; b < 9; ++b)
-      H[9 * a + b] = d[0][a] * e[0][b] + d[1][a] * e[1][b] + d[2][a] * e[2][b];
-  for (int k = 0; k < 3; ++k) {
-    const int i = kPair[k][0], j = kPair[k][1];
-    T sym[9], skw[9], sym_c[9], skw_c[9];
-    for (int n = 0; n < 9; ++n) {
-      const T ij = p.U[3 * (n / 3) + i] * p.V[3 * (n % 3) + j];
-      const T ji = p.U[3 * (n / 3) + j] * p.V[3 * (n % 3) + i];
-      sym[n] = ij + ji;
-      skw[n] = ij - ji;
-      sym_c[n] = 0.5 * c.symmetric[k] * sym[n];
-      skw_c[n] = 0.5 * c.skew[k] * skw[n];
+DIFFSIM_INLINE void turn_core(const T V[9], const PrincipalTangent<T>& core, T own[3][9],
+                              T mixed[3][9]) {
+  for (int j = 0; j < 3; ++j)
+    for (int l = j; l < 3; ++l) {
+      T squares[3];
+      for (int m = 0; m < 3; ++m) {
+        squares[m] = V[3 * j + m] * V[3 * l + m];
+        own[m][3 * j + l] = core.diagonal[4 * m] * squares[m];
+      }
+      for (int k = 0; k < 3; ++k) {
+        const T b = 0.5 * (core.symmetric[k] + core.skew[k]);
+        own[kPair[k][0]][3 * j + l] += b * squares[kPair[k][1]];
+        own[kPair[k][1]][3 * j + l] += b * squares[kPair[k][0]];
+      }
     }
-    for (int a = 0; a < 9; ++a)
-      for (int b = a; b < 9; ++b) H[9 * a + b] += sym_c[a] * sym[b] + skw_c[a] * skw[b];
+  for (int k = 0; k < 3; ++k) {
+    const int m = kPair[k][0], p = kPair[k][1];
+    const T a = core.diagonal[3 * m + p], c = 0.5 * (core.symmetric[k] - core.skew[k]);
+    for (int j = 0; j < 3; ++j)
+      for (int l = 0; l < 3; ++l)
+        mixed[k][3 * j + l] = a * (V[3 * j + m] * V[3 * l + p]) + c * (V[3 * j + p] * V[3 * l + m]);
   }
+}
+
+/// H[9 a + b] = dP_a / dF_b for a <= b, from its principal form; the rest, its mirror image, is
+/// left as it is. Between rows i and k of F it is, by turn_core(),
+///   sum_m u_im u_km own[m] + sum_(m, p) (u_im u_kp mixed + u_ip u_km mixed^T).
+template <class T>
+void expand_tangent(const PrincipalFrame<T>& f, const PrincipalTangent<T>& core, T H[81]) {
+  T own[3][9], mixed[3][9];
+  turn_core(f.V, core, own, mixed);
+  for (int i = 0; i < 3; ++i)
+    for (int k = i; k < 3; ++k) {
+      const T *row = f.U + 3 * i, *column = f.U + 3 * k;
+      T same[3], one[3], other[3];
+      for (int m = 0; m < 3; ++m) {
+        same[m] = row[m] * column[m];
+        one[m] = row[kPair[m][0]] * column[kPair[m][1]];
+        other[m] = row[kPair[m][1]] * column[kPair[m][0]];
+      }
+      for (int j = 0; j < 3; ++j)
+        for (int l = j; l < 3; ++l) {
+          const int jl = 3 * j + l, lj = 3 * l + j;
+          const T sum = same[0] * own[0][jl] + same[1] * own[1][jl] + same[2] * own[2][jl];
+          T above = sum, below = sum;
+          for (int n = 0; n < 3; ++n) {
+            above += one[n] * mixed[n][jl] + other[n] * mixed[n][lj];
+            below += one[n] * mixed[n][lj] + other[n] * mixed[n][jl];
+          }
+          H[9 * (3 * i + j) + 3 * k + l] = above;
+          if (i != k && j != l) H[9 * (3 * i + l) + 3 * k + j] = below;
+        }
+    }
 }
 
 }  // namespace diffsim
