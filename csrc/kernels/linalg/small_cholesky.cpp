@@ -72,31 +72,72 @@ void get(const std::vector<int>& order, const double* from, double* to) {
 
 using Rows = std::vector<std::vector<int>>;
 
-/// Nodes by degree in the graph that is left of them, least first (of equal ones the first).
-std::vector<int> minimum_degree(const std::vector<std::int64_t>& row_start,
-                                const std::vector<std::int32_t>& column) {
+/// The graph that is left when nodes are eliminated, a row of bits for each node.
+class EliminationGraph {
+ public:
+  EliminationGraph(const std::vector<std::int64_t>& row_start,
+                   const std::vector<std::int32_t>& column)
+      : words_((row_start.size() + kBits - 2) / kBits), bits_((row_start.size() - 1) * words_, 0) {
+    for (std::size_t i = 0; i + 1 < row_start.size(); ++i)
+      for (std::int64_t k = row_start[i]; k < row_start[i + 1]; ++k) set(i, at(column[at(k)]));
+  }
+
+  /// Calls f(neighbor) in ascending order; a node left is its own neighbor.
+  template <typename F>
+  void for_neighbors(std::size_t node, F&& f) const {
+    for (std::size_t w = 0; w < words_; ++w)
+      for (std::uint64_t left = row(node)[w]; left; left &= left - 1)
+        f(w * kBits + at(__builtin_ctzll(left)));
+  }
+  /// Twice the edges that eliminating a node would add.
+  std::int64_t fill(std::size_t node) const {
+    const std::uint64_t* own = row(node);
+    std::int64_t missing = 0;
+    for_neighbors(node, [&](std::size_t other) {
+      for (std::size_t w = 0; w < words_; ++w)
+        missing += __builtin_popcountll(own[w] & ~row(other)[w]);
+    });
+    return missing;
+  }
+  /// Joins the neighbors of a node and takes it out of their rows.
+  void eliminate(std::size_t node) {
+    for_neighbors(node, [&](std::size_t other) {
+      if (other == node) return;
+      for (std::size_t w = 0; w < words_; ++w) row(other)[w] |= row(node)[w];
+      row(other)[node / kBits] &= ~(std::uint64_t{1} << node % kBits);
+    });
+  }
+
+ private:
+  static constexpr std::size_t kBits = 64;
+  const std::uint64_t* row(std::size_t i) const { return bits_.data() + i * words_; }
+  std::uint64_t* row(std::size_t i) { return bits_.data() + i * words_; }
+  void set(std::size_t i, std::size_t j) { row(i)[j / kBits] |= std::uint64_t{1} << j % kBits; }
+
+  std::size_t words_;
+  std::vector<std::uint64_t> bits_;
+};
+
+/// Nodes by the fill that they make in the graph that is left of them, least first (of equal ones
+/// the first).
+std::vector<int> minimum_fill(const std::vector<std::int64_t>& row_start,
+                              const std::vector<std::int32_t>& column) {
+  constexpr std::int64_t kUnknown = -1, kDone = std::numeric_limits<std::int64_t>::max();
   const std::size_t n = row_start.size() - 1;
-  Rows neighbors(n);
-  for (std::size_t i = 0; i < n; ++i)
-    for (std::int64_t k = row_start[i]; k < row_start[i + 1]; ++k)
-      if (at(column[at(k)]) != i) neighbors[i].push_back(column[at(k)]);
-  std::vector<int> order, joined;
-  std::vector<char> done(n, 0);
+  EliminationGraph graph(row_start, column);
+  std::vector<int> order;
+  std::vector<std::int64_t> fill(n, kUnknown);
   while (order.size() < n) {
-    std::size_t best = n;
     for (std::size_t i = 0; i < n; ++i)
-      if (!done[i] && (best == n || neighbors[i].size() < neighbors[best].size())) best = i;
-    done[best] = 1;
-    order.push_back(static_cast<int>(best));
-    for (int other : neighbors[best]) {
-      std::vector<int>& own = neighbors[at(other)];
-      joined.clear();
-      std::set_union(own.begin(), own.end(), neighbors[best].begin(), neighbors[best].end(),
-                     std::back_inserter(joined));
-      own.clear();
-      for (int i : joined)
-        if (i != other && at(i) != best) own.push_back(i);
-    }
+      if (fill[i] == kUnknown) fill[i] = graph.fill(i);
+    const std::size_t node = at(std::min_element(fill.begin(), fill.end()) - fill.begin());
+    order.push_back(static_cast<int>(node));
+    graph.eliminate(node);
+    // New edges are between its neighbors: only these and theirs count them.
+    graph.for_neighbors(node, [&](std::size_t other) {
+      if (other != node) graph.for_neighbors(other, [&](std::size_t i) { fill[i] = kUnknown; });
+    });
+    fill[node] = kDone;
   }
   return order;
 }
@@ -187,7 +228,7 @@ void subtract_products(const double* const left[], const int* row, int first, in
 
 SmallPattern::SmallPattern(const std::vector<std::int64_t>& row_start,
                            const std::vector<std::int32_t>& column)
-    : order_(minimum_degree(row_start, column)), place_(column.size()) {
+    : order_(minimum_fill(row_start, column)), place_(column.size()) {
   order_ = postorder(factor_rows(row_start, column, order_), order_);
   const Rows rows = factor_rows(row_start, column, order_);
   const std::vector<int> position = positions(order_);

@@ -1,7 +1,7 @@
-// Cholesky factors of small sparse matrices of 3x3 blocks, in a minimum degree order.
+// Cholesky factors of small sparse matrices of 3x3 blocks, in an order of minimum fill.
 //
 // What a large factor gains by (wide fronts, threads) a small one has not: its supernodes have one
-// to four columns of blocks, and minimum degree takes a third of the products that nested
+// to four columns of blocks, and minimum fill takes a quarter of the products that nested
 // dissection does. A block is three columns in a register each, so that one matrix fills registers
 // by itself.
 #pragma once
