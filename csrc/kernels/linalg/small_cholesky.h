@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "kernels/linalg/aligned_buffer.h"
@@ -59,6 +60,17 @@ class SmallCholesky {
   /// Begins a new matrix: all zero.
   void clear(const SmallPattern& pattern);
   double* block(std::int64_t index) { return matrix_.data() + index * kBlock; }
+  /// Adds a block (3, 3), row-major, column by column.
+  void add(std::int64_t index, const double entries[9]) {
+    using Column = double __attribute__((vector_size(kColumn * sizeof(double))));
+    for (int k = 0; k < 3; ++k) {
+      double* to = block(index) + k * kColumn;
+      Column sum;
+      std::memcpy(&sum, to, sizeof(Column));
+      sum += Column{entries[k], entries[3 + k], entries[6 + k], 0.0};
+      std::memcpy(to, &sum, sizeof(Column));
+    }
+  }
   /// Factors what was added since clear(). In the factor, rows and columns of fixed unknowns are
   /// those of the identity.
   /// @param fixed  (num_nodes, 3), nonzero where fixed

@@ -23,7 +23,10 @@ struct HexMatrices {
     element_matrix(block.hex_nodes[at(block.hex_class[at(g)])], tangent, out);
   }
   static void read(const double* matrix, int, int a, int b, double out[9]) {
-    element_block(matrix, a, b, out);
+    element_block(matrix, a, b, a, b, out);
+  }
+  static void read(const double* matrix, int, const SmallPlace& p, double out[9]) {
+    element_block(matrix, p.row, p.column, p.first, p.second, out);
   }
 };
 struct TetMatrices {
@@ -33,13 +36,14 @@ struct TetMatrices {
     element_matrix(TetGroup::shape(block, g), tangent, out);
   }
   static void read(const double* matrix, int lane, int a, int b, double out[9]) {
-    if (a > b) return read_transposed(matrix, lane, b, a, out);
     const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
     for (int i = 0; i < 9; ++i) out[i] = from[i * kLanes];
   }
-  static void read_transposed(const double* matrix, int lane, int a, int b, double out[9]) {
-    const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
-    for (int i = 0; i < 9; ++i) out[i] = from[(3 * (i % 3) + i / 3) * kLanes];
+  static void read(const double* matrix, int lane, const SmallPlace& p, double out[9]) {
+    double block[9];
+    read(matrix, lane, p.first, p.second, block);
+    const bool transposed = p.row != p.first;
+    for (int i = 0; i < 9; ++i) out[i] = block[transposed ? 3 * (i % 3) + i / 3 : i];
   }
 };
 template <typename Group>
@@ -208,10 +212,8 @@ void add_to_small(const ElementBlock& block, const std::vector<SmallPlace>& plac
         for (Index n = e * kPairs; n < (e + 1) * kPairs; ++n) {
           const SmallPlace& place = places[at(n)];
           double entries[9];
-          Matrices::read(matrix, static_cast<int>(e - begin), place.row, place.column, entries);
-          double* out = to.block(place.block);
-          for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j) out[SmallCholesky::kColumn * j + i] += entries[3 * i + j];
+          Matrices::read(matrix, static_cast<int>(e - begin), place, entries);
+          to.add(place.block, entries);
         }
     }
   });
@@ -228,8 +230,9 @@ std::vector<SmallPlace> places_of(const SoftModel& model, const ElementBlock& bl
         const Index row = block.nodes[at(e * n + a)];
         const auto [index, transposed] =
             pattern.place(model.row_start[at(row)] + slots[at((e * n + a) * n + b)]);
-        const auto own = static_cast<std::int8_t>(a), other = static_cast<std::int8_t>(b);
-        places.push_back({index, transposed ? other : own, transposed ? own : other});
+        const auto first = static_cast<std::int8_t>(a), second = static_cast<std::int8_t>(b);
+        places.push_back(
+            {index, transposed ? second : first, transposed ? first : second, first, second});
       }
   return places;
 }

@@ -88,12 +88,15 @@ inline void element_matrix(const NodeShape& shape, const GroupTangent& tangent, 
   }
 }
 
-/// Block (3, 3) of nodes a and b in a hexahedron's matrix.
-DIFFSIM_INLINE void element_block(const double* matrix, int a, int b, double block[9]) {
-  const int place[3] = {8 * a + b, 8 * std::min(a, b) + std::max(a, b), 8 * b + a};
+/// Block (3, 3) of nodes a and b in a hexahedron's matrix; first and second are these two, least
+/// first.
+DIFFSIM_INLINE void element_block(const double* matrix, int a, int b, int first, int second,
+                                  double block[9]) {
+  // entries above, on and below the diagonal
+  const double* from[3] = {matrix + 8 * a + b, matrix + 8 * first + second, matrix + 8 * b + a};
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k)
-      block[3 * i + k] = matrix[64 * kComponentPair[i][k] + place[i < k ? 0 : i == k ? 1 : 2]];
+      block[3 * i + k] = from[i < k ? 0 : i == k ? 1 : 2][64 * kComponentPair[i][k]];
 }
 
 constexpr std::int64_t kTetMatrixSize = 10 * 9 * kLanes;

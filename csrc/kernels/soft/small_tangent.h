@@ -7,10 +7,11 @@
 namespace diffsim {
 
 /// Where a block of an element's matrix goes, and between which local nodes it is: as it lies
-/// there.
+/// there, and the lower one first.
 struct SmallPlace {
   std::int32_t block;
   std::int8_t row, column;
+  std::int8_t first, second;
 };
 /// Those of all elements, (num_elements, pairs of local nodes).
 struct SmallPlaces {
