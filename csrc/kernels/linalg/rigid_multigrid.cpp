@@ -23,13 +23,6 @@ void for_rows(Index num_rows, Index task_rows, ThreadPool& pool, F&& f) {
     f(begin, std::min(num_rows, begin + task_rows));
 }
 
-/// y = A x for rows of blocks (3, 3).
-void multiply_fine(const Pattern& pattern, const float* values, const float* x, float* y,
-                   Index begin, Index end) {
-  for (Index i = begin; i < end; ++i)
-    block3_row(values, pattern.column.data(), pattern.begin(i), pattern.end(i), x, y + 3 * i);
-}
-
 /// y = A x for rows of blocks (6, 8).
 void multiply_blocks(const Pattern& pattern, const float* values, const float* x, float* y,
                      Index begin, Index end) {
@@ -72,11 +65,11 @@ RigidMultigrid::RigidMultigrid(std::shared_ptr<const RigidHierarchy> hierarchy)
 }
 
 void RigidMultigrid::multiply_rows(int l, const float* x, float* y, Index begin, Index end) const {
-  const float* values = levels_[at(l)].matrix.data();
-  if (l == 0)
-    multiply_fine(pattern(0), values, x, y, begin, end);
-  else
-    multiply_blocks(pattern(l), values, x, y, begin, end);
+  const Pattern& p = pattern(l);
+  if (l > 0) return multiply_blocks(p, levels_[at(l)].matrix.data(), x, y, begin, end);
+  for (Index i = begin; i < end; ++i)
+    short_block3_row(finest_.blocks.data(), finest_.diagonal.data(), p.column.data(), i, p.begin(i),
+                     p.end(i), x, y + 3 * i);
 }
 
 void RigidMultigrid::scale_rows(int l, const float* r, float* z, Index begin, Index end) const {
@@ -216,27 +209,35 @@ void RigidMultigrid::apply(const Vector& r, Vector& z, ThreadPool& pool) {
     return;
   }
   const double unit = 1.0 / largest;  // float32 has no room for forces of any size
+  const float* scale = finest_.scale.data();
   for_rows(rows, task_rows(0), pool, [&](Index begin, Index end) {
-    for (std::size_t i = at(3 * begin); i < at(3 * end); ++i)
-      fine.b[i] = fixed_[i] ? 0.0F : static_cast<float>(unit * r[i]);
+    for (Index i = begin; i < end; ++i) {
+      const float own = 1.0F / scale[i];
+      for (std::size_t k = at(3 * i); k < at(3 * i + 3); ++k)
+        fine.b[k] = fixed_[k] ? 0.0F : own * static_cast<float>(unit * r[k]);
+    }
   });
   cycle(0, pool);
   for_rows(rows, task_rows(0), pool, [&](Index begin, Index end) {
-    for (std::size_t i = at(3 * begin); i < at(3 * end); ++i)
-      z[i] = largest * static_cast<double>(fine.x[i]);
+    for (Index i = begin; i < end; ++i) {
+      const double own = largest / static_cast<double>(scale[i]);
+      for (std::size_t k = at(3 * i); k < at(3 * i + 3); ++k)
+        z[k] = own * static_cast<double>(fine.x[k]);
+    }
   });
 }
 
 std::int64_t RigidMultigrid::bytes() const {
-  std::int64_t floats = 0;
+  const auto finest = static_cast<Index>(pattern(0).column.size()) * kBlock3;
+  std::int64_t floats = pattern(0).num_rows() * (2 * kBlock3 + 1);
   for (int l = 0; l < hierarchy_->num_levels(); ++l) {
-    floats += static_cast<Index>(pattern(l).column.size()) * (l == 0 ? kBlock3 : kFloatBlock);
+    if (l > 0) floats += static_cast<Index>(pattern(l).column.size()) * kFloatBlock;
     if (l + 1 == hierarchy_->num_levels()) break;
     const RigidTransfer& t = hierarchy_->transfer(l);
     floats += static_cast<Index>(t.prolongation.column.size() + t.product.column.size()) *
               (l == 0 ? 3 : 6) * kFloatLanes;
   }
-  return 4 * floats;
+  return 4 * floats + 2 * finest;
 }
 
 }  // namespace diffsim

@@ -48,23 +48,36 @@ void for_rows_with_places(Index num_rows, Index task_rows, Index num_columns, Th
   });
 }
 
-/// Entries of the matrix of a level.
+/// Blocks of the matrix of a level, read as columns that are padded to a register.
 template <int K>
-struct Entries;
+struct Blocks;
 template <>
-struct Entries<3> {
-  const float* values;
-  float operator()(Index entry, int k, int m) const {
-    return values[entry * kBlock3 + block3_place(k, m)];
+struct Blocks<3> {
+  static constexpr int kPadded = 3;
+  const double* values;
+  const float *diagonal, *scale;
+  void read(Index entry, Index row, Index column, float out[3][kPadded]) const {
+    if (row == column)
+      std::memcpy(out, diagonal + row * kBlock3, kBlock3 * sizeof(float));
+    else
+      scale_block3(values + entry * kBlock3, 1.0F / (scale[row] * scale[column]), out[0]);
   }
 };
 template <>
-struct Entries<6> {
+struct Blocks<6> {
+  static constexpr int kPadded = kFloatLanes;
   const float* values;
-  float operator()(Index entry, int k, int m) const {
-    return values[entry * kFloatBlock + m * kFloatLanes + k];
+  void read(Index entry, Index, Index, float out[6][kPadded]) const {
+    std::memcpy(out, values + entry * kFloatBlock, kFloatBlock * sizeof(float));
   }
 };
+template <int K, typename Finest, typename Level>
+Blocks<K> blocks_of(const BlockMatrix& matrix, const Finest& finest, const Level& level) {
+  if constexpr (K == 3)
+    return {matrix.values, finest.diagonal.data(), finest.scale.data()};
+  else
+    return {level.matrix.data()};
+}
 
 /// P block P, and what the block has of stiffness on the axes that P takes away.
 void restrict_to(const float* projection, Eigen::Matrix3d& block) {
@@ -109,15 +122,16 @@ void RigidMultigrid::prepare(const BlockMatrix& matrix, const double* x, ThreadP
     place_aggregates(l);
     make_tentative(l, pool);
     if (l == 0) {
-      make_prolongation<3>(l, pool);
-      make_product<3>(l, pool);
+      make_prolongation<3>(matrix, l, pool);
+      make_product<3>(matrix, l, pool);
       make_coarse<3>(l, pool);
     } else {
-      make_prolongation<6>(l, pool);
-      make_product<6>(l, pool);
+      make_prolongation<6>(matrix, l, pool);
+      make_product<6>(matrix, l, pool);
       make_coarse<6>(l, pool);
     }
     mirror_coarse(l + 1, pool);
+    if (l == 0) restore_translations(pool);
   }
   factorize_coarsest(pool);
 }
@@ -141,18 +155,56 @@ const float* RigidMultigrid::projection(Index node) const {
 }
 
 void RigidMultigrid::copy_matrix(const BlockMatrix& matrix, ThreadPool& pool) {
-  float* to = levels_[0].matrix.resize(pattern(0).column.size() * kBlock3 + kBehindBlocks3);
+  finest_.blocks.resize(pattern(0).column.size() * kBlock3 + kBehindBlocks3);
+  finest_.diagonal.resize(at(matrix.num_nodes * kBlock3 + kBehindBlocks3));
+  finest_.lost.resize(at(matrix.num_nodes * kBlock3));
+  float* scale = finest_.scale.resize(at(matrix.num_nodes));
   for_rows(matrix.num_nodes, task_rows(0), pool, [&](Index i) {
-    const Index begin = kBlock3 * pattern(0).begin(i), end = kBlock3 * pattern(0).end(i);
-    for (Index k = begin; k < end; ++k) to[k] = static_cast<float>(matrix.values[k]);
-    float* own = to + kBlock3 * hierarchy_->diagonal(0, i);
-    for (int a = 0; a < 3; ++a) own[block3_place(a, a)] += static_cast<float>(matrix.diagonal[i]);
+    Largest3 largest;
+    for (Index e = pattern(0).begin(i); e < pattern(0).end(i); ++e)
+      if (pattern(0)[e] != i) largest.take(matrix.values + kBlock3 * e);
+    const float value = largest.value();
+    scale[i] = value > 0.0F ? std::sqrt(value / (kLargestShort * kShortUnit)) : 1.0F;
   });
+  for_rows(matrix.num_nodes, task_rows(0), pool, [&](Index i) { round_row(matrix, i); });
   if (!matrix.held) return;
   for (const HeldNode& h : *matrix.held) {
-    float* own = to + kBlock3 * hierarchy_->diagonal(0, h.node);
-    for (int k = 0; k < kBlock3; ++k) own[k] += static_cast<float>(h.stiffness[k]);
+    float* own = finest_.diagonal.data() + kBlock3 * h.node;
+    const double unit = 1.0 / static_cast<double>(scale[h.node] * scale[h.node]);
+    for (int k = 0; k < kBlock3; ++k) own[k] += static_cast<float>(unit * h.stiffness[k]);
   }
+}
+
+void RigidMultigrid::round_row(const BlockMatrix& matrix, Index i) {
+  const float* scale = finest_.scale.data();
+  const Index diagonal = hierarchy_->diagonal(0, i);
+  Rounding3 rounding;
+  for (Index e = pattern(0).begin(i); e < pattern(0).end(i); ++e) {
+    const double* block = matrix.values + kBlock3 * e;
+    __builtin_prefetch(block + kBytesAhead3 / sizeof(double));
+    const float other = scale[pattern(0)[e]];
+    const float unit = e == diagonal ? 0.0F : 1.0F / (scale[i] * other * kShortUnit);
+    rounding.write(block, unit, other, finest_.blocks.data() + kBlock3 * e);
+  }
+  const double* from = matrix.values + kBlock3 * diagonal;
+  const double unit = 1.0 / (static_cast<double>(scale[i]) * static_cast<double>(scale[i]));
+  float* own = finest_.diagonal.data() + kBlock3 * i;
+  float* lost = finest_.lost.data() + kBlock3 * i;
+  for (int k = 0; k < 3; ++k)
+    for (int m = 0; m < 3; ++m) {
+      const int place = block3_place(k, m), other = block3_place(m, k);
+      const double inertia = k == m ? matrix.diagonal[i] : 0.0;
+      own[place] = static_cast<float>(unit * (from[place] + inertia));
+      lost[place] = 0.5F * kShortUnit * (rounding.lost(place) + rounding.lost(other)) / scale[i];
+    }
+}
+
+/// Once coarse matrices are made of the exact one.
+void RigidMultigrid::restore_translations(ThreadPool& pool) {
+  for_rows(pattern(0).num_rows(), task_rows(0), pool, [&](Index i) {
+    for (Index k = kBlock3 * i; k < kBlock3 * (i + 1); ++k)
+      finest_.diagonal.data()[k] += finest_.lost.data()[k];
+  });
 }
 
 void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
@@ -161,22 +213,21 @@ void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
   const int size = l == 0 ? 9 : 36;
   float* inverse = level.inverse.resize(at(n * size));
   for_rows(n, task_rows(l), pool, [&](Index i) {
-    const Index entry = hierarchy_->diagonal(l, i);
     if (l > 0) {
-      const Entries<6> entries{level.matrix.data()};
+      const float* own = level.matrix.data() + hierarchy_->diagonal(l, i) * kFloatBlock;
       Eigen::Matrix<double, 6, 6> block;
       for (int k = 0; k < 6; ++k)
-        for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(entries(entry, k, m));
+        for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(own[m * kFloatLanes + k]);
       invert<6>(block, inverse + i * size);
       return;
     }
-    const Entries<3> entries{level.matrix.data()};
+    const float* own = finest_.diagonal.data() + kBlock3 * i;
     const std::uint8_t* fixed = fixed_.data() + 3 * i;
     Eigen::Matrix3d block;
     for (int k = 0; k < 3; ++k)
       for (int m = 0; m < 3; ++m)
-        block(k, m) =
-            fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0) : static_cast<double>(entries(entry, k, m));
+        block(k, m) = fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0)
+                                           : static_cast<double>(own[block3_place(k, m)]);
     float* out = inverse + i * size;
     const float* held = projection(i);
     if (held) restrict_to(held, block);
@@ -282,7 +333,10 @@ void RigidMultigrid::make_tentative(int l, ThreadPool& pool) {
     }
     for (int k = 3; k < K; ++k)
       T[k * kFloatLanes + k] = static_cast<float>(fine.length / coarse.length);
-    const float* P = l == 0 ? projection(i) : nullptr;
+    if (l > 0) return;
+    const float scale = finest_.scale.data()[i];
+    for (int k = 0; k < 3 * kFloatLanes; ++k) T[k] *= scale;
+    const float* P = projection(i);
     if (!P) return;
     FloatLane rows[3];
     for (int k = 0; k < 3; ++k) rows[k] = load_floats(T + k * kFloatLanes);
@@ -293,12 +347,12 @@ void RigidMultigrid::make_tentative(int l, ThreadPool& pool) {
 }
 
 template <int K>
-void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
+void RigidMultigrid::make_prolongation(const BlockMatrix& matrix, int l, ThreadPool& pool) {
   Level& level = levels_[at(l)];
   const RigidTransfer& t = hierarchy_->transfer(l);
   const Pattern& p = t.prolongation;
   float* out = level.prolongation.resize(p.column.size() * K * kFloatLanes);
-  const Entries<K> entries{level.matrix.data()};
+  const Blocks<K> blocks = blocks_of<K>(matrix, finest_, level);
   const float omega =
       level.largest > 0.0F ? static_cast<float>(kProlongationDamping) / level.largest : 0.0F;
   for_rows_with_places(
@@ -311,11 +365,13 @@ void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
           const Index j = pattern(l)[e];
           const float* T = level.tentative.data() + j * K * kFloatLanes;
           float* to = out + place[t.aggregates.of_node[at(j)]] * K * kFloatLanes;
+          float a[K][Blocks<K>::kPadded];
+          blocks.read(e, i, j, a);
           FloatLane rows[K];
           for (int m = 0; m < K; ++m) rows[m] = load_floats(T + m * kFloatLanes);
           for (int k = 0; k < K; ++k) {
             FloatLane total = load_floats(to + k * kFloatLanes);
-            for (int m = 0; m < K; ++m) total += entries(e, k, m) * rows[m];
+            for (int m = 0; m < K; ++m) total += a[m][k] * rows[m];
             store_floats(to + k * kFloatLanes, total);
           }
         }
@@ -337,22 +393,21 @@ void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
 }
 
 template <int K>
-void RigidMultigrid::make_product(int l, ThreadPool& pool) {
+void RigidMultigrid::make_product(const BlockMatrix& matrix, int l, ThreadPool& pool) {
   Level& level = levels_[at(l)];
   const RigidTransfer& t = hierarchy_->transfer(l);
   const Pattern& p = t.prolongation;
   const Pattern& ap = t.product;
   float* out = level.product.resize(ap.column.size() * K * kFloatLanes);
-  const Entries<K> entries{level.matrix.data()};
+  const Blocks<K> blocks = blocks_of<K>(matrix, finest_, level);
   for_rows_with_places(
       ap.num_rows(), task_rows(l), t.aggregates.count, pool, [&](Index i, Places& place) {
         for (Index e = ap.begin(i); e < ap.end(i); ++e) place[ap[e]] = e;
         std::fill(out + ap.begin(i) * K * kFloatLanes, out + ap.end(i) * K * kFloatLanes, 0.0F);
         for (Index e = pattern(l).begin(i); e < pattern(l).end(i); ++e) {
           const Index j = pattern(l)[e];
-          float a[K][K];
-          for (int k = 0; k < K; ++k)
-            for (int m = 0; m < K; ++m) a[k][m] = entries(e, k, m);
+          float a[K][Blocks<K>::kPadded];
+          blocks.read(e, i, j, a);
           for (Index q = p.begin(j); q < p.end(j); ++q) {
             const float* P = level.prolongation.data() + q * K * kFloatLanes;
             float* to = out + place[p[q]] * K * kFloatLanes;
@@ -360,7 +415,7 @@ void RigidMultigrid::make_product(int l, ThreadPool& pool) {
             for (int m = 0; m < K; ++m) rows[m] = load_floats(P + m * kFloatLanes);
             for (int k = 0; k < K; ++k) {
               FloatLane total = load_floats(to + k * kFloatLanes);
-              for (int m = 0; m < K; ++m) total += a[k][m] * rows[m];
+              for (int m = 0; m < K; ++m) total += a[m][k] * rows[m];
               store_floats(to + k * kFloatLanes, total);
             }
           }
