@@ -116,7 +116,7 @@ def extensions() -> list[Extension]:
     ]
 
 
-NO_COMPILER = """{name!r} is missing: diffsim needs a C++17 compiler (GCC >= 11 or Clang >= 12).
+NO_COMPILER = """{name!r} is missing: diffsim needs a C++17 compiler (GCC >= 12 or Clang >= 12).
   Debian, Ubuntu:  sudo apt-get install g++ python3-dev
   Fedora:          sudo dnf install gcc-c++ python3-devel
   macOS:           xcode-select --install
