@@ -197,15 +197,20 @@ __device__ inline void tangent(const ElementTable& table, const Sample& p, doubl
   }
 }
 
+/// The table in memory that a block shares.
+__device__ inline void take_table(const ElementTable* table, ElementTable& shared) {
+  for (int k = threadIdx.x; k < int(sizeof(ElementTable) / 8); k += blockDim.x)
+    reinterpret_cast<double*>(&shared)[k] = reinterpret_cast<const double*>(table)[k];
+  __syncthreads();
+}
+
 /// Forces (elements, 8, 3) and energies (blocks,); blockIdx.y is the member of a batch.
 __global__ void __launch_bounds__(kSampleThreads)
     element_forces(const ElementTable* table, const int* elements, int count, const double* x,
                    std::size_t x_stride, double* forces, double* energy) {
   __shared__ double P[9][kSampleThreads + 1];
   __shared__ ElementTable shared;
-  for (int k = threadIdx.x; k < int(sizeof(ElementTable) / 8); k += blockDim.x)
-    reinterpret_cast<double*>(&shared)[k] = reinterpret_cast<const double*>(table)[k];
-  __syncthreads();
+  take_table(table, shared);
   const std::size_t member = blockIdx.y;
   const int first = blockIdx.x * kElementsOfBlock;
   const int e = first + threadIdx.x / kSamples, q = threadIdx.x % kSamples;
@@ -235,9 +240,7 @@ __global__ void __launch_bounds__(kSampleThreads)
                      std::size_t x_stride, double* matrices) {
   extern __shared__ double H[];  // (45, threads)
   __shared__ ElementTable shared;
-  for (int k = threadIdx.x; k < int(sizeof(ElementTable) / 8); k += blockDim.x)
-    reinterpret_cast<double*>(&shared)[k] = reinterpret_cast<const double*>(table)[k];
-  __syncthreads();
+  take_table(table, shared);
   const std::size_t member = blockIdx.y;
   const int first = blockIdx.x * kElementsOfBlock;
   const int e = first + threadIdx.x / kSamples, q = threadIdx.x % kSamples;

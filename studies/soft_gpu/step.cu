@@ -489,6 +489,6 @@ int main(int count, char** given) {
   const double bandwidth = copy_bandwidth();
   std::printf("%s, %d multiprocessors; a copy moves %.0f GB/s\n", device.name,
               device.multiProcessorCount, bandwidth);
-  const std::vector<int> threads{1, 16};
+  const std::vector<int> threads{1, 8, 16};
   for (int k = 1; k < count; ++k) compare(std::atoi(given[k]), threads, bandwidth);
 }
