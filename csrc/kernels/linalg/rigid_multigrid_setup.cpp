@@ -161,8 +161,11 @@ void RigidMultigrid::copy_matrix(const BlockMatrix& matrix, ThreadPool& pool) {
   float* scale = finest_.scale.resize(at(matrix.num_nodes));
   for_rows(matrix.num_nodes, task_rows(0), pool, [&](Index i) {
     Largest3 largest;
-    for (Index e = pattern(0).begin(i); e < pattern(0).end(i); ++e)
-      if (pattern(0)[e] != i) largest.take(matrix.values + kBlock3 * e);
+    for (Index e = pattern(0).begin(i); e < pattern(0).end(i); ++e) {
+      const double* block = matrix.values + kBlock3 * e;
+      __builtin_prefetch(block + kBytesAhead3 / sizeof(double));
+      if (pattern(0)[e] != i) largest.take(block);
+    }
     const float value = largest.value();
     scale[i] = value > 0.0F ? std::sqrt(value / (kLargestShort * kShortUnit)) : 1.0F;
   });
