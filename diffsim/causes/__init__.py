@@ -7,22 +7,28 @@ and how large it may be without surprise, in magnitudes of the recordings (``sca
 
 from diffsim.causes.catalogue import all_rows, domains, rows
 from diffsim.causes.commands import CommandGroup, command_cause, command_causes
-from diffsim.causes.own import OwnRow, Ports, own_causes
+from diffsim.causes.listing import list_causes
+from diffsim.causes.own import OwnRow, own_causes
+from diffsim.causes.plant import Place, Plant
 from diffsim.causes.readings import Instrument, reading_cause, reading_causes
 from diffsim.causes.row import Row
 from diffsim.causes.scales import Scales
+from diffsim.causes.scene import Scene
 
 __all__ = [
     "CommandGroup",
     "Instrument",
     "OwnRow",
-    "Ports",
+    "Place",
+    "Plant",
     "Row",
     "Scales",
+    "Scene",
     "all_rows",
     "command_cause",
     "command_causes",
     "domains",
+    "list_causes",
     "own_causes",
     "reading_cause",
     "reading_causes",

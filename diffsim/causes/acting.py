@@ -10,14 +10,8 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.formulas import Formula, constant_in
-from diffsim.causes.ports import (
-    ForceLaw,
-    SignalChange,
-    TakesCommands,
-    TakesForces,
-    TakesNumbers,
-    TakesReadings,
-)
+from diffsim.causes.ports import SignalChange
+from diffsim.causes.scene import ForceLaw, Scene
 from diffsim.causes.signals import Grid, change_rows
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
@@ -73,13 +67,13 @@ class ByFormula:
         return size[..., : self.num_sizes], dict(zip(self.shapes, shapes.unbind(-1), strict=True))
 
     def _change_commands(
-        self, scene: TakesCommands, size: Tensor, run: Run, *, names: tuple[str, ...]
+        self, scene: Scene, size: Tensor, run: Run, *, names: tuple[str, ...]
     ) -> object:
         return scene.with_command(names, self._change(size, run, {}))
 
     def _change_readings(
         self,
-        scene: TakesReadings,
+        scene: Scene,
         size: Tensor,
         run: Run,
         *,
@@ -106,7 +100,7 @@ class ByFormula:
 
     def _change_numbers(
         self,
-        scene: TakesNumbers,
+        scene: Scene,
         size: Tensor,
         run: Run,
         *,
@@ -115,14 +109,14 @@ class ByFormula:
     ) -> object:
         sizes, shapes = self._split(size)
         num_each = len(names) // max(self.num_sizes, 1)
-        out: TakesNumbers = scene
+        out: Scene = scene
         for i, name in enumerate(names):
             own = {"size": sizes[..., i // num_each]} if self.num_sizes else {}
             amount = self.formula({**shapes, **own}, run)
             out = out.with_number(name, partial(_change_number, amount=amount, is_factor=is_factor))
         return out
 
-    def _push(self, scene: TakesForces, size: Tensor, run: Run, *, place: str) -> object:
+    def _push(self, scene: Scene, size: Tensor, run: Run, *, place: str) -> object:
         sizes, shapes = self._split(size)
         known = {n: constant_in(run, n) for n in self._list_constants()}
         known.update(self.formula.numbers)

@@ -1,7 +1,9 @@
 """All causes that the library knows, one row each, read from the tables beside this file.
 
 A table has a domain: what commands pass (``actuator``), what shows channels (``sensor``), and one
-for each kind of system. Who looks for a cause, its usual size or its words finds them there.
+for each kind of system. Who looks for a cause, its usual size or its words finds them there. A
+table may take rows of another one, ``{include: load/tip_mass}``, or all of it, ``{include:
+actuator}``: then it says in which order its system has them.
 """
 
 from __future__ import annotations
@@ -29,7 +31,20 @@ def domains() -> tuple[str, ...]:
 
 @cache
 def rows(domain: str) -> Mapping[str, Row]:
-    """Causes of a domain by name, in the order in which they act.
+    """Causes of a domain by name, in the order in which they act; without those of other tables.
+
+    Args:
+        domain: One of ``domains()``.
+
+    Raises:
+        ValueError: no such domain, or a table with mistakes.
+    """
+    return MappingProxyType({row.name: row for of, row in rows_in_order(domain) if of == domain})
+
+
+@cache
+def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
+    """Domain and row of all causes of a table, those of other tables where it takes them.
 
     Args:
         domain: One of ``domains()``.
@@ -43,15 +58,19 @@ def rows(domain: str) -> Mapping[str, Row]:
             f"known: {', '.join(domains())}"
         )
     path = _HERE / f"{domain}.yaml"
-    found, wrong = {}, []
+    found, wrong = list[tuple[str, Row]](), []
     for name, given in read_yaml_file(path).items():
+        if "include" in given:
+            table, _, one = str(given["include"]).partition("/")
+            found += [(of, row) for of, row in rows_in_order(table) if not one or row.name == one]
+            continue
         try:
-            found[name] = Row.model_validate({"name": name, **given})
+            found.append((domain, Row.model_validate({"name": name, **given})))
         except ValidationError as error:
             wrong += problem_lines(f"{path.name}: {name}", error)
     if wrong:
         raise Mistakes(wrong)
-    return MappingProxyType(found)
+    return tuple(found)
 
 
 def all_rows() -> Iterator[tuple[str, Row]]:
@@ -61,4 +80,4 @@ def all_rows() -> Iterator[tuple[str, Row]]:
             yield domain, row
 
 
-__all__ = ["all_rows", "domains", "rows"]
+__all__ = ["all_rows", "domains", "rows", "rows_in_order"]

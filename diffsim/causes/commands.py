@@ -35,6 +35,7 @@ class CommandGroup:
         ending: What names of causes end with, such as "_of_motor".
         unit: Unit of the commands; None: not said.
         shown: Unit in which a user reads them; None: ``unit``.
+        facts: What holds of these commands, as rows ask for it: "gain_is_fitted".
     """
 
     names: tuple[str, ...]
@@ -44,6 +45,7 @@ class CommandGroup:
     ending: str = ""
     unit: str | None = None
     shown: str | None = None
+    facts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", MappingProxyType(dict(self.scales)))
@@ -60,14 +62,27 @@ def command_cause(
         system: Kind of system.
         needs: What a study must have, in place of what the row says.
     """
-    row = rows(ACTUATOR)[name]
+    return cause_of_commands(rows(ACTUATOR)[name], group, system=system, needs=needs)
+
+
+def cause_of_commands(
+    row: Row, group: CommandGroup, *, system: str = ANY, needs: Needs | None = None
+) -> Effect:
+    """A cause on the way of some commands, by its row.
+
+    Args:
+        row: Row of the cause.
+        group: Commands that the cause changes alike.
+        system: Kind of system.
+        needs: What a study must have, in place of what the row says.
+    """
     effect = row.effect(
         on_commands(row, group.names, group.scales, group.between, system),
         group.scales,
         system=system,
         ending=group.ending,
     )
-    if name == "quantization":
+    if row.name == "quantization":
         effect = replace(effect, tries=tuple(_USUAL_STEPS / n for n in STEPS))
     if needs is not None:
         effect = replace(effect, needs=needs)
@@ -118,4 +133,4 @@ def _slack_in_words(unit: str, times: float, shown: str | None) -> Callable[[flo
 _WORDS = {"rate_limit": _limit_in_words, "slack": _slack_in_words}
 
 
-__all__ = ["CommandGroup", "command_cause", "command_causes", "say_in_unit"]
+__all__ = ["CommandGroup", "cause_of_commands", "command_cause", "command_causes", "say_in_unit"]

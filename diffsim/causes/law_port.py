@@ -30,8 +30,9 @@ from diffsim.causes.formulas import (
     signals_of,
 )
 from diffsim.causes.instruments import grid_of
-from diffsim.causes.own import Ports
-from diffsim.causes.ports import OF_FORCES, ForceLaw
+from diffsim.causes.plant import Plant
+from diffsim.causes.ports import OF_FORCES
+from diffsim.causes.scene import ForceLaw
 from diffsim.causes.signals import Grid
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
@@ -70,7 +71,7 @@ class PortLaws:
         whole: Study as it was recorded.
     """
 
-    offered: Callable[[], Ports | None]
+    offered: Callable[[], Plant | None]
     study: Study
     model: SimModel
     make: Callable[[Study], DiagnosisSetup]
@@ -81,7 +82,7 @@ class PortLaws:
         return replace(self, make=make, whole=study)
 
     @cached_property
-    def ports(self) -> Ports:
+    def plant(self) -> Plant:
         """What the system offers."""
         found = self.offered()
         assert found is not None
@@ -93,16 +94,16 @@ class PortLaws:
         return tuple(self._list_entries())
 
     def _list_entries(self) -> Iterator[Entry]:
-        ports = self.ports
+        plant = self.plant
         yield from reading_entries(self.study)
         if self._list_constants():
-            for name in ports.numbers:
+            for name in plant.numbers:
                 yield Entry("number", name, "-", 1.0)
-        for name in ports.commands:
-            reach = ports.scales.of_commands((name,))["reach"]
+        for name in plant.between:
+            reach = plant.scales.of_commands((name,))["reach"]
             yield Entry("input", name, self._units.get(name, "-"), reach)
-        for name, usual in ports.places.items():
-            yield Entry("force", name, ports.place_units.get(name, "N"), usual["push"])
+        for name, place in plant.places.items():
+            yield Entry("force", name, place.unit, place.magnitudes["push"])
 
     @cached_property
     def _units(self) -> dict[str, str]:
@@ -122,14 +123,14 @@ class PortLaws:
             yield from self._list_of(name, "u", (words,), is_turn=name in of_kind)
         for name in of_kind:
             # a system may add channels of its own, which formulas do not know
-            if name in self.ports.channels and name.isidentifier() and name not in RESERVED:
+            if name in self.plant.channel_names and name.isidentifier() and name not in RESERVED:
                 others = tuple(w for n, w in of_kind.items() if n != name)
                 if others:
                     yield Variable(name, name, self._units.get(name, "-"), at=others)
         for name in signals_of(self.study):
             at = (*readings, *(w for n, w in inputs.items() if n != name))
             yield from self._list_of(name, name, at)
-        if self.ports.has_clock and (readings or inputs):
+        if self.plant.is_in_time and (readings or inputs):
             yield Variable("time", "t", "s", at=(*readings, *inputs.values()))
         for name in self._list_constants():
             said = "order of the runs" if name == ORDER else name.replace("_", " ")
@@ -146,7 +147,7 @@ class PortLaws:
         """A signal and its memories."""
         if not at:
             return
-        is_timed = self.ports.has_clock
+        is_timed = self.plant.is_in_time
         unit = self._units.get(name, "-")
         yield Variable(name, formula, unit, at=at, is_turn=is_turn and is_timed)
         if not is_timed:
@@ -156,7 +157,7 @@ class PortLaws:
         for share in LASTING:
             kept: dict[str, Any] = {
                 "of": name,
-                "numbers": {_LASTING: share * self.ports.scales.longest_s},
+                "numbers": {_LASTING: share * self.plant.scales.longest_s},
                 "number_units": {_LASTING: "s"},
                 "at": at,
             }
@@ -227,8 +228,8 @@ class PortLaws:
     def _watch(self, problem: Problem, x: Array, run: Run) -> _WatchedRun:
         """One simulation that is listened to at commands and places."""
         q, sizes = _point_of(problem, x)
-        forces = {place: WatchedForce() for place in self.ports.places}
-        signals = {name: _WatchedSignal() for name in self.ports.commands}
+        forces = {place: WatchedForce() for place in self.plant.places}
+        signals = {name: _WatchedSignal() for name in self.plant.between}
         with torch.no_grad():
             # of the base class: a scene that is known again would not be simulated
             scene: Any = SimModel.scene(problem.model, run, q, sizes, problem.numerics)
@@ -251,7 +252,7 @@ class PortLaws:
         text = f"u + {total}" if entry.kind in ("reading", "input") else total
         by = ByFormula(self._read(text, variable, factors), factors, num_sizes=0)
         acts = {
-            "reading": lambda: by.at_readings((entry.channel,), self.ports.channels),
+            "reading": lambda: by.at_readings((entry.channel,), self.plant.channel_names),
             "input": lambda: by.at_commands((entry.target,)),
             "number": lambda: by.at_numbers((entry.target,), is_factor=True),
             "force": lambda: by.at_place(entry.target),
@@ -260,7 +261,7 @@ class PortLaws:
 
     def _read(self, text: str, variable: Variable, more: Sequence[str] = ()) -> Formula:
         known = (*OF_FORCES, "u", "t", *more, *constants_of(self.study))
-        names = (*known, *signals_of(self.study), *self.ports.channels)
+        names = (*known, *signals_of(self.study), *self.plant.channel_names)
         shapes = {n: ShapeKeys(value=v) for n, v in variable.numbers.items()}
         return _formula(text, names, _memories_of(variable), shapes)
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
@@ -18,6 +17,7 @@ from diffsim.causes.formulas import (
     parse_formula,
     signals_of,
 )
+from diffsim.causes.plant import Plant
 from diffsim.causes.ports import (
     OF_FORCES,
     OF_SIGNALS,
@@ -28,8 +28,7 @@ from diffsim.causes.ports import (
     on_readings,
 )
 from diffsim.causes.row import ANY, Names, Row
-from diffsim.causes.scales import Scales
-from diffsim.causes.signals import MAPS, Between
+from diffsim.causes.signals import MAPS
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.data.study import Study
@@ -66,33 +65,6 @@ class OwnRow(Row):
         return self
 
 
-@dataclass(frozen=True)
-class Ports:
-    """What a described system offers to causes of a user.
-
-    Attributes:
-        scales: Usual magnitudes of the recordings.
-        commands: What each command does between samples, by name.
-        channels: Names of the channels, in order.
-        has_clock: Whether channels may be late.
-        numbers: Names of the numbers that may be changed.
-        places: Names of the places at which forces may act, with their usual magnitudes: ``push``,
-            ``distance``, ``speed``.
-        place_units: Units of forces at places, where they are not N.
-        push: Function (row, place) -> how a force acts; other than through the scene's port where
-            a system writes forces into its formulas.
-    """
-
-    scales: Scales
-    commands: Mapping[str, Between] = field(default_factory=dict)
-    channels: tuple[str, ...] = ()
-    has_clock: bool = False
-    numbers: tuple[str, ...] = ()
-    places: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    place_units: Mapping[str, str] = field(default_factory=dict)
-    push: Callable[[Row, str], Apply] = on_place
-
-
 _KINDS = {
     "command": "actuator",
     "reading": "sensor",
@@ -102,38 +74,38 @@ _KINDS = {
 }
 
 
-def own_causes(rows: Sequence[OwnRow], ports: Ports, study: Study) -> tuple[Effect, ...]:
+def own_causes(rows: Sequence[OwnRow], plant: Plant, study: Study) -> tuple[Effect, ...]:
     """Effects of rows that a study states under ``effects.own``.
 
     Args:
         rows: Rows of the study's own causes.
-        ports: What the system offers.
+        plant: What the system offers.
         study: Study that states them.
 
     Raises:
         ValueError: rows that name what there is not; a line for each.
     """
     wrong = [
-        line for i, row in enumerate(rows) for line in _mistakes(f"effects.own[{i}]", row, ports)
+        line for i, row in enumerate(rows) for line in _mistakes(f"effects.own[{i}]", row, plant)
     ]
     if wrong:
         raise Mistakes(wrong)
-    return tuple(_effect(row, ports, study) for row in rows)
+    return tuple(_effect(row, plant, study) for row in rows)
 
 
-def _list_offered_names(row: OwnRow, ports: Ports) -> Sequence[str]:
+def _list_offered_names(row: OwnRow, plant: Plant) -> Sequence[str]:
     """Names that a row's ``of``, ``add`` or ``scale`` may use."""
     return {
-        "command": tuple(ports.commands),
-        "reading": ports.channels,
-        "clock": ports.channels if ports.has_clock else (),
-        "number": ports.numbers,
-        "force": tuple(ports.places),
+        "command": tuple(plant.between),
+        "reading": plant.channel_names,
+        "clock": plant.channel_names if plant.is_in_time else (),
+        "number": plant.numbers,
+        "force": tuple(plant.places),
     }.get(row.at, ())
 
 
-def _mistakes(where: str, row: OwnRow, ports: Ports) -> Iterator[str]:
-    known = _list_offered_names(row, ports)
+def _mistakes(where: str, row: OwnRow, plant: Plant) -> Iterator[str]:
+    known = _list_offered_names(row, plant)
     if not known:
         yield f"{where}.at: this system has no {row.at} for causes of your own"
         return
@@ -149,27 +121,27 @@ def _mistakes(where: str, row: OwnRow, ports: Ports) -> Iterator[str]:
         yield f"{where}.of: name the one place at which the force acts; known: {', '.join(known)}"
 
 
-def _effect(row: OwnRow, ports: Ports, study: Study) -> Effect:
+def _effect(row: OwnRow, plant: Plant, study: Study) -> Effect:
     stated = row if row.kind is not None else row.model_copy(update={"kind": _KINDS[row.at]})
-    apply, scales, unit = _acts(stated, ports, study)
+    apply, scales, unit = _acts(stated, plant, study)
     own: dict[str, Any] = {"price": row.price, "shapes": fitted_shapes(row.shapes, row.name)}
     if unit is not None and row.unit in ("command", "channel"):
         own["unit"] = unit
     return stated.effect(apply, scales, **own)
 
 
-def _acts(row: OwnRow, ports: Ports, study: Study) -> tuple[Apply, Mapping[str, float], str | None]:
+def _acts(row: OwnRow, plant: Plant, study: Study) -> tuple[Apply, Mapping[str, float], str | None]:
     """How a row acts, the magnitudes that it may use, and the unit of what it changes."""
     if row.at == "command":
-        return _acts_on_commands(row, ports, study)
+        return _acts_on_commands(row, plant, study)
     if row.at in ("reading", "clock"):
-        return _acts_on_channels(row, ports, study)
+        return _acts_on_channels(row, plant, study)
     if row.at == "force":
         place = row.of[0]
-        if ports.push is not on_place:  # the system writes it into its formulas
-            return ports.push(row, place), ports.places[place], None
+        if plant.push is not on_place:  # the system writes it into its formulas
+            return plant.push(row, place), plant.places[place].magnitudes, None
         formula = _read(row, row.said("law"), (*OF_FORCES, *constants_of(study)), {})
-        return _by(formula, row).at_place(place), ports.places[place], None
+        return _by(formula, row).at_place(place), plant.places[place].magnitudes, None
     if row.map is None:
         return on_numbers(row), {}, None
     formula = _read(row, row.said("map"), ("size", *constants_of(study)), {})
@@ -177,13 +149,13 @@ def _acts(row: OwnRow, ports: Ports, study: Study) -> tuple[Apply, Mapping[str, 
 
 
 def _acts_on_commands(
-    row: OwnRow, ports: Ports, study: Study
+    row: OwnRow, plant: Plant, study: Study
 ) -> tuple[Apply, Mapping[str, float], str | None]:
-    names = row.of or tuple(ports.commands)
-    scales = ports.scales.of_commands(names)
+    names = row.of or tuple(plant.between)
+    scales = plant.scales.of_commands(names)
     units = {c.unit for c in study.commands if c.name in names}
     if row.said("map") in MAPS:
-        apply = on_commands(row, names, scales, ports.commands[names[0]])
+        apply = on_commands(row, names, scales, plant.between[names[0]])
     else:
         known = (*OF_SIGNALS, *constants_of(study), *signals_of(study))
         apply = _by(_read(row, row.said("map"), known, scales), row).at_commands(names)
@@ -191,20 +163,20 @@ def _acts_on_commands(
 
 
 def _acts_on_channels(
-    row: OwnRow, ports: Ports, study: Study
+    row: OwnRow, plant: Plant, study: Study
 ) -> tuple[Apply, Mapping[str, float], str | None]:
-    names = row.of or ports.channels
-    scales = ports.scales.of_channels(names)
-    places = [ports.channels.index(name) for name in names]
+    names = row.of or plant.channel_names
+    scales = plant.scales.of_channels(names)
+    places = [plant.channel_names.index(name) for name in names]
     units = {study.channels[i].unit for i in places}
     if row.at == "clock":
         apply = on_clock(places)
     elif row.said("map") in MAPS:
         apply = on_readings(row, places, scales)
     else:
-        known = (*OF_SIGNALS, *constants_of(study), *signals_of(study), *ports.channels)
+        known = (*OF_SIGNALS, *constants_of(study), *signals_of(study), *plant.channel_names)
         formula = _read(row, row.said("map"), known, scales)
-        apply = _by(formula, row).at_readings(places, ports.channels)
+        apply = _by(formula, row).at_readings(places, plant.channel_names)
     return apply, scales, units.pop() if len(units) == 1 else None
 
 
@@ -214,7 +186,7 @@ def _read(row: OwnRow, text: str, known: Sequence[str], scales: Mapping[str, flo
 
 def _by(formula: Formula, row: OwnRow) -> ByFormula:
     fitted = tuple(name for name, s in row.shapes.items() if s.sd is not None)
-    return ByFormula(formula, fitted, len(row.components), row.kink)
+    return ByFormula(formula, fitted, len(row.components), row.said("kink"))
 
 
-__all__ = ["OwnRow", "Ports", "own_causes"]
+__all__ = ["OwnRow", "own_causes"]

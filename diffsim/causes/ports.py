@@ -1,102 +1,28 @@
-"""Five ports that the scene of a run may offer to causes, and how a row acts through each.
-
-A scene is whatever a model has made of a run. It offers a port by having the method:
-
-- ``with_command(names, change)``: commands on their way to the actuators;
-- ``with_reading(channels, change)``: what channels show, by their indices;
-- ``with_clock(channels, delay)``: how late channels are;
-- ``with_number(name, change)``: a number of the system;
-- ``with_force(place, law)``: a force at a place.
-
-Each returns a changed copy. Names and channels may be empty: all that the system has. Signals are
-(..., width, num_times): one row for each command or channel, points of the parameters in front. At
-size 0 a cause is the scene itself, also where its response has a kink there.
-"""
+"""How a row acts through each of the five ports of a scene (``diffsim.causes.scene``)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from diffsim.causes.row import ANY, Row
+from diffsim.causes.scene import ForceLaw, LawFormula, Scene
 from diffsim.causes.signals import MAPS, Between, Grid, SignalMap, SizedMap
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
 
+if TYPE_CHECKING:
+    from diffsim.causes.plant import Sessions
+
 PLAY = "with_play"  # the map that depends on where a run starts
 OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
 OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, speed below which friction fades
-
-
-class TakesCommands(Protocol):
-    """A scene whose commands can be changed on their way."""
-
-    def with_command(self, names: tuple[str, ...], change: SignalMap) -> Any:
-        """A copy in which some commands are f(commands (..., width, num_times), grid)."""
-        ...
-
-
-class TakesReadings(Protocol):
-    """A scene whose readings can be changed."""
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Any:
-        """A copy in which some channels are f(channels (..., width, num_times), grid)."""
-        ...
-
-
-class TakesClocks(Protocol):
-    """A scene whose channels may be late."""
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Any:
-        """A copy in which some channels show what was ``delay``, () or (K,), ago [s]."""
-        ...
-
-
-class TakesNumbers(Protocol):
-    """A scene with numbers that can be changed."""
-
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Any:
-        """A copy in which a number is f(number)."""
-        ...
-
-
-class LawFormula(Protocol):
-    """A formula of ``OF_FORCES``, on tensors and on plain numbers."""
-
-    def __call__(self, values: Mapping[str, Tensor]) -> Tensor:
-        """Its value, of the shape that position and speed have."""
-        ...
-
-    def on_floats(self, *names: str) -> Callable[..., float]:
-        """The formula as a function of plain numbers."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class ForceLaw:
-    """A force of position, speed and usual speed, at a size.
-
-    Attributes:
-        formula: Formula of ``OF_FORCES``.
-        size: () or (K,).
-    """
-
-    formula: LawFormula
-    size: Tensor
-
-
-class TakesForces(Protocol):
-    """A scene with places at which forces may act."""
-
-    def with_force(self, place: str, law: ForceLaw) -> Any:
-        """A copy with one more force at a place."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +86,10 @@ class SignalMapper:
         """
         text: str = row.said("map", system)
         if text in MAPS:
-            return cls(MAPS[text][between], row.kink, text == PLAY)
+            return cls(MAPS[text][between], row.said("kink", system), text == PLAY)
         formula = parse_expression(text, (*OF_SIGNALS, *scales))
         used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in OF_SIGNALS)
-        return cls(partial(_evaluate, text=text, scales=used), row.kink, False)
+        return cls(partial(_evaluate, text=text, scales=used), row.said("kink", system), False)
 
     def at(self, scene: Any, size: Tensor) -> SignalChange:
         """The change of a scene's signals; a play begins where the run does, if the scene says
@@ -214,7 +140,7 @@ def on_commands(
 
 
 def _change_commands(
-    scene: TakesCommands, size: Tensor, run: Run, *, names: tuple[str, ...], mapper: SignalMapper
+    scene: Scene, size: Tensor, run: Run, *, names: tuple[str, ...], mapper: SignalMapper
 ) -> Any:
     return scene.with_command(names, mapper.at(scene, size))
 
@@ -234,7 +160,7 @@ def on_readings(
 
 
 def _change_readings(
-    scene: TakesReadings, size: Tensor, run: Run, *, channels: tuple[int, ...], mapper: SignalMapper
+    scene: Scene, size: Tensor, run: Run, *, channels: tuple[int, ...], mapper: SignalMapper
 ) -> Any:
     return scene.with_reading(channels, mapper.at(scene, size))
 
@@ -248,9 +174,7 @@ def on_clock(channels: Sequence[int]) -> Apply:
     return partial(_delay_channels, channels=tuple(channels))
 
 
-def _delay_channels(
-    scene: TakesClocks, size: Tensor, run: Run, *, channels: tuple[int, ...]
-) -> Any:
+def _delay_channels(scene: Scene, size: Tensor, run: Run, *, channels: tuple[int, ...]) -> Any:
     return scene.with_clock(channels, size[..., 0])
 
 
@@ -264,7 +188,7 @@ def on_numbers(row: Row) -> Apply:
 
 
 def _change_numbers(
-    scene: TakesNumbers, size: Tensor, run: Run, *, names: tuple[str, ...], is_factor: bool
+    scene: Scene, size: Tensor, run: Run, *, names: tuple[str, ...], is_factor: bool
 ) -> Any:
     each = len(names) // size.shape[-1]
     for i, name in enumerate(names):
@@ -281,6 +205,34 @@ def _scale_by(value: Tensor, size: Tensor) -> Tensor:
     return value * (1.0 + size)
 
 
+def on_numbers_between(row: Row, sessions: Sessions) -> tuple[Apply, tuple[str, ...]]:
+    """How a change of numbers between sessions acts, and the names of its sizes.
+
+    Args:
+        row: Cause with ``at: number`` and ``per: session``, a component for each number.
+        sessions: Groups of runs, of which the first is as described.
+
+    Returns:
+        A size for each number in each later session.
+    """
+    later = sessions.labels[1:]
+    several = len(later) > 1
+    parts = tuple(f"{c} of {s}" if several else c for s in later for c in row.components)
+    return partial(_change_in_session, names=row.add, sessions=sessions), parts
+
+
+def _change_in_session(
+    scene: Scene, size: Tensor, run: Run, *, names: tuple[str, ...], sessions: Sessions
+) -> Any:
+    session = sessions.index_of(run)
+    if session is None:
+        return scene
+    for i, name in enumerate(names):
+        own = size[..., session * len(names) + i]
+        scene = scene.with_number(name, partial(_add_to, size=own))
+    return scene
+
+
 def on_place(row: Row, place: str) -> Apply:
     """How a force acts at a place.
 
@@ -292,7 +244,7 @@ def on_place(row: Row, place: str) -> Apply:
     return partial(_push, place=place, formula=formula)
 
 
-def _push(scene: TakesForces, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:
+def _push(scene: Scene, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:
     return scene.with_force(place, ForceLaw(formula, size[..., 0]))
 
 
@@ -304,6 +256,7 @@ __all__ = [
     "on_clock",
     "on_commands",
     "on_numbers",
+    "on_numbers_between",
     "on_place",
     "on_readings",
 ]

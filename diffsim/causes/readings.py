@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.catalogue import rows
-from diffsim.causes.channel_groups import WHOLE
+from diffsim.causes.channel_groups import WHOLE, ChannelGroup, channel_groups
 from diffsim.causes.ports import on_clock, on_readings
-from diffsim.causes.row import ANY
+from diffsim.causes.row import ANY, Row, spell_plainly
+from diffsim.causes.scales import Scales
+from diffsim.causes.scene import PLAY_START
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
 
-PLAY_START = "play_start"  # base parameter: where in a play a run starts, -1 to 1
 SENSOR = "sensor"  # the table
 _OF_EACH = ("sensor_offset", "sensor_drift")  # with a size for each channel
 
@@ -56,9 +57,19 @@ def reading_cause(name: str, of: Instrument, *, system: str = ANY) -> Effect:
         of: Instrument that the cause changes.
         system: Kind of system.
     """
-    row = rows(SENSOR)[name]
+    return cause_of_readings(rows(SENSOR)[name], of, system=system)
+
+
+def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
+    """A cause in an instrument, by its row.
+
+    Args:
+        row: Row of the cause.
+        of: Instrument that the cause changes.
+        system: Kind of system.
+    """
     is_in_unit = row.unit == "channel"
-    several = name in _OF_EACH and len(of.channels) > 1
+    several = row.name in _OF_EACH and len(of.channels) > 1
     shown = {c.shown_unit for c in of.channels} if is_in_unit else {row.shown}
     return row.effect(
         on_clock(of.places) if row.at == "clock" else on_readings(row, of.places, of.scales),
@@ -79,6 +90,62 @@ def reading_causes(of: Instrument, *, system: str = ANY) -> list[Effect]:
         system: Kind of system.
     """
     return [reading_cause(n, of, system=system) for n in rows(SENSOR) if n in of.causes]
+
+
+#: Rows in whose maps time counts: samples without an order have none of them.
+TIMED_READINGS = ("sensor_lag", "sensor_drift", "sensor_backlash", "sensor_delay")
+TIMED_COMMANDS = ("lag", "delay", "backlash", "rate_limit")
+_NAMED = ("sensor_offset", "sensor_drift")  # after the kind, even where there is no other
+
+
+def instrument_causes(
+    channels: Sequence[Channel],
+    scales: Scales,
+    *,
+    late_record: bool,
+    without: Sequence[str] = (),
+    clocks: Collection[tuple[str, ...]] = (),
+    system: str = ANY,
+) -> Iterator[Effect]:
+    """Causes of every instrument of a study, the widest first.
+
+    Args:
+        channels: Channels of the study.
+        scales: Usual magnitudes of commands and readings.
+        late_record: Whether a record that is late as a whole shows as no late command does.
+        without: Names of rows that are left out.
+        clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
+        system: Kind of system.
+    """
+    for group in channel_groups(channels, late_record=late_record):
+        of = instrument_of(group, channels, scales)
+        left_out = (*without, "sensor_delay") if group.channels in clocks else without
+        for name in rows(SENSOR):
+            if name in group.causes and name not in left_out:
+                yield reading_cause(name, with_ending(of, name, group, channels), system=system)
+
+
+def instrument_of(group: ChannelGroup, channels: Sequence[Channel], scales: Scales) -> Instrument:
+    """The instrument that shows a group of channels, its causes named by their rows alone.
+
+    Args:
+        group: Channels that causes change alike.
+        channels: Channels of the study.
+        scales: Usual magnitudes of readings.
+    """
+    places = tuple(i for i, c in enumerate(channels) if c.name in group.channels)
+    own = tuple(channels[i] for i in places)
+    usual = scales.of_channels(group.channels)
+    return Instrument(own, places, usual, "", own[0].unit, group.causes)
+
+
+def with_ending(
+    of: Instrument, cause: str, group: ChannelGroup, channels: Sequence[Channel]
+) -> Instrument:
+    is_whole = not group.name or len(of.channels) == len(channels)
+    is_one_kind = len({c.kind for c in channels}) == 1
+    is_named = not is_whole or (cause in _NAMED and is_one_kind)
+    return replace(of, ending=f"_of_{spell_plainly(group.name)}") if is_named else of
 
 
 def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
@@ -118,10 +185,16 @@ def usual_sample(runs: Iterable[Run]) -> float:
 __all__ = [
     "PLAY_START",
     "SENSOR",
+    "TIMED_COMMANDS",
+    "TIMED_READINGS",
     "Instrument",
+    "cause_of_readings",
+    "instrument_causes",
+    "instrument_of",
     "pace",
     "reading_cause",
     "reading_causes",
     "usual_sample",
+    "with_ending",
     "with_play_start",
 ]

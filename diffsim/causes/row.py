@@ -6,7 +6,8 @@ cause and for studies that add one of their own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
@@ -82,13 +83,30 @@ class Row(Part):
     one_sided: FlagBySystem = Field(
         {ANY: False}, description="Whether the size is never below zero"
     )
-    kink: bool = Field(False, description="Whether the response has a kink at zero")
+    kink: FlagBySystem = Field({ANY: False}, description="Whether the response has a kink at zero")
     scanned: bool = Field(False, description="Whether sizes over decades are tried before a fit")
     tries: tuple[float, ...] = Field((), description="Multiples of the usual size that are tried")
     masks: NamesBySystem = Field(
         {ANY: ()}, description="Causes that hide it, or that it hides; by kind of system"
     )
-    needs: str | None = Field(None, description="What a study must have for it to be judged")
+    over_time: bool = Field(
+        False, description="Whether it shows only where samples follow each other in time"
+    )
+    when: Names = Field((), description="Facts of the system that must hold for it to be judged")
+    unless: Names = Field((), description="Facts of the system that keep it from being judged")
+    not_for: Names = Field((), description="Kinds of systems that have it under another name")
+    each: str | None = Field(
+        None,
+        description="Kind of parts, such as `tendon`: a cause for each, in whose name, numbers and "
+        "family `{tendon}` stands for it. Without it numbers and components that hold `{tendon}` "
+        "become one for each",
+    )
+    per: Literal["session"] | None = Field(
+        None, description="Sizes of later sessions: the first is as described"
+    )
+    needs: TextBySystem | None = Field(
+        None, description="What a study must have for it to be judged"
+    )
     form: str = Field(
         "", description="What it does at a size, in a sentence; {reach:.3g} is a usual magnitude"
     )
@@ -97,7 +115,7 @@ class Row(Part):
     )
     like: Names = Field((), description="What data may not tell from it")
 
-    @field_validator("typical", "masks", "map", "law", "one_sided")
+    @field_validator("typical", "masks", "map", "law", "one_sided", "kink", "needs")
     @classmethod
     def _says_something_of_any(cls, given: dict[str, Any] | None) -> dict[str, Any] | None:
         if given is not None and ANY not in given:
@@ -125,18 +143,57 @@ class Row(Part):
             raise ValueError(
                 f"{len(numbers)} numbers cannot share {len(self.components)} sizes evenly"
             )
-        if self.needs is not None and self.needs not in NEEDS:
-            raise ValueError(f"needs must be one of {', '.join(NEEDS)}, got {self.needs!r}")
+        for said in (self.needs or {}).values():
+            if said not in NEEDS:
+                raise ValueError(f"needs must be one of {', '.join(NEEDS)}, got {said!r}")
+        if self.per is not None and self.at != "number":
+            raise ValueError(f"a cause at a {self.at} is not stated per {self.per}")
         return self
+
+    def of_parts(self, parts: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, Row]]:
+        """The row for the parts of a system, with what its name ends with.
+
+        Args:
+            parts: Of each kind of parts their names, and what stands for them in names of numbers.
+
+        Yields:
+            One of each part where the row says ``each``, else one of all; none where there are no
+            parts of a kind that it names.
+        """
+        if self.each is None:
+            if all(kind in parts for kind in self._kinds_of_parts()):
+                yield "", self._filled_in(parts)
+            return
+        for name, number in parts.get(self.each, {}).items():
+            filled = self._filled_in({**parts, self.each: {name: number}})
+            family = self.family.replace(f"{{{self.each}}}", name)
+            yield f"_{name}", filled.model_copy(update={"family": family})
+
+    def _kinds_of_parts(self) -> set[str]:
+        texts = (*self.add, *self.scale, *self.components)
+        return {kind for text in texts for kind in _PLACE_OF_PART.findall(text)}
+
+    def _filled_in(self, parts: Mapping[str, Mapping[str, str]]) -> Row:
+        """The row with parts in place of their kinds, numbers by theirs, components by names."""
+        if not self._kinds_of_parts():
+            return self
+        numbers = {kind: tuple(of.values()) for kind, of in parts.items()}
+        names = {kind: tuple(of) for kind, of in parts.items()}
+        filled: dict[str, Names] = {
+            "add": _fill_in(self.add, numbers),
+            "scale": _fill_in(self.scale, numbers),
+            "components": _fill_in(self.components, names),
+        }
+        return self.model_copy(update=filled)
 
     def said(self, key: str, system: str = ANY) -> Any:
         """What the row says of a kind of system under a key that may differ between these.
 
         Args:
-            key: ``map``, ``law``, ``typical``, ``masks`` or ``one_sided``.
+            key: ``map``, ``law``, ``typical``, ``masks``, ``one_sided``, ``kink`` or ``needs``.
             system: Kind of system.
         """
-        stated: Mapping[str, Any] = getattr(self, key)
+        stated: Mapping[str, Any] = getattr(self, key) or {ANY: None}
         return stated.get(system, stated[ANY])
 
     def typical_in(self, scales: Mapping[str, float], system: str = ANY) -> float:
@@ -182,19 +239,31 @@ class Row(Part):
             "shown_unit": self.shown,
             "components": self.components,
             "signed": not self.said("one_sided", system),
-            "smooth": not self.kink,
+            "smooth": not self.said("kink", system),
             "scanned": self.scanned,
             "tries": self.tries,
             "masks": tuple(m + ending for m in self.said("masks", system)),
             "also_looks_like": self.like,
             "words": None if self.words is None else self.words.format,
-            "needs": NEEDS[self.needs or "nothing"],
+            "needs": NEEDS[self.said("needs", system) or "nothing"],
         }
         if "typical" not in own:
             own["typical"] = self.typical_in(known, system)
         if "form" not in own:
             own["form"] = self.form.format_map(known)
         return Effect(apply=apply, **{**stated, **own})
+
+
+_PLACE_OF_PART = re.compile(r"\{(\w+)\}")
+
+
+def _fill_in(texts: Names, parts: Mapping[str, tuple[str, ...]]) -> Names:
+    """Each text, or one of each part of the kind that it holds in braces."""
+    out: list[str] = []
+    for text in texts:
+        kinds = _PLACE_OF_PART.findall(text)
+        out += [text.replace(f"{{{kinds[0]}}}", p) for p in parts[kinds[0]]] if kinds else [text]
+    return tuple(out)
 
 
 def spell_plainly(name: str) -> str:

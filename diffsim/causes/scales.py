@@ -7,7 +7,7 @@ other recordings; a study with a ``frame`` has it from there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -75,6 +75,17 @@ class Scales:
             max((float(r.time_s[-1] - r.time_s[0]) for r in runs), default=0.0),
             len({r.order for r in runs}),
         )
+
+    @classmethod
+    def of(cls, study: Study, plain: Mapping[str, Mapping[str, float]] | None = None) -> Scales:
+        """The record that a study's ``frame`` has, else that of its runs to fit.
+
+        Args:
+            study: Study with the recordings.
+            plain: Magnitudes of the plain model, where there is no record.
+        """
+        kept = cls.kept_in(study)
+        return replace(cls.of_runs(study), plain=dict(plain or {})) if kept is None else kept
 
     @classmethod
     def kept_in(cls, study: Study) -> Scales | None:

@@ -16,7 +16,10 @@ import torch
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from torch import Tensor
 
-from diffsim.causes.own import OwnRow, Ports, own_causes
+from diffsim.causes.listing import list_causes
+from diffsim.causes.own import OwnRow, own_causes
+from diffsim.causes.plant import Plant
+from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import KindWords, Part, number
@@ -25,7 +28,7 @@ from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.model import Parameter
+from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
 if TYPE_CHECKING:
@@ -206,10 +209,12 @@ class Description(Part):
     Attributes:
         commands_have_gradients: Whether commands of a run may be tensors, with gradients.
         starts_as_shown: Whether a run without further readings starts as its first one shows.
+        advised: Effort that suits the kind of system.
     """
 
     commands_have_gradients: ClassVar[bool] = False
     starts_as_shown: ClassVar[bool] = False
+    advised: ClassVar[DiagnosisSettings] = DiagnosisSettings()
 
     system: str = Field(description="Kind of system")
     effects: EffectChoice = Field(EffectChoice(), description="Which candidate causes are judged")
@@ -238,11 +243,31 @@ class Description(Part):
 
         Args:
             study: Study with this description as its ``model``.
+
+        Raises:
+            ValueError: errors of ``problems``.
+        """
+        self.require_possible(study)
+        plant = self.plant(study)
+        assert plant is not None
+        model = self.model(study)
+        model.frame = {SCALES: plant.scales.saved()}
+        return DiagnosisSetup(
+            model,
+            chosen_effects(list_causes(plant), self.effects, study, plant),
+            settings=settings_with(self.advised, self.effort),
+        )
+
+    def model(self, study: Study) -> SimModel:
+        """The simulator as described, for all runs of a study.
+
+        Args:
+            study: Study with this description as its ``model``.
         """
         raise NotImplementedError
 
-    def ports(self, study: Study) -> Ports | None:
-        """What the system offers to causes of a user, and to laws that nobody listed.
+    def plant(self, study: Study) -> Plant | None:
+        """What the system tells of itself to causes, of the library and of a user, and to laws.
 
         Args:
             study: Study with this description as its ``model``.
@@ -338,7 +363,7 @@ def chosen_effects(
     library: Sequence[Effect],
     choice: EffectChoice,
     study: Study | None = None,
-    ports: Ports | None = None,
+    plant: Plant | None = None,
 ) -> tuple[Effect, ...]:
     """Effects of a library as a description chooses them, and those that it adds by rows.
 
@@ -346,18 +371,18 @@ def chosen_effects(
         library: All effects of the system.
         choice: The description's ``effects``.
         study: Study with the recordings, of which rows are.
-        ports: What the system offers to rows of a user; None: nothing.
+        plant: What the system offers to rows of a user; None: nothing.
 
     Raises:
         ValueError: a name that the library does not have, or has twice; a row that cannot act.
     """
     own = [row for row in choice.own if isinstance(row, OwnRow)]
     if own:
-        if study is None or ports is None:
+        if study is None or plant is None:
             raise ValueError(
                 f"effects.own: systems of this kind take no rows, such as {own[0].name!r}"
             )
-        library = (*library, *own_causes(own, ports, study))
+        library = (*library, *own_causes(own, plant, study))
     known = [e.name for e in library]
     if repeated := sorted({name for name in known if known.count(name) > 1}):
         raise ValueError(

@@ -143,16 +143,16 @@ def _make(described: Description, study: Study) -> DiagnosisSetup:
 
 
 def _offer_laws(made: DiagnosisSetup, described: Description, study: Study) -> DiagnosisSetup:
-    """A setup with a port for laws that nobody listed: the system's own, or that of its ports."""
+    """A setup with a port for laws that nobody listed: the system's own, or that of its plant."""
     if not described.effort.unlisted_laws:
         return replace(made, laws=None)
     make = partial(_setup_without_tests, described)
     if made.laws is not None:
         return replace(made, laws=made.laws.made_by(make, study))
-    if type(described).ports is Description.ports:
+    if type(described).plant is Description.plant:
         return made
     known = study.without_tests() if study.without_tests().runs else study
-    laws = PortLaws(partial(described.ports, known), made.study or known, made.model, make, study)
+    laws = PortLaws(partial(described.plant, known), made.study or known, made.model, make, study)
     return replace(made, laws=laws)
 
 

@@ -46,7 +46,7 @@ def predicted(study, effect=None, size=0.0):
 
 def own(study, **row):
     rows = [OwnRow.model_validate({"name": "mine", "typical": 0.1, **row})]
-    return own_causes(rows, described(study).ports(study), study)[0]
+    return own_causes(rows, described(study).plant(study), study)[0]
 
 
 def named(study, name):
@@ -86,10 +86,10 @@ def test_a_force_of_a_user_pulls_at_its_marker():
 
 
 def test_numbers_and_places_are_those_that_the_body_has():
-    ports = described(PULLED).ports(PULLED)
+    ports = described(PULLED).plant(PULLED)
     assert "fiber_stiffness" in ports.numbers and "rayleigh_beta" not in ports.numbers
     assert not ports.places  # nothing moves by itself
-    ports = described(SWUNG).ports(SWUNG)
+    ports = described(SWUNG).plant(SWUNG)
     assert "rayleigh_beta" in ports.numbers and "fiber_stiffness" not in ports.numbers
     assert set(ports.places) == {"tip.x", "tip.y", "tip.z"} and not ports.commands
 

@@ -7,7 +7,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from diffsim.causes.own import Ports
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -80,13 +81,14 @@ class BenchDescription(FormulaKeys):
                 unknown_steps=1,  # drifts of each run are many columns
             )
         )
-        ports = Ports(
+        plant = Plant(
+            kind="bench",
             scales=scales,
-            commands={name: "straight" for name in read.input_held},
-            channels=tuple(c.name for c in study.channels),
+            channels=study.channels,
+            commands=tuple(CommandGroup((name,), {}) for name in read.input_held),
             numbers=tuple(read.quantities),
         )
-        effects = chosen_effects((*laws, *zeros, *read.own), self.effects, study, ports)
+        effects = chosen_effects((*laws, *zeros, *read.own), self.effects, study, plant)
         return DiagnosisSetup(
             model,
             effects,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from diffsim.causes.catalogue import rows
 from diffsim.causes.commands import CommandGroup, command_causes
-from diffsim.causes.instruments import TIMED_COMMANDS, TIMED_READINGS, instrument_causes
 from diffsim.causes.ports import on_commands, on_numbers
+from diffsim.causes.readings import TIMED_COMMANDS, TIMED_READINGS, instrument_causes
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
 from diffsim.data.study import Study

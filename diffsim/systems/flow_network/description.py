@@ -7,7 +7,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.causes.own import Ports
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
@@ -93,19 +94,20 @@ class FlowNetworkDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(causes, self.effects, study, self.ports(study)),
+            chosen_effects(causes, self.effects, study, self.plant(study)),
             settings=settings_with(DiagnosisSettings(), self.effort),
         )
 
-    def ports(self, study: Study) -> Ports:
+    def plant(self, study: Study) -> Plant:
         """What the network offers to causes of a user."""
         network, between = self._build_network(study), between_samples(self.samples)
-        return Ports(
+        return Plant(
+            kind="flow_network",
             scales=measure_scales(study, network.narrowest),
-            commands={name: between for name in network.commands if name},
-            channels=tuple(c.name for c in study.channels),
-            has_clock=self.samples == "time",
+            channels=study.channels,
+            commands=tuple(CommandGroup((n,), {}, between) for n in network.commands if n),
             numbers=tuple(network.numbers),
+            facts={IN_TIME: self.samples == "time"},
         )
 
     def _list_signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:

@@ -7,7 +7,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.causes.own import Ports
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
@@ -149,7 +150,7 @@ class FlowDeviceDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(library, self.effects, study, self.ports(study)),
+            chosen_effects(library, self.effects, study, self.plant(study)),
             settings=settings_with(DiagnosisSettings(), self.effort),
         )
 
@@ -174,16 +175,17 @@ class FlowDeviceDescription(Description):
             is_in_time=self.samples == "time",
         )
 
-    def ports(self, study: Study) -> Ports:
+    def plant(self, study: Study) -> Plant:
         """What the device offers to causes of a user."""
         between = between_samples(self.samples)
         commands = (*self.drives, *(name for name in self.back_pressures if name))
-        return Ports(
+        return Plant(
+            kind="flow_device",
             scales=self._measure_scales(study),
-            commands=dict.fromkeys(commands, between),
-            channels=tuple(c.name for c in study.channels),
-            has_clock=self.samples == "time",
+            channels=study.channels,
+            commands=tuple(CommandGroup((name,), {}, between) for name in commands),
             numbers=STOKES_NUMBERS if self.manifold is not None else NETWORK_NUMBERS,
+            facts={IN_TIME: self.samples == "time"},
         )
 
     def _build_device(self) -> ChannelDevice | NetworkDevice:

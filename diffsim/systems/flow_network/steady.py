@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.instruments import Instruments
-from diffsim.causes.ports import SignalMap
-from diffsim.causes.signals import Grid, change_rows
+from diffsim.causes.signals import Grid, SignalMap, change_rows
 from diffsim.core.check import did_you_mean
 
 if TYPE_CHECKING:

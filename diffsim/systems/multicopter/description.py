@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.causes.channel_groups import WHOLE, channels_of, clock_problems
-from diffsim.causes.own import Ports
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.check import did_you_mean
@@ -74,7 +75,7 @@ class MulticopterDescription(MulticopterKeys):
         vehicle = vehicle_of(self, flights, scales, states_sensors=states_sensors(study))
         library = self._list_causes(study, flights, scales, vehicle)
         effects = chosen_effects(
-            library, self.effects, study, self._list_ports(study, flights, scales)
+            library, self.effects, study, self._make_plant(study, flights, scales)
         )
         names = [e.name for e in effects]
         if "gust" in names and self.gust_frequency is None:
@@ -93,21 +94,23 @@ class MulticopterDescription(MulticopterKeys):
             study=study,
         )
 
-    def ports(self, study: Study) -> Ports:
+    def plant(self, study: Study) -> Plant:
         """What causes of a user may change; commands are the rotors' thrusts, whatever asks for
         them."""
         study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
         flights = assembled(self, study)
-        return self._list_ports(study, flights, usual_magnitudes(flights, study))
+        return self._make_plant(study, flights, usual_magnitudes(flights, study))
 
-    def _list_ports(self, study: Study, flights: DescribedFlights, scales: Scales) -> Ports:
-        return Ports(
-            scales,
-            dict.fromkeys(rotor_names(flights.nominal_fleet().num_rotors), "held"),
-            tuple(c.name for c in study.channels),
-            has_clock=True,
+    def _make_plant(self, study: Study, flights: DescribedFlights, scales: Scales) -> Plant:
+        rotors = rotor_names(flights.nominal_fleet().num_rotors)
+        return Plant(
+            kind="multicopter",
+            scales=scales,
+            channels=study.channels,
+            commands=tuple(CommandGroup((name,), {}, "held") for name in rotors),
             numbers=NUMBERS,
-            places={axis: scales.plain[axis] for axis in AXES},
+            places={axis: Place(scales.plain[axis]) for axis in AXES},
+            facts={IN_TIME: True},
         )
 
     def _list_causes(

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from diffsim.causes.ports import ForceLaw, SignalChange, SignalMap
-from diffsim.causes.signals import Grid, lagged
+from diffsim.causes.ports import SignalChange
+from diffsim.causes.scene import ForceLaw
+from diffsim.causes.signals import Grid, SignalMap, lagged
 from diffsim.copter import FlightEffects
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter.estimator import BlindEstimator, force_of

@@ -17,7 +17,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import HELD, LONGEST, PARTS, DescribedMotion, FormulaSystem
-from diffsim.systems.ode.effects import ode_effects, ports_of
+from diffsim.systems.ode.effects import ode_effects, plant_of
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
     AnyQuantity,
@@ -174,8 +174,8 @@ class OdeDescription(FormulaKeys):
         timed = (*ode_effects(library), *refresh_effects(study, periods, spoken_of))
         found = (*timed, *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)
-        ports = ports_of(library, tuple(read.quantities))
-        effects = chosen_effects((*found, *laws, *read.own), self.effects, study, ports)
+        plant = plant_of(library, tuple(read.quantities))
+        effects = chosen_effects((*found, *laws, *read.own), self.effects, study, plant)
         return DiagnosisSetup(
             model,
             effects,

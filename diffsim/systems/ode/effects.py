@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from diffsim.causes.own import Ports
+from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.readings import pace, usual_sample
 from diffsim.causes.row import Row
 from diffsim.identify.effect import Apply, Effect
-from diffsim.systems.ode.input_effects import input_effects
+from diffsim.systems.ode.input_effects import group_of, input_effects
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.place_effects import magnitudes_at, place_effects, push_at
 from diffsim.systems.ode.sensor_effects import sensor_effects
@@ -23,8 +23,8 @@ def ode_effects(library: Library) -> tuple[Effect, ...]:
     )
 
 
-def ports_of(library: Library, numbers: tuple[str, ...]) -> Ports:
-    """What a system of formulas offers to causes of a user.
+def plant_of(library: Library, numbers: tuple[str, ...]) -> Plant:
+    """What a system of formulas tells of itself.
 
     Args:
         library: Names and magnitudes of the system.
@@ -35,12 +35,13 @@ def ports_of(library: Library, numbers: tuple[str, ...]) -> Ports:
     def push(row: Row, name: str) -> Apply:
         return push_at(library, *places[name], row, row.name)
 
-    return Ports(
+    return Plant(
+        kind="ode",
         scales=library.scales,
-        commands={name: "held" if held else "straight" for name, held in library.held.items()},
-        channels=tuple(c.name for c in library.study.channels),
-        has_clock=True,
+        channels=library.study.channels,
+        commands=tuple(group_of(library, name) for name in library.held),
         numbers=numbers,
-        places={name: magnitudes_at(scale) for name, (_, scale) in places.items()},
+        places={name: Place(magnitudes_at(scale)) for name, (_, scale) in places.items()},
+        facts={IN_TIME: True},
         push=push,
     )

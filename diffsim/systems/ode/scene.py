@@ -9,9 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.ports import SignalMap
 from diffsim.causes.readings import PLAY_START
-from diffsim.causes.signals import Grid, change_rows, smoothly_delayed
+from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
 from diffsim.ode import Ode

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diffsim.causes.instruments import instrument_causes
+from diffsim.causes.readings import instrument_causes
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.library import Library
 

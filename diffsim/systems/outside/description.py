@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
-from diffsim.causes.own import Ports
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
 from diffsim.core.units import in_si, in_unit
@@ -28,6 +29,7 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.environment import Environment
+from diffsim.systems.outside.hooks import PER_DISTANCE
 from diffsim.systems.outside.setup import outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
@@ -69,6 +71,14 @@ class PlaceKeys(Part):
     speed: float | None = Field(
         None, gt=0, description="Usual speed, m/s or rad/s; none: no friction or drag is tried"
     )
+
+    @property
+    def place(self) -> Place:
+        """The place as causes see it."""
+        stated = {"distance": self.distance, "speed": self.speed}
+        usual = {"push": self.typical, **{name: value or 1.0 for name, value in stated.items()}}
+        known = tuple(name for name, value in stated.items() if value is not None)
+        return Place(usual, known, self.unit, PER_DISTANCE[self.unit])
 
 
 class HookKeys(Part):
@@ -193,29 +203,23 @@ class OutsideDescription(Description):
         )
         return DiagnosisSetup(
             model=made.model,
-            effects=chosen_effects(made.effects, self.effects, study, self.ports(study)),
+            effects=chosen_effects(made.effects, self.effects, study, self.plant(study)),
             unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
         )
 
-    def ports(self, study: Study) -> Ports:
+    def plant(self, study: Study) -> Plant:
         """What the simulator offers to causes of a user."""
         between: Between = "held" if self._are_commands_held(study) else "smooth"
-        return Ports(
+        names = dict.fromkeys(name for run in study.runs for name in run.command)
+        return Plant(
+            kind="outside",
             scales=Scales.kept_in(study) or Scales.of_runs(study),
-            commands={name: between for run in study.runs for name in run.command},
-            channels=tuple(c.name for c in study.channels),
-            has_clock=True,
+            channels=study.channels,
+            commands=tuple(CommandGroup((name,), {}, between) for name in names),
             numbers=(*self.parameters, *self.start),
-            places={
-                name: {
-                    "push": place.typical,
-                    "distance": place.distance or 1.0,
-                    "speed": place.speed or 1.0,
-                }
-                for name, place in self.hooks.force.items()
-            },
-            place_units={name: place.unit for name, place in self.hooks.force.items()},
+            places={name: place.place for name, place in self.hooks.force.items()},
+            facts={IN_TIME: True},
         )
 
     def _are_commands_held(self, study: Study) -> bool:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.causes.ports import OF_FORCES, LawFormula
+from diffsim.causes.ports import OF_FORCES
+from diffsim.causes.scene import LawFormula
 
 SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
 

@@ -16,9 +16,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.causes.ports import ForceLaw, SignalChange, SignalMap
+from diffsim.causes.ports import SignalChange
 from diffsim.causes.readings import PLAY_START
-from diffsim.causes.signals import Grid, change_rows, smoothly_delayed
+from diffsim.causes.scene import ForceLaw
+from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics

@@ -15,7 +15,7 @@ def simulated(scene: BallScene) -> MovingShape | None:
     if not scene.stage.bodies:
         return None
     with torch.no_grad():
-        places = torch.stack([p[0] for p in scene.wide().paths(scene.time[None]).places], 1)
+        places = torch.stack([p[0] for p in scene.wide().paths(scene.grid.times[None]).places], 1)
     return MovingShape.of_balls(places.numpy(), _list_radii(scene))
 
 
@@ -39,7 +39,7 @@ def measured(scene: BallScene, channels: Tensor) -> MovingShape | None:
 
 
 def _list_radii(scene: BallScene) -> np.ndarray:
-    return np.array([0.5 * float(scene.values[b.diameter]) for b in scene.stage.bodies])
+    return np.array([0.5 * float(scene.numbers[b.diameter]) for b in scene.stage.bodies])
 
 
 __all__ = ["measured", "simulated"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import InstrumentedScene, grid_at
+from diffsim.causes.scene import Scene
 from diffsim.systems.rigid_body import on_ground
 from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
 from diffsim.systems.rigid_body.camera import projected
@@ -125,23 +125,17 @@ class BallPaths:
     velocities: Sequence[Tensor]
 
 
-@dataclass(frozen=True, eq=False)
-class BallScene(InstrumentedScene):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BallScene(Scene):
     """One run of the balls, or the points clicked in the camera's picture.
 
+    Its numbers are quantities, start of the balls, camera, and ``PLAIN``.
+
     Attributes:
-        values: Quantities, start of the balls, camera, and ``PLAIN``, (...,) each.
-        time: Times of the samples since the start, (T,) [s].
         stage: What all runs have in common.
     """
 
-    values: Mapping[str, Tensor]
-    time: Tensor
     stage: BallStage
-
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> BallScene:
-        """A copy in which one number is f(number)."""
-        return replace(self, values={**self.values, name: change(self.values[name])})
 
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""
@@ -150,22 +144,22 @@ class BallScene(InstrumentedScene):
         for channels, delay in delays_of(self.instruments.clocks).items():
             places = torch.tensor(channels)
             out = out.index_copy(-1, places, wide._show_channels(delay)[..., places])
-        return self.instruments.read(out if self._lead else out[0], grid_at(self.time))
+        return self.instruments.read(out if self._lead else out[0], self.grid)
 
     def wide(self) -> BallScene:
         """A copy whose values have one axis, (K,) each."""
         lead = self._lead or (1,)
-        return replace(self, values={n: v.expand(lead) for n, v in self.values.items()})
+        return replace(self, numbers={n: v.expand(lead) for n, v in self.numbers.items()})
 
     @property
     def _lead(self) -> tuple[int, ...]:
         """Axis of points of values and clocks; () where they are at one point."""
-        sizes = (*self.values.values(), *(delay for _, delay in self.instruments.clocks))
+        sizes = (*self.numbers.values(), *(delay for _, delay in self.instruments.clocks))
         return np.broadcast_shapes(*(size.shape for size in sizes))
 
     def _show_channels(self, late: Tensor | None) -> Tensor:
         """(K, T, num_channels) as they are ``late`` (K,) or () [s] before."""
-        time = self.time * (1.0 + self._get_value("clock_scale"))
+        time = self.grid.times * (1.0 + self._get_value("clock_scale"))
         if late is not None:
             time = time - late[..., None]
         shown = self._show_clicks(time)
@@ -189,26 +183,26 @@ class BallScene(InstrumentedScene):
         if eye is None or eye.corners is None:
             return {}
         corners = eye.corners.expand(len(time), -1, 3)
-        return {("click", 0): projected(self.values, eye.rotation, corners)}
+        return {("click", 0): projected(self.numbers, eye.rotation, corners)}
 
     def _show_pixels(self, time: Tensor, paths: BallPaths, b: int) -> Tensor:
         """(K, T, 2) of one ball; each row of the picture is read a little later."""
         assert self.stage.eye is not None
         first = self._project_centers(paths)[b]
-        if not bool((self.values["readout"] != 0.0).any()) and not self._needs_grad("readout"):
+        if not bool((self.numbers["readout"] != 0.0).any()) and not self._needs_grad("readout"):
             return first
         # one fixed-point step is ample
         late = self._get_value("readout") * first[..., 1] / self.stage.eye.height_px
         return self._project_centers(self.paths(time + late))[b]
 
     def _needs_grad(self, name: str) -> bool:
-        return self.values[name].requires_grad
+        return self.numbers[name].requires_grad
 
     def _project_centers(self, paths: BallPaths) -> list[Tensor]:
         """(K, T, 2) pixels of the centers as tracked."""
         eye, pair = self.stage.eye, self.stage.pair
         assert eye is not None
-        pixels = [projected(self.values, eye.rotation, p) for p in paths.places]
+        pixels = [projected(self.numbers, eye.rotation, p) for p in paths.places]
         pulls = [torch.zeros_like(p) for p in pixels]
         if pair is not None:
             i, j = pair.bodies
@@ -241,7 +235,7 @@ class BallScene(InstrumentedScene):
         return BallPaths([p for p, _ in both], [v for _, v in both])
 
     def _move_alone(self, body: BallBody, time: Tensor) -> tuple[Tensor, Tensor]:
-        v = self.values
+        v = self.numbers
         laws = self._make_laws(body)
         level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
         lands = body.restitution is not None
@@ -267,7 +261,7 @@ class BallScene(InstrumentedScene):
 
     def _meet_pair(self, pair: Pair, time: Tensor) -> dict[int, tuple[Tensor, Tensor]]:
         """Two balls on the ground before and after their one impact."""
-        v = self.values
+        v = self.numbers
         bodies = [self.stage.bodies[b] for b in pair.bodies]
         laws = [self._make_laws(body) for body in bodies]
         resting, coming = (self._make_start(body) for body in bodies)
@@ -324,7 +318,7 @@ class BallScene(InstrumentedScene):
         )
 
     def _make_start(self, body: BallBody) -> Ball:
-        v, n = self.values, body.name
+        v, n = self.numbers, body.name
         place = torch.stack([v[f"{n}_x"], v[f"{n}_y"]], -1)
         if body.begins == "at_rest":
             return Ball(place, torch.zeros_like(place), torch.zeros_like(place))
@@ -332,7 +326,7 @@ class BallScene(InstrumentedScene):
         return Ball(place, velocity, torch.stack([v[f"{n}_roll_x"], v[f"{n}_roll_y"]], -1))
 
     def _make_laws(self, body: BallBody) -> Laws:
-        v = self.values
+        v = self.numbers
         friction = v["table_friction"] + (v[body.friction] if body.friction else 0.0)
         return Laws(
             friction,
@@ -349,7 +343,7 @@ class BallScene(InstrumentedScene):
         return 0.5 * (both[0] + both[1])
 
     def _get_value(self, name: str) -> Tensor:
-        return self.values[name][:, None]
+        return self.numbers[name][:, None]
 
 
 def _ease_time(since: Tensor, duration: Tensor) -> Tensor:

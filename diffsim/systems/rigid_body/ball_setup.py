@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from diffsim.causes.instruments import grid_at
 from diffsim.causes.scales import Scales
 from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
@@ -143,7 +144,7 @@ class Balls:
             shown = _shorten_stage(
                 stages.get(run.name, stage), clocks.get(run.name, run.time_s), run
             )
-            return BallScene({**plain, **known, **start}, time, shown)
+            return BallScene(grid=grid_at(time), numbers={**plain, **known, **start}, stage=shown)
 
         base = (*quantities.base, *starts.base)
         return BallModel(build, base, "balls", batched=True)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from diffsim.causes.catalogue import rows
-from diffsim.causes.instruments import instrument_causes
 from diffsim.causes.ports import on_numbers
+from diffsim.causes.readings import instrument_causes
 from diffsim.causes.scales import Scales
 from diffsim.data.study import Channel, Study
 from diffsim.identify.effect import Effect, Needs

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.causes.own import Ports
+from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import inside
@@ -153,7 +153,7 @@ class RigidBodyDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(balls.causes(study, scales), self.effects, study, self.ports(study)),
+            chosen_effects(balls.causes(study, scales), self.effects, study, self.plant(study)),
             settings=settings_with(self._make_settings_of_balls(), self.effort),
             study=study,
         )
@@ -162,17 +162,18 @@ class RigidBodyDescription(Description):
         """Usual magnitudes of the recordings and of the air."""
         return measure_scales(study, self.bodies, self.gravity.value)
 
-    def ports(self, study: Study) -> Ports:
+    def plant(self, study: Study) -> Plant:
         """What the bodies offer to causes of a user."""
         if all(b.is_ball for b in self.bodies):
             numbers = self.balls().numbers()
         else:
             numbers = self._build_tossed().numbers()
-        return Ports(
+        return Plant(
+            kind="rigid_body",
             scales=self.scales(study),
-            channels=tuple(c.name for c in study.channels),
-            has_clock=True,
+            channels=study.channels,
             numbers=numbers,
+            facts={IN_TIME: True},
         )
 
     def _make_settings_of_balls(self) -> DiagnosisSettings:
@@ -190,7 +191,7 @@ class RigidBodyDescription(Description):
         model.frame = {SCALES: scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(tossed.causes(study, scales), self.effects, study, self.ports(study)),
+            chosen_effects(tossed.causes(study, scales), self.effects, study, self.plant(study)),
             settings=settings_with(DiagnosisSettings(search=_TOSS), self.effort),
             study=study,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 
 import torch
@@ -11,11 +11,12 @@ from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import InstrumentedScene, Instruments, grid_of
-from diffsim.core.check import did_you_mean
+from diffsim.causes.instruments import Instruments, grid_of
+from diffsim.causes.scene import Scene
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Channel, Run
-from diffsim.identify.model import Scene, SimModel
+from diffsim.identify import model as identify_model
+from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.identify.starts import left_by_starts
@@ -24,8 +25,6 @@ from diffsim.systems.rigid_body.figure import figure_of
 from diffsim.systems.rigid_body.layout import PoseLayout
 from diffsim.systems.rigid_body.shooting import TossShooting
 from diffsim.systems.rigid_body.toss import ADDED, Mass, Tosses
-
-_ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,35 +120,25 @@ class TossTable:
         return own.profile(show, max([*points, num_read]))[:, 0]
 
 
-@dataclass(frozen=True, eq=False)
-class TossScene(InstrumentedScene):
-    """One toss.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TossScene(Scene):
+    """One toss; what causes add to the numbers ``ADDED`` is zero until they do.
 
     Attributes:
         run: Recorded toss.
-        values: Quantities of the description, () or (K,).
         table: All tosses of the study with their start states.
-        terms: What effects add to the numbers ``ADDED``, () or (K,).
     """
 
     run: Run
-    values: Mapping[str, Tensor]
     table: TossTable
-    terms: Mapping[str, Tensor] = field(default_factory=dict)
-
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> TossScene:
-        """A copy in which a quantity, or one of the numbers ``ADDED``, is f(number)."""
-        if name in self.values:
-            return replace(self, values={**self.values, name: change(self.values[name])})
-        if name not in ADDED:
-            raise ValueError(f"no number {name!r}{did_you_mean(name, [*self.values, *ADDED])}")
-        return replace(self, terms={**self.terms, name: change(self.terms.get(name, _ZERO))})
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) with the best start state."""
-        out = self.table.predict(self.run, self.values, self.terms, self.instruments)
+        values = {name: v for name, v in self.numbers.items() if name not in ADDED}
+        terms = {name: v for name, v in self.numbers.items() if name in ADDED}
+        out = self.table.predict(self.run, values, terms, self.instruments)
         out = out[:, : len(self.run.time_s)]
-        wide = any(v.ndim for v in (*self.values.values(), *self.terms.values()))
+        wide = any(v.ndim for v in self.numbers.values())
         return out if wide or self.instruments.num_points(out.shape[-1]) else out[0]
 
 
@@ -180,7 +169,13 @@ class TossModel(SimModel):
         table = _prepare_table(self.runs, self.channels, thrown, known)
 
         def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> TossScene:
-            return TossScene(run, thrown.parameters.in_run(values, run), table)
+            return TossScene(
+                grid=grid_of(run),
+                numbers=thrown.parameters.in_run(values, run),
+                zeros=ADDED,
+                run=run,
+                table=table,
+            )
 
         super().__init__(build, base, "tossed body", batched=True)
         self.run_cost, self.step_cost = TOSS, SAMPLE
@@ -196,12 +191,12 @@ class TossModel(SimModel):
         assert isinstance(scene, TossScene)
         if not self.thrown.mass.has_corners:
             return None
-        values = scene.values
+        values = scene.numbers
         edges = [values["edge" if "edge" in values else f"edge_{a}"] for a in "xyz"]
         return figure_of(self.thrown.layout, torch.stack(edges), channels)
 
     def left_of_readings(
-        self, scene: Callable[[], Scene], change: sparse.csr_array
+        self, scene: Callable[[], identify_model.Scene], change: sparse.csr_array
     ) -> sparse.csr_array:
         """As of ``SimModel``: the toss's start state takes in what it can."""
         made = scene()

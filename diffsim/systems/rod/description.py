@@ -4,28 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from diffsim.causes.own import Ports
-from diffsim.causes.scales import SCALES
+import numpy as np
+
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.listing import numbers_added
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant, Sessions
+from diffsim.causes.scales import Scales
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
-from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import (
-    BaseParameters,
-    chosen_effects,
-    settings_with,
-    unstated_facts,
-)
-from diffsim.systems.rod.causes import list_causes, list_numbers, measure_scales
+from diffsim.systems.description import BaseParameters, unstated_facts
 from diffsim.systems.rod.keys import RodKeys
-from diffsim.systems.rod.model import DescribedRod
+from diffsim.systems.rod.layout import TIP
+from diffsim.systems.rod.model import RodModel
 
+ROD = "rod"  # the kind of system, and its table
 MAX_EFFECTS = 6  # material, tendons, clamp, markers and weight each have causes of their own
 
 
 class RodDescription(RodKeys):
     """A described rod, checked against recordings and made into a model."""
+
+    advised = DiagnosisSettings(
+        search=SearchSettings(max_effects=MAX_EFFECTS, num_refits=2, max_rounds=2 * MAX_EFFECTS)
+    )
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels and commands without a meaning, facts that runs do not state."""
@@ -63,32 +66,73 @@ class RodDescription(RodKeys):
                 )
         yield from unstated_facts(self.quantities(), study.runs)
 
-    def setup(self, study: Study) -> DiagnosisSetup:
-        """Model of the rod, causes that its parts allow, and options."""
-        self.require_possible(study)
+    def model(self, study: Study) -> RodModel:
+        """The rod with its quantities as base parameters."""
         parameters = BaseParameters(self.quantities(), study.runs)
-        scales = measure_scales(self, study)
-        model = DescribedRod(self, [c.name for c in study.channels], parameters).model()
-        model.frame = {SCALES: scales.saved()}
-        causes = list_causes(self, study, scales, every=bool(self.effects.only))
-        advised = DiagnosisSettings(
-            search=SearchSettings(max_effects=MAX_EFFECTS, num_refits=2, max_rounds=2 * MAX_EFFECTS)
+        return RodModel(self, [c.name for c in study.channels], parameters, self.zeros())
+
+    def plant(self, study: Study) -> Plant:
+        """What the rod tells of itself.
+
+        A few poses seldom tell the shape of a command's map, or an instrument, from the rod: unless
+        samples are in time, causes of these are judged where a study names some.
+        """
+        scales = Scales.of(study, {ROD: self._measure()})
+        commands = tuple(dict.fromkeys(t.command for t in self.tendons))
+        usual = scales.of_commands(commands)
+        group = CommandGroup(
+            commands,
+            usual,
+            between=self.between_samples,
+            is_one_sided=scales.is_one_sided(commands),
+            facts=("gain_is_fitted",) if all(t.gain.is_fitted for t in self.tendons) else (),
+            unit="N",
         )
-        return DiagnosisSetup(
-            model,
-            chosen_effects(causes, self.effects, study, self.ports(study)),
-            settings=settings_with(advised, self.effort),
+        quantities = self.quantities()
+        return Plant(
+            kind=ROD,
+            scales=scales,
+            channels=study.channels,
+            commands=(group,) if commands else (),
+            numbers=tuple(dict.fromkeys([*quantities, *self.zeros()])),
+            fitted=tuple(name for name, q in quantities.items() if q.is_fitted),
+            facts={
+                IN_TIME: self.is_in_time,
+                LATE_RECORD: not commands,
+                "few_poses": not self.is_in_time and not self.effects.only,
+                "weighs": any(self.gravity),
+                "tendons": bool(self.tendons),
+                "several_tendons": len(self.tendons) > 1,
+            },
+            parts=self._list_parts(),
+            magnitudes={**scales.plain[ROD], **usual},
+            sessions=Sessions.of(self.sessions, study),
         )
 
-    def ports(self, study: Study) -> Ports:
-        """What the rod offers to causes of a user."""
-        return Ports(
-            scales=measure_scales(self, study),
-            commands={t.command: self.between_samples for t in self.tendons},
-            channels=tuple(c.name for c in study.channels),
-            has_clock=self.is_in_time,
-            numbers=list_numbers(self),
+    def zeros(self) -> tuple[str, ...]:
+        """Numbers that causes alone change."""
+        return (f"{TIP}_mass", *numbers_added(ROD, self._list_parts()))
+
+    def _list_parts(self) -> dict[str, dict[str, str]]:
+        """Tendons, markers, and the axes about which gravity may be tilted."""
+        up = int(np.abs(np.array(self.gravity)).argmax())
+        named = {"tendon": [t.name for t in self.tendons], "marker": [*self.markers]}
+        named["level"] = [a for k, a in enumerate("xyz") if k != up]
+        return {kind: {name: name for name in names} for kind, names in named.items()}
+
+    def _measure(self) -> dict[str, float]:
+        """Usual magnitudes of the rod as described."""
+        volume = sum(
+            np.pi / 3.0 * (b.at - a.at) * (a.radius**2 + a.radius * b.radius + b.radius**2)
+            for a, b in zip(self.stations, self.stations[1:], strict=False)
         )
+        return {
+            "length": self.stations[-1].at,
+            "thickness": self.stations[0].radius,
+            "mass": float(volume * self.material.density.value),
+            "youngs_modulus": self.material.youngs_modulus.value,
+            "nearest": min((p.distance for t in self.tendons for p in t.path), default=1.0),
+        }
 
 
 __all__ = ["RodDescription"]

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.rod.layout import RodLayout
-from diffsim.systems.rod.scene import RodScene
 
 Array = NDArray[np.float64]
 
@@ -18,16 +16,16 @@ _SIDES = 12  # of a section
 _BULGE, _STUD = 1.25, 0.35  # radius of a marker in the axis and on the skin, in radii of the rod
 
 
-def skin_of(scene: RodScene) -> MovingShape:
+def skin_of(layout: RodLayout, frames: Tensor, places: Tensor, thicker: float) -> MovingShape:
     """The rod as it is simulated, one closed tube.
 
     Args:
-        scene: A run with its effects; what they change in channels is left out.
+        layout: What does not change with a number.
+        frames: Of the sections at the ends of the elements, (num_samples, N + 1, 3, 3).
+        places: Their places, (num_samples, N + 1, 3) [m].
+        thicker: Added to the radius [m].
     """
-    with torch.no_grad():
-        frames, places = scene.course()
-        added = float(scene.numbers.get("radius_offset", torch.zeros(())))
-    radius = _average_radius(scene.layout) + added
+    radius = _average_radius(layout) + thicker
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     ring = np.stack([0.0 * angle, np.cos(angle), np.sin(angle)], 1)
     across = np.einsum("sekl,il->seik", frames.numpy(), ring)
@@ -36,7 +34,7 @@ def skin_of(scene: RodScene) -> MovingShape:
     nodes = np.concatenate([skin.reshape(len(skin), -1, 3), ends], 1)
     return MovingShape(
         triangles=_build_tube(len(radius)),
-        nodes_m=nodes @ _find_upright(scene.layout).T,
+        nodes_m=nodes @ _find_upright(layout).T,
         closed=True,
     )
 

@@ -12,7 +12,12 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Meters, Radians
 from diffsim.core.units import in_unit
-from diffsim.systems.description import Description, Quantity, known, quantities_of
+from diffsim.systems.description import (
+    Description,
+    Quantity,
+    known,
+    quantities_of,
+)
 from diffsim.systems.quantities import Angle, Length, Mass, Plain, PositiveDensity, PositivePressure
 
 Vector = tuple[float, float, float]

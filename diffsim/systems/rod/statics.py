@@ -31,7 +31,7 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.rotation import cross, matrix_from_rotation_vector
-from diffsim.systems.rod.shape import RodPoints, RodShape
+from diffsim.systems.rod.layout import RodPoints, RodShape
 
 STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
 MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]

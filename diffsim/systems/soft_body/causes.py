@@ -13,10 +13,10 @@ import numpy as np
 from diffsim.causes.catalogue import rows
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups, channels_of
 from diffsim.causes.commands import CommandGroup, command_causes
-from diffsim.causes.instruments import instrument_of
 from diffsim.causes.ports import on_clock, on_numbers, on_readings
 from diffsim.causes.readings import (
     SENSOR,
+    instrument_of,
     pace,
     reading_cause,
     reading_causes,

@@ -6,8 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from diffsim.causes import Ports, Scales
+from diffsim.causes import Scales
 from diffsim.causes.channel_groups import channels_of, clock_of, clock_problems
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run, Study
@@ -108,15 +110,15 @@ class SoftBodyDescription(SoftBodyKeys):
             jacobian=Jacobian(step=DIFFERENCE) if self.tendons else Jacobian(),
             noise_rounds=1,
         )
-        ports = self.ports(study) if self.effects.own else None
+        plant = self.plant(study) if self.effects.own else None
         return DiagnosisSetup(
             model,
-            chosen_effects(library(self, study, scales), self.effects, study, ports),
+            chosen_effects(library(self, study, scales), self.effects, study, plant),
             unknowns=unknowns(self, study, scales),
             settings=settings_with(advised, self.effort),
         )
 
-    def ports(self, study: Study) -> Ports:
+    def plant(self, study: Study) -> Plant:
         """What the body offers to causes of a user.
 
         Args:
@@ -129,13 +131,14 @@ class SoftBodyDescription(SoftBodyKeys):
         absent = {CLOCK_RATE} if not scales.facts[TIMED] else set()
         absent |= {"rayleigh_alpha", "rayleigh_beta"} if is_still else set()
         absent |= set() if self.tendons or self.muscles else {"fiber_stiffness"}
-        return Ports(
-            scales,
-            commands=dict.fromkeys(self.commands, "straight"),
-            channels=tuple(c.name for c in study.channels),
-            has_clock=bool(scales.facts[TIMED]),
+        return Plant(
+            kind="soft_body",
+            scales=scales,
+            channels=study.channels,
+            commands=tuple(CommandGroup((name,), {}) for name in self.commands),
             numbers=tuple(name for name in NUMBERS if name not in absent),
-            places={} if is_still else dict.fromkeys(described.rig().places, usual),
+            places={} if is_still else dict.fromkeys(described.rig().places, Place(usual)),
+            facts={IN_TIME: bool(scales.facts[TIMED])},
         )
 
     def _measure_scales(self, study: Study, described: DescribedModel) -> Scales:

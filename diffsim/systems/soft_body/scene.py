@@ -14,8 +14,8 @@ from torch import Tensor
 from diffsim import soft
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.interpolation import sample, straight
-from diffsim.causes.ports import ForceLaw, SignalMap
-from diffsim.causes.signals import Grid
+from diffsim.causes.scene import ForceLaw
+from diffsim.causes.signals import Grid, SignalMap
 from diffsim.contact import Obstacle
 from diffsim.core.check import require
 from diffsim.core.errors import ConvergenceError

@@ -11,7 +11,7 @@ from scipy.integrate import solve_bvp
 
 from diffsim.core.errors import ConvergenceError
 from diffsim.systems.rod import statics
-from diffsim.systems.rod.shape import points_on, rod_shape
+from diffsim.systems.rod.layout import points_on, rod_shape
 from diffsim.systems.rod.statics import RodStatics, equilibrium, nearby
 
 RADIUS, LENGTH, YOUNG = 0.01, 1.0, 1e6

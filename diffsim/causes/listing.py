@@ -1,0 +1,152 @@
+"""Which causes of the library a system has: one rule for all kinds, by what its plant tells.
+
+A row is offered where the plant has what it acts on, and where its facts allow (``over_time``,
+``when``, ``unless``, ``not_for``). A number that is a base parameter already has no cause beside
+it. The order is that of tables, rows and parts: commands group by group, instruments one after the
+other, parts one after the other. It breaks ties between causes that say the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+
+from diffsim.causes.catalogue import rows_in_order
+from diffsim.causes.channel_groups import channel_groups
+from diffsim.causes.commands import CommandGroup, cause_of_commands
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
+from diffsim.causes.ports import on_commands, on_numbers, on_numbers_between, on_place
+from diffsim.causes.readings import cause_of_readings, instrument_of, pace, with_ending
+from diffsim.causes.row import Row, spell_plainly
+from diffsim.identify.effect import Effect
+
+
+def list_causes(plant: Plant) -> tuple[Effect, ...]:
+    """Causes of a system, those of its table and of what that includes.
+
+    Args:
+        plant: What the system tells of itself.
+    """
+    found = [row for _, row in rows_in_order(plant.kind)]
+    return tuple(
+        effect for way, own in groupby(found, _way_of) for effect in _list_way(way, [*own], plant)
+    )
+
+
+def numbers_added(kind: str, parts: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
+    """Numbers that rows of a kind of system add to: zero, where no quantity has their name.
+
+    Args:
+        kind: Kind of system.
+        parts: Parts that are alike, as of ``Plant``.
+    """
+    filled = (own for _, row in rows_in_order(kind) for _, own in row.of_parts(parts))
+    return tuple(dict.fromkeys(name for row in filled for name in row.add))
+
+
+def is_offered(row: Row, plant: Plant, facts: Mapping[str, bool]) -> bool:
+    """Whether a row suits a system.
+
+    Args:
+        row: Row of a table.
+        plant: What the system tells of itself.
+        facts: What holds of the part that the row acts on, beside the facts of the plant.
+    """
+    known = {**plant.facts, **facts}
+    return (
+        plant.kind not in row.not_for
+        and (not row.over_time or bool(known.get(IN_TIME)))
+        and all(known.get(fact) for fact in row.when)
+        and not any(known.get(fact) for fact in row.unless)
+    )
+
+
+def _way_of(row: Row) -> str:
+    """What stands side by side in a list: rows of one way are asked part after part."""
+    if row.each is not None:
+        return f"each {row.each}"
+    return {"command": "commands", "reading": "readings", "clock": "readings"}.get(row.at, row.at)
+
+
+def _list_way(way: str, found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    if way == "commands":
+        for group in plant.commands:
+            yield from pace(_list_on_the_way(found, group, plant), plant.sample_s)
+    elif way == "readings":
+        yield from pace(_list_in_instruments(found, plant), plant.sample_s)
+    elif way == "force":
+        yield from _list_at_places(found, plant)
+    else:
+        yield from _list_of_parts([r for r in found if is_offered(r, plant, {})], plant)
+
+
+def _list_on_the_way(found: Sequence[Row], group: CommandGroup, plant: Plant) -> Iterator[Effect]:
+    facts = {"one_sided": group.is_one_sided, **dict.fromkeys(group.facts, True)}
+    for row in found:
+        if is_offered(row, plant, facts):
+            yield cause_of_commands(row, group, system=plant.kind)
+
+
+def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    late = bool(plant.facts.get(LATE_RECORD))
+    for group in channel_groups(plant.channels, late_record=late):
+        of = instrument_of(group, plant.channels, plant.scales)
+        facts = {"known_clock": group.channels in plant.clocks}
+        for row in found:
+            if row.name in group.causes and is_offered(row, plant, facts):
+                named = with_ending(of, row.name, group, plant.channels)
+                yield cause_of_readings(row, named, system=plant.kind)
+
+
+def _list_at_places(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    for name, place in plant.places.items():
+        facts = dict.fromkeys(place.facts, True)
+        for row in found:
+            if is_offered(row, plant, facts):
+                yield row.effect(
+                    on_place(row, name),
+                    place.magnitudes,
+                    system=plant.kind,
+                    ending=f"_at_{spell_plainly(name)}",
+                    unit=row.unit.replace("F", place.unit).replace("X", place.length),
+                )
+
+
+def _list_of_parts(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    """Rows at numbers and of a system's own functions, part after part."""
+    each = [list(row.of_parts(plant.parts)) for row in found]
+    for k in range(max(map(len, each), default=0)):
+        for row, parts in zip(found, each, strict=True):
+            if k < len(parts):
+                ending, filled = parts[k]
+                effect = _cause_of_part(row, filled, ending, plant)
+                if effect is not None:
+                    yield effect
+
+
+def _cause_of_part(row: Row, filled: Row, ending: str, plant: Plant) -> Effect | None:
+    """The cause of one part, or of the whole system; None: the system does not have it."""
+    usual, system = plant.magnitudes, plant.kind
+    if row.at == "command":
+        assert row.each is not None
+        name = plant.parts[row.each][ending.removeprefix("_")]
+        return row.effect(on_commands(row, (name,)), usual, system=system, ending=ending)
+    if row.at == "number":
+        numbers = filled.add or filled.scale
+        if any(n not in plant.numbers for n in numbers):
+            return None
+        if row.per is None:
+            if any(n in plant.fitted for n in numbers):
+                return None
+            return filled.effect(on_numbers(filled), usual, system=system, ending=ending)
+        if plant.sessions is None:
+            return None
+        apply, sizes = on_numbers_between(filled, plant.sessions)
+        return filled.effect(apply, usual, system=system, ending=ending, components=sizes)
+    if row.name not in plant.functions:
+        return None
+    apply = plant.functions[row.name]
+    return filled.effect(apply, usual, system=system, ending=ending)
+
+
+__all__ = ["is_offered", "list_causes", "numbers_added"]

@@ -1,0 +1,139 @@
+"""What a kind of system tells of itself, from which its causes follow by rule (``listing``).
+
+A plant is a record: commands, numbers, places, parts and facts of one described system. It lists no
+causes; which rows of the tables suit it is said by the rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.ports import on_place
+from diffsim.causes.scales import Scales
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify.effect import Apply
+
+if TYPE_CHECKING:
+    from diffsim.causes.row import Row
+    from diffsim.causes.signals import Between
+
+IN_TIME = "in_time"  # fact: samples of a run follow each other in time
+LATE_RECORD = "late_record"  # fact: a record that is late as a whole shows as no late command does
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place at which a force may act.
+
+    Attributes:
+        magnitudes: Usual magnitudes by the names that rows of forces use: ``push``, a force that
+            would be no surprise, ``distance`` and ``speed``.
+        facts: What is known of it, as rows ask for it: "distance" (springs), "speed" (friction).
+        unit: Unit of the force.
+        length: Unit of the displacement.
+    """
+
+    magnitudes: Mapping[str, float]
+    facts: tuple[str, ...] = ("distance", "speed")
+    unit: str = "N"
+    length: str = "m"
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """Groups of runs between which somebody may have changed something.
+
+    Attributes:
+        fact: Fact of the runs' ``setup`` that says in which session they were recorded.
+        labels: Its values; the first session is as described.
+    """
+
+    fact: str
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, fact: str | None, study: Study) -> Sessions | None:
+        """Sessions of a study's runs; None: there are not two.
+
+        Args:
+            fact: Name of the fact; None: none is stated.
+            study: Study with the runs.
+        """
+        if fact is None:
+            return None
+        labels = {str(run.setup[fact]) for run in study.runs if fact in run.setup}
+        return cls(fact, tuple(sorted(labels))) if len(labels) > 1 else None
+
+    def index_of(self, run: Run) -> int | None:
+        """Place of a run's session among the later ones; None: the first, or one that was never
+        fitted, which is as described.
+
+        Args:
+            run: Run that is simulated.
+        """
+        label = str(run.setup.get(self.fact, self.labels[0]))
+        return self.labels.index(label) - 1 if label in self.labels[1:] else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plant:
+    """A described system, as causes of the library, causes of a user and laws see it.
+
+    Attributes:
+        kind: Kind of system, by which rows may say something of their own.
+        scales: Usual magnitudes of the recordings.
+        channels: Channels of the study, in order.
+        commands: Commands that go the same way, group by group.
+        numbers: Names of the numbers that may be changed.
+        fitted: Those among them that are base parameters already: a cause beside one could not be
+            told from it.
+        places: Where forces may act, by name.
+        facts: What holds of the system, by the names that rows ask for; what is not there does not.
+        parts: Parts that are alike, such as tendons: of each kind their names, and what stands for
+            them in names of numbers.
+        functions: What rows ``at: scene`` do, by name of the row.
+        magnitudes: What ``typical`` of rows may use, beside magnitudes of commands.
+        sessions: Groups of runs between which something may have changed; None: there are none.
+        clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
+        sample_s: Usual time between two samples, half of which delays and lags may be without
+            surprise; 0: their rows say what is usual [s].
+        push: Function (row, place) -> how a force of a user acts; other than through the scene's
+            port where a system writes forces into its formulas.
+    """
+
+    kind: str
+    scales: Scales
+    channels: tuple[Channel, ...]
+    commands: tuple[CommandGroup, ...] = ()
+    numbers: tuple[str, ...] = ()
+    fitted: Collection[str] = ()
+    places: Mapping[str, Place] = field(default_factory=dict)
+    facts: Mapping[str, bool] = field(default_factory=dict)
+    parts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    functions: Mapping[str, Apply] = field(default_factory=dict)
+    magnitudes: Mapping[str, float] = field(default_factory=dict)
+    sessions: Sessions | None = None
+    clocks: Collection[tuple[str, ...]] = ()
+    sample_s: float = 0.0
+    push: Callable[[Row, str], Apply] = on_place
+
+    @property
+    def is_in_time(self) -> bool:
+        """Whether samples of a run follow each other in time, so that something may be late."""
+        return bool(self.facts.get(IN_TIME))
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels, in order."""
+        return tuple(c.name for c in self.channels)
+
+    @property
+    def between(self) -> dict[str, Between]:
+        """What each command does between samples, by name."""
+        return {name: group.between for group in self.commands for name in group.names}
+
+
+__all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant", "Sessions"]

@@ -1,0 +1,208 @@
+"""One run on its way to a simulator, and the five ports by which causes change it.
+
+A cause acts on commands on their way to the actuators, on readings, on clocks, on numbers of the
+system, or as a force at a place. A scene of any kind of system has all five, written here once:
+each returns a changed copy. Signals are (..., width, num_times), one row for each command or
+channel, points of the parameters in front. At size 0 a cause is the scene itself, also where its
+response has a kink there.
+
+A kind of system adds what its simulator needs beside, and ``simulate``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import torch
+from torch import Tensor
+
+from diffsim.causes.instruments import Instruments
+from diffsim.causes.signals import Grid, SignalMap, change_rows
+from diffsim.core.check import require_choice
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+PLAY_START = "play_start"  # number: where in a play of an instrument a run starts, -1 to 1
+
+
+class LawFormula(Protocol):
+    """A formula of ``diffsim.causes.ports.OF_FORCES``, on tensors and on plain numbers."""
+
+    def __call__(self, values: Mapping[str, Tensor]) -> Tensor:
+        """Its value, of the shape that position and speed have."""
+        ...
+
+    def on_floats(self, *names: str) -> Callable[..., float]:
+        """The formula as a function of plain numbers."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ForceLaw:
+    """A force of position, speed and usual speed, at a size.
+
+    Attributes:
+        formula: Formula of the force.
+        size: () or (K,).
+    """
+
+    formula: LawFormula
+    size: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Commands of a run, and what happens to them before the actuators hear them.
+
+    Attributes:
+        values: As recorded, (..., width, num_times), in the unit of each command.
+        rows: Rows of ``values`` that a name stands for.
+        changes: Rows and the maps that change them, in the order in which they act.
+    """
+
+    values: Tensor
+    rows: Mapping[str, tuple[int, ...]]
+    changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
+
+    @classmethod
+    def named(cls, names: Sequence[str], values: Tensor) -> Commands:
+        """A name for each row of the values; a name may stand for several, "" is no name.
+
+        Args:
+            names: Name of each row.
+            values: (..., width, num_times).
+        """
+        known = dict.fromkeys(name for name in names if name)
+        found = {name: tuple(i for i, own in enumerate(names) if own == name) for name in known}
+        return cls(values, found)
+
+    def changed(self, names: Sequence[str], change: SignalMap) -> Commands:
+        """The commands with one more map on their way.
+
+        Args:
+            names: Names of the commands; empty: all that have one.
+            change: Function of them (..., width, num_times) and of the grid.
+
+        Raises:
+            ValueError: a name that no command has.
+        """
+        for name in names:
+            require_choice("command", name, self.rows)
+        every = {i for name in names or self.rows for i in self.rows[name]}
+        if not every:
+            return self
+        return replace(self, changes=(*self.changes, (tuple(sorted(every)), change)))
+
+    def heard(self, grid: Grid) -> Tensor:
+        """What the actuators hear, (..., width, num_times).
+
+        Args:
+            grid: Times of the commands.
+        """
+        return self.pass_through(self.values, grid)
+
+    def pass_through(self, values: Tensor, grid: Grid) -> Tensor:
+        """What becomes of other values of the commands, such as those of a part of the run.
+
+        Args:
+            values: (..., width, num_times).
+            grid: Their times.
+        """
+        for rows, change in self.changes:
+            values = change_rows(values, rows, change, grid)
+        return values
+
+
+_ZERO = torch.zeros((), dtype=torch.float64)
+_NONE = Commands(torch.zeros(0, 0, dtype=torch.float64), {})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """One run, ready to be simulated; causes return changed copies.
+
+    Attributes:
+        grid: Times of the commands, and of what instruments show [s].
+        numbers: Numbers of the system by name, () or (K,) each at K points.
+        zeros: Further numbers that causes may change, which are zero until one does.
+        commands: What drives the system.
+        forces: Place and law of each force that causes add.
+        instruments: What shows the channels.
+    """
+
+    grid: Grid
+    numbers: Mapping[str, Tensor]
+    zeros: Collection[str] = ()
+    commands: Commands = _NONE
+    forces: tuple[tuple[str, ForceLaw], ...] = ()
+    instruments: Instruments = field(default_factory=Instruments)
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels), with K in front for K points."""
+        raise NotImplementedError
+
+    @property
+    def play_start(self) -> Tensor | None:
+        """Where in a play the run starts, -1 to 1; None: not known, so in the middle."""
+        return self.numbers.get(PLAY_START)
+
+    def changed(self, **changes: Any) -> Self:
+        """A copy with some entries replaced."""
+        return replace(self, **changes)
+
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> Self:
+        """A copy in which some commands are f(commands (..., width, num_times), grid).
+
+        Args:
+            names: Names of the commands; empty: all.
+            change: The function.
+        """
+        return replace(self, commands=self.commands.changed(names, change))
+
+    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
+        """A copy in which some channels are f(channels (..., width, num_times), grid).
+
+        Args:
+            channels: Their indices; empty: all.
+            change: The function.
+        """
+        return replace(self, instruments=self.instruments.with_reading(channels, change))
+
+    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
+        """A copy in which some channels show what was ``delay`` ago.
+
+        Args:
+            channels: Their indices; empty: all.
+            delay: () or (K,) [s].
+        """
+        return replace(self, instruments=self.instruments.with_clock(channels, delay))
+
+    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Self:
+        """A copy in which a number is f(number).
+
+        Args:
+            name: Name of the number.
+            change: Function of its value, () or (K,).
+
+        Raises:
+            ValueError: there is no such number.
+        """
+        value = self.numbers.get(name, _ZERO)
+        if name not in self.numbers and name not in self.zeros:
+            require_choice("number", name, (*self.numbers, *self.zeros))
+        return replace(self, numbers={**self.numbers, name: change(value)})
+
+    def with_force(self, place: str, law: ForceLaw) -> Self:
+        """A copy with one more force.
+
+        Args:
+            place: Name of the place where it acts.
+            law: Formula and size.
+        """
+        return replace(self, forces=(*self.forces, (place, law)))
+
+
+__all__ = ["PLAY_START", "Commands", "ForceLaw", "LawFormula", "Scene"]
