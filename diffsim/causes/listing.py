@@ -70,7 +70,7 @@ def _way_of(row: Row) -> str:
 
 def _list_way(way: str, found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
     if way == "commands":
-        for group in plant.commands:
+        for group in plant.ways:
             yield from pace(_list_on_the_way(found, group, plant), plant.sample_s)
     elif way == "readings":
         yield from pace(_list_in_instruments(found, plant), plant.sample_s)
@@ -88,6 +88,12 @@ def _list_on_the_way(found: Sequence[Row], group: CommandGroup, plant: Plant) ->
 
 
 def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    for instrument in plant.instruments or ():
+        for row in found:
+            if row.name in instrument.causes and is_offered(row, plant, {}):
+                yield cause_of_readings(row, instrument, system=plant.kind)
+    if plant.instruments is not None:
+        return
     late = bool(plant.facts.get(LATE_RECORD))
     for group in channel_groups(plant.channels, late_record=late):
         of = instrument_of(group, plant.channels, plant.scales)

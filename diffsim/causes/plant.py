@@ -17,6 +17,7 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Apply
 
 if TYPE_CHECKING:
+    from diffsim.causes.readings import Instrument
     from diffsim.causes.row import Row
     from diffsim.causes.signals import Between
 
@@ -86,7 +87,8 @@ class Plant:
         kind: Kind of system, by which rows may say something of their own.
         scales: Usual magnitudes of the recordings.
         channels: Channels of the study, in order.
-        commands: Commands that go the same way, group by group.
+        commands: What each command does between samples, by name.
+        ways: Commands that go the same way, group by group: causes change them alike.
         numbers: Names of the numbers that may be changed.
         fitted: Those among them that are base parameters already: a cause beside one could not be
             told from it.
@@ -97,6 +99,8 @@ class Plant:
         functions: What rows ``at: scene`` do, by name of the row.
         magnitudes: What ``typical`` of rows may use, beside magnitudes of commands.
         sessions: Groups of runs between which something may have changed; None: there are none.
+        instruments: What shows the channels, where a study says which; None: by their sensors and
+            kinds.
         clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
         sample_s: Usual time between two samples, half of which delays and lags may be without
             surprise; 0: their rows say what is usual [s].
@@ -107,7 +111,8 @@ class Plant:
     kind: str
     scales: Scales
     channels: tuple[Channel, ...]
-    commands: tuple[CommandGroup, ...] = ()
+    commands: Mapping[str, Between] = field(default_factory=dict)
+    ways: tuple[CommandGroup, ...] = ()
     numbers: tuple[str, ...] = ()
     fitted: Collection[str] = ()
     places: Mapping[str, Place] = field(default_factory=dict)
@@ -116,6 +121,7 @@ class Plant:
     functions: Mapping[str, Apply] = field(default_factory=dict)
     magnitudes: Mapping[str, float] = field(default_factory=dict)
     sessions: Sessions | None = None
+    instruments: tuple[Instrument, ...] | None = None
     clocks: Collection[tuple[str, ...]] = ()
     sample_s: float = 0.0
     push: Callable[[Row, str], Apply] = on_place
@@ -129,11 +135,6 @@ class Plant:
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels, in order."""
         return tuple(c.name for c in self.channels)
-
-    @property
-    def between(self) -> dict[str, Between]:
-        """What each command does between samples, by name."""
-        return {name: group.between for group in self.commands for name in group.names}
 
 
 __all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant", "Sessions"]

@@ -7,7 +7,6 @@ from typing import Literal
 
 from pydantic import Field
 
-from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.data.study import Study
@@ -85,7 +84,7 @@ class BenchDescription(FormulaKeys):
             kind="bench",
             scales=scales,
             channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}) for name in read.input_held),
+            commands=dict.fromkeys(read.input_held, "straight"),
             numbers=tuple(read.quantities),
         )
         effects = chosen_effects((*laws, *zeros, *read.own), self.effects, study, plant)

@@ -7,7 +7,6 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
@@ -105,7 +104,7 @@ class FlowNetworkDescription(Description):
             kind="flow_network",
             scales=measure_scales(study, network.narrowest),
             channels=study.channels,
-            commands=tuple(CommandGroup((n,), {}, between) for n in network.commands if n),
+            commands={name: between for name in network.commands if name},
             numbers=tuple(network.numbers),
             facts={IN_TIME: self.samples == "time"},
         )

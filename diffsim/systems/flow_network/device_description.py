@@ -7,7 +7,6 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.check import did_you_mean
@@ -183,7 +182,7 @@ class FlowDeviceDescription(Description):
             kind="flow_device",
             scales=self._measure_scales(study),
             channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}, between) for name in commands),
+            commands=dict.fromkeys(commands, between),
             numbers=STOKES_NUMBERS if self.manifold is not None else NETWORK_NUMBERS,
             facts={IN_TIME: self.samples == "time"},
         )

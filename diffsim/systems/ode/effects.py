@@ -6,7 +6,7 @@ from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.readings import pace, usual_sample
 from diffsim.causes.row import Row
 from diffsim.identify.effect import Apply, Effect
-from diffsim.systems.ode.input_effects import group_of, input_effects
+from diffsim.systems.ode.input_effects import input_effects
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.place_effects import magnitudes_at, place_effects, push_at
 from diffsim.systems.ode.sensor_effects import sensor_effects
@@ -39,7 +39,7 @@ def plant_of(library: Library, numbers: tuple[str, ...]) -> Plant:
         kind="ode",
         scales=library.scales,
         channels=library.study.channels,
-        commands=tuple(group_of(library, name) for name in library.held),
+        commands={name: "held" if held else "straight" for name, held in library.held.items()},
         numbers=numbers,
         places={name: Place(magnitudes_at(scale)) for name, (_, scale) in places.items()},
         facts={IN_TIME: True},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,10 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
-from diffsim.causes.commands import CommandGroup
-from diffsim.causes.plant import IN_TIME, Place, Plant
-from diffsim.causes.scales import Scales
-from diffsim.causes.signals import Between
+from diffsim.causes.plant import Plant
 from diffsim.core.units import in_si, in_unit
 from diffsim.data.steps import looks_held
 from diffsim.data.study import Study
@@ -29,8 +27,7 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.environment import Environment
-from diffsim.systems.outside.hooks import PER_DISTANCE
-from diffsim.systems.outside.setup import outside_setup
+from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
 
@@ -71,14 +68,6 @@ class PlaceKeys(Part):
     speed: float | None = Field(
         None, gt=0, description="Usual speed, m/s or rad/s; none: no friction or drag is tried"
     )
-
-    @property
-    def place(self) -> Place:
-        """The place as causes see it."""
-        stated = {"distance": self.distance, "speed": self.speed}
-        usual = {"push": self.typical, **{name: value or 1.0 for name, value in stated.items()}}
-        known = tuple(name for name, value in stated.items() if value is not None)
-        return Place(usual, known, self.unit, PER_DISTANCE[self.unit])
 
 
 class HookKeys(Part):
@@ -191,36 +180,36 @@ class OutsideDescription(Description):
             study,
             self.source(study),
             {**self.parameters, **self.start},
-            places=[
-                hooks_of.Place(name, p.unit, p.typical, p.distance, p.speed)
-                for name, p in self.hooks.force.items()
-            ],
+            places=self._list_places(),
             commands=self.hooks.command,
             outputs=self.hooks.output,
             held=self._are_commands_held(study),
             clocks=self.clocks,
             workers=self.workers,
         )
-        return DiagnosisSetup(
-            model=made.model,
+        return replace(
+            made,
             effects=chosen_effects(made.effects, self.effects, study, self.plant(study)),
-            unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
         )
 
     def plant(self, study: Study) -> Plant:
         """What the simulator offers to causes of a user."""
-        between: Between = "held" if self._are_commands_held(study) else "smooth"
-        names = dict.fromkeys(name for run in study.runs for name in run.command)
-        return Plant(
-            kind="outside",
-            scales=Scales.kept_in(study) or Scales.of_runs(study),
-            channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}, between) for name in names),
-            numbers=(*self.parameters, *self.start),
-            places={name: place.place for name, place in self.hooks.force.items()},
-            facts={IN_TIME: True},
+        return outside_plant(
+            study,
+            (*self.parameters, *self.start),
+            self._list_places(),
+            command_groups=self.hooks.command,
+            outputs=self.hooks.output,
+            held=self._are_commands_held(study),
+            clocks=self.clocks,
         )
+
+    def _list_places(self) -> list[hooks_of.Place]:
+        return [
+            hooks_of.Place(name, p.unit, p.typical, p.distance, p.speed)
+            for name, p in self.hooks.force.items()
+        ]
 
     def _are_commands_held(self, study: Study) -> bool:
         if self.commands_are is not None:

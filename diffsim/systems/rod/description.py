@@ -93,7 +93,8 @@ class RodDescription(RodKeys):
             kind=ROD,
             scales=scales,
             channels=study.channels,
-            commands=(group,) if commands else (),
+            commands=dict.fromkeys(commands, self.between_samples),
+            ways=(group,) if commands else (),
             numbers=tuple(dict.fromkeys([*quantities, *self.zeros()])),
             fitted=tuple(name for name, q in quantities.items() if q.is_fitted),
             facts={

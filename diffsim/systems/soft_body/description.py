@@ -8,7 +8,6 @@ import numpy as np
 
 from diffsim.causes import Scales
 from diffsim.causes.channel_groups import channels_of, clock_of, clock_problems
-from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
@@ -135,7 +134,7 @@ class SoftBodyDescription(SoftBodyKeys):
             kind="soft_body",
             scales=scales,
             channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}) for name in self.commands),
+            commands=dict.fromkeys(self.commands, "straight"),
             numbers=tuple(name for name in NUMBERS if name not in absent),
             places={} if is_still else dict.fromkeys(described.rig().places, Place(usual)),
             facts={IN_TIME: bool(scales.facts[TIMED])},

@@ -65,7 +65,10 @@ LAWS = [("viscous_friction", 0.1), ("square_drag", 0.05), ("added_spring", 0.5)]
 
 @pytest.mark.parametrize(("law", "size"), LAWS)
 def test_forces_at_a_joint_act_as_in_the_closed_equation(law, size):
-    run, forces = scenes.run_of("sine"), PlaceForces(["hinge"], [Term(0, scenes.law_of(law), size)])
+    run, forces = (
+        scenes.run_of("sine"),
+        PlaceForces(["hinge"], [Term("hinge", scenes.law_of(law), size)]),
+    )
     want = Pendulum(8).predict(OWN, run, forces)
     # asked for at every stage of the integrator: the error is that of the commands
     got = Mjcf(XML, CHANNELS).predict({}, run, forces, time_step=0.5)
