@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from diffsim.applications import catalog
+from diffsim.cli import catalog
 from diffsim.core import paths
 
 ROOT = Path(__file__).resolve().parents[1]

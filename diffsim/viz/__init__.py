@@ -13,7 +13,6 @@ from diffsim.core.lazy import offered
 
 if TYPE_CHECKING:
     from diffsim.viz import (
-        application_pictures,
         ball_figures,
         ball_video,
         device_evolution,
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "application_pictures",
     "ball_figures",
     "ball_video",
     "device_evolution",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from diffsim.core.script import ask_for
+
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,13 +15,12 @@ import torch
 from torch import Tensor
 
 from diffsim import soft
-from diffsim.applications.application import SOLVERS, Application, solver_options
-from diffsim.applications.minimize import Outcome, minimize
-from diffsim.applications.normalize import normalized, random_losses
 from diffsim.core.files import write_json_atomic
-from diffsim.core.optional import ask_for
 from diffsim.optim import LogError
-from diffsim.viz.application_pictures import motion_strip, recording
+from examples.applications.application import SOLVERS, Application, solver_options
+from examples.applications.minimize import Outcome, minimize
+from examples.applications.normalize import normalized, random_losses
+from examples.applications.pictures import motion_strip, recording
 
 Build = Callable[[soft.SolverOptions, bool], Application]
 """Application of solver options and ``quick``; the options' tolerances are the script's to set."""

@@ -5,8 +5,9 @@ import shutil
 
 import pytest
 
-from diffsim.applications import catalog, gallery
+from diffsim.cli import catalog
 from diffsim.core.errors import DiffsimError
+from examples import gallery
 
 SCRIPT = '''"""How far?"""
 import sys

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.applications import Evaluation, Parameters, minimize, random_losses, solver_options
-from diffsim.applications.gait import _measure_turn, gait, lines_between_knots, sinusoid
 from diffsim.systems import robots
-from tests.applications.test_applications import made
+from examples.applications import Evaluation, Parameters, minimize, random_losses, solver_options
+from examples.applications.gait import _measure_turn, gait, lines_between_knots, sinusoid
+from tests.examples.applications.test_applications import made
 
 
 def test_sinusoid_bends_fronts_and_backs_against_each_other():

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from diffsim import soft
-from diffsim.applications.application import Application, Array, Parameters
 from diffsim.contact import Obstacle
+from examples.applications.application import Application, Array, Parameters
 
 TRUTH_RTOL = 1e-8
 """Tolerance of the truth's steps: its rounding is not that of the simulation fitted to it."""

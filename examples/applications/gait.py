@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from diffsim import soft
-from diffsim.applications.application import Application, Array, Parameters
 from diffsim.systems.robots import SoftRobot
+from examples.applications.application import Application, Array, Parameters
 
 Commands = Callable[[Tensor], Tensor]
 """Parameters (num_parameters,) -> command of every step, (num_steps, num_commands)."""
@@ -41,7 +41,8 @@ def gait(
         parameters: Parameters of the signal.
         commands: Maps parameters (num_parameters,): the command of every step, in [-1, 1],
             (num_steps, num_commands).
-        title, source, scale, num_starts: The same as in :class:`~diffsim.applications.Application`.
+        title, source, scale, num_starts: The same as in
+            :class:`~examples.applications.Application`.
         rise_weight: Weight of the rise in the loss [-].
         also: The same robot at other time steps or on other meshes, each with its commands. The
             loss is the mean over all of them, so that what only one time step can do is not worth

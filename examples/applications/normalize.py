@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diffsim.applications.application import Application
-from diffsim.applications.minimize import Evaluation, log_of, losses_of
+from examples.applications.application import Application
+from examples.applications.minimize import Evaluation, log_of, losses_of
 
 NUM_RANDOM = 16
 RANDOM_SEED = 1

@@ -23,13 +23,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from diffsim.applications.catalog import FOLDER, examples
-from diffsim.core.check import require_choice
-from diffsim.core.errors import DiffsimError
-from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.core.progress import show_progress
-from diffsim.core.yaml_text import read_yaml_file
+import yaml
 
+from diffsim.cli.catalog import examples
+from diffsim.core import DiffsimError, show_progress
+from diffsim.core.check import require_choice
+from diffsim.core.files import write_json_atomic, write_text_atomic
+
+FOLDER = Path(__file__).parent
 DOCS = FOLDER.parent / "docs"
 RECORD = "gallery.json"  # beside the page: what it shows of scripts
 REFINED = "refinement.json"  # the same: what ``python -m benchmarks.refinement`` has made
@@ -79,7 +80,7 @@ def entries(path: Path = FOLDER / "gallery.yaml") -> list[GalleryEntry]:
     """
     known = examples()
     found = []
-    for raw in read_yaml_file(path):
+    for raw in yaml.safe_load(path.read_text(encoding="utf-8")):
         try:
             entry = GalleryEntry(
                 **{**raw, "options": tuple(str(o) for o in raw.get("options", ()))}

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from diffsim import optim
-from diffsim.applications.application import Application, Array
-from diffsim.core.errors import ConvergenceError, DiffsimError
+from diffsim.core import ConvergenceError, DiffsimError
+from examples.applications.application import Application, Array
 
 _TIMES = ("forward_s", "backward_s", "forward_cpu_s", "backward_cpu_s")
 

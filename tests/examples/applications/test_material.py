@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from diffsim import mesh
-from diffsim.applications import evaluate, minimize, solver_options
-from diffsim.applications.identification import visibility
-from diffsim.applications.table import load
+from examples.applications import evaluate, minimize, solver_options
+from examples.applications.identification import visibility
+from examples.applications.table import load
 
 NAMES = ("plant", "bouncing_ball", "bunny")
 

@@ -1,7 +1,7 @@
 """The command line of application scripts."""
 
-from diffsim.cli.application import main
-from tests.applications.test_applications import made
+from examples.applications.command import main
+from tests.examples.applications.test_applications import made
 
 
 def test_no_evaluations_show_where_the_search_begins(tmp_path, capsys):

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from diffsim import cli
-from diffsim.applications import catalog
+from diffsim.cli import catalog
 from tests import warm
 
 

@@ -5,9 +5,9 @@ loss. The scripts under ``examples/applications`` each build one; this package o
 chosen solver, draws it, records it, and compares the solvers.
 """
 
-from diffsim.applications.application import SOLVERS, Application, Parameters, solver_options
-from diffsim.applications.minimize import Evaluation, Outcome, evaluate, minimize
-from diffsim.applications.normalize import random_losses
+from examples.applications.application import SOLVERS, Application, Parameters, solver_options
+from examples.applications.minimize import Evaluation, Outcome, evaluate, minimize
+from examples.applications.normalize import random_losses
 
 __all__ = [
     "SOLVERS",

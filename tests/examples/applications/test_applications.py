@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from diffsim.applications import (
+from diffsim.core.errors import ConvergenceError, DiffsimError
+from examples.applications import (
     Application,
     Parameters,
     evaluate,
@@ -16,8 +17,7 @@ from diffsim.applications import (
     random_losses,
     solver_options,
 )
-from diffsim.applications.normalize import normalized
-from diffsim.core.errors import ConvergenceError, DiffsimError
+from examples.applications.normalize import normalized
 
 TRUTH = np.array([np.log(2e5), -3.0])
 
@@ -173,7 +173,7 @@ def test_a_motion_that_is_asked_for_again_is_not_simulated_again():
 
 def test_strip_shows_the_point_that_is_followed(tmp_path):
     plt = pytest.importorskip("matplotlib.pyplot")
-    from diffsim.viz.application_pictures import motion_strip
+    from examples.applications.pictures import motion_strip
 
     application = made()
     x = {"swing": application.motion(TRUTH)}

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from diffsim.applications import evaluate, minimize, solver_options
+from examples.applications import evaluate, minimize, solver_options
 from tests.examples.stories import load_story
 
 

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.applications.application import SOLVERS, Application, solver_options
-from diffsim.applications.catalog import FOLDER
-from diffsim.applications.minimize import minimize
-from diffsim.applications.normalize import normalized, random_losses
-from diffsim.core.errors import DiffsimError
+from diffsim.core import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from examples.applications.application import SOLVERS, Application, solver_options
+from examples.applications.minimize import minimize
+from examples.applications.normalize import normalized, random_losses
 
 NAMES = ("plant", "bouncing_ball", "bunny", "routing_tendon", "torus", "quadruped", "cow")
 OURS = "projective_dynamics"
@@ -24,7 +23,7 @@ OURS = "projective_dynamics"
 
 def load(name: str) -> Any:
     """The module of an application's script."""
-    path = FOLDER / "applications" / f"{name}.py"
+    path = Path(__file__).with_name(f"{name}.py")
     spec = importlib.util.spec_from_file_location(f"application_{name}", path)
     if spec is None or spec.loader is None or not path.is_file():
         raise FileNotFoundError(f"no application {name!r}: {path} does not exist")

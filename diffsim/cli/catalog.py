@@ -52,7 +52,8 @@ def examples(folder: Path = FOLDER) -> dict[str, Example]:
         doc = ast.get_docstring(ast.parse(text)) or ""
         quick = next((flag for flag in sorted(_QUICK) if f'"{flag}"' in text), None)
         # options that several scripts share are not in their own text
-        if quick is None and ("diffsim.cli.application" in text or f"{path.name} --quick" in doc):
+        shared = "examples.applications.command" in text
+        if quick is None and (shared or f"{path.name} --quick" in doc):
             quick = "--quick"
         found[path.stem] = Example(path.stem, path, doc.partition("\n")[0], quick)
     return found

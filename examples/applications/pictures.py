@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh
-from diffsim.applications.application import Application
 from diffsim.viz.palette import save
 from diffsim.viz.scene import MovingPoints, MovingSurface, Scene, write
+from examples.applications.application import Application
 
 INK, FLOOR, TARGET = "#1d2433", "#e4e8ee", "#b3362a"
 COLORS = ("#c2571a", "#0b6e75", "#8a93a3")  # before, after, target motion
