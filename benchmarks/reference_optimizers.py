@@ -268,7 +268,7 @@ def demo_fit() -> Mapping[str, Any]:
 def trajectory_search() -> Mapping[str, Any]:
     """Sim to real: the starfish's command by L-BFGS, and its parameters from a recording."""
     from diffsim.data import Run
-    from diffsim.sim_to_real import (
+    from labs.loop import (
         Command,
         FitSettings,
         Limits,

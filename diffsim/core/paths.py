@@ -12,7 +12,7 @@ SCRIPTS = PROJECT if (PROJECT / "pyproject.toml").is_file() else PROJECT / "diff
 
 
 def import_script(name: str) -> ModuleType:
-    """A module of ``examples`` or ``rl``, which the library itself never imports.
+    """A module of ``examples``, ``labs`` or ``rl``, which the library itself never imports.
 
     Args:
         name: Its full name, such as "examples.demo".

@@ -2,7 +2,7 @@
 
 PyTorch takes seconds to load, in which ``interruptible`` is not entered yet. A package that is
 missing is named in one line too, with the command that installs it. What the scripts share can be
-imported by all of them: ``examples.applications``, ``rl.comparison``. Libraries do not import this
+imported by all of them: ``examples.applications``, ``labs.loop``. Libraries do not import this
 module: it changes how the process ends, and where modules are looked for.
 """
 
@@ -37,7 +37,8 @@ def _missing(error: ImportError) -> str | None:
     if "pip install" in str(error):  # as diffsim's own messages say it
         return str(error)
     top = (error.name or "").partition(".")[0]
-    if not isinstance(error, ModuleNotFoundError) or top in ("", "diffsim", "examples", "rl"):
+    own = ("", "diffsim", "examples", "labs", "rl")
+    if not isinstance(error, ModuleNotFoundError) or top in own:
         return None
     return None if present(top) else f"{top} is not installed: {advice([top])}"
 
@@ -54,7 +55,7 @@ def _is_imported_by_a_script() -> bool:
 
 
 def _find_scripts() -> None:
-    """Let a script import ``examples`` and ``rl``; a user's own of these names come first."""
+    """Let a script import ``examples``, ``labs``, ``rl``; a user's own such names come first."""
     own = SCRIPTS in Path(sys.argv[0]).resolve().parents
     sys.path.insert(1 if own else len(sys.path), str(SCRIPTS))
 

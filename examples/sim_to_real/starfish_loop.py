@@ -24,7 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from diffsim.data import import_study
-from diffsim.sim_to_real import (
+from labs.loop import (
     AwaitingRecordingError,
     FileHardware,
     FitSettings,
@@ -81,7 +81,7 @@ def main(
     loop_s = time.process_time() - begin
     found = _real(model, QUICK.fit if quick else REAL) if real else None
     # matplotlib and jinja2 are only needed from here on
-    from diffsim.viz.loop_report import write_loop
+    from labs.loop.report import write_loop
 
     page = write_loop(result, model, out, fit_s=settings.fit.duration_s, real=found)
     print(f"report: {page}")

@@ -13,7 +13,7 @@ import diffsim
 
 FOLDER = Path(diffsim.__file__).parent
 PAGE = Path(__file__).parents[2] / "docs" / "glossary.md"
-BESIDE = ("examples",)
+BESIDE = ("examples", "labs")
 # what "where" says instead of a room, where a term is not of one room
 NO_ROOM = frozenset(("every layer", "every solver", "everywhere", "tests"))
 NOT_CODE = re.compile(r'"""(?s:.*?)"""|#.*')  # docstrings and comments

@@ -1,6 +1,6 @@
 """The starfish of the sim-to-real loop, steered by one servo in closed loop: a task to learn.
 
-The body is the quarter of :class:`diffsim.sim_to_real.Starfish`. Between what a controller asks for
+The body is the quarter of :class:`labs.loop.Starfish`. Between what a controller asks for
 and what the tendons do lies a servo; what is known of it decides what a controller learns.
 :class:`Steering` takes a trained controller to the virtual laboratory.
 """
@@ -19,11 +19,11 @@ from torch import Tensor, nn
 from diffsim import soft
 from diffsim.envs.task import Entry, Task, TaskState
 from diffsim.learn.setup import Setup
-from diffsim.sim_to_real import Limits, Starfish
-from diffsim.sim_to_real.command import RATE_HZ
-from diffsim.sim_to_real.model import water_of
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
-from diffsim.systems.starfish.body import TENDON
+from labs.loop import Limits, Starfish
+from labs.loop.body import TENDON
+from labs.loop.command import RATE_HZ
+from labs.loop.model import water_of
 
 DT = 1.0 / RATE_HZ  # of simulation and camera [s]
 HOLD = 6  # samples that an action is held: quicker ones shake the robot, as no servo can
@@ -90,7 +90,7 @@ class TendonSwim(Task):
         servo: What lies between command and tendon.
         seconds: Length of an episode [s].
         limits: What may be commanded.
-        body: Parameters of body and water, named as ``diffsim.sim_to_real.table_5_1`` has them;
+        body: Parameters of body and water, named as ``labs.loop.model.table_5_1`` has them;
             None: ``DATA_SHEET``.
     """
 
@@ -203,7 +203,7 @@ class TendonSwim(Task):
         """Observations (batch, n) of markers' places (batch, 8) [m].
 
         Args:
-            places, before: As ``diffsim.sim_to_real.model.CHANNELS``, a control step apart.
+            places, before: As ``labs.loop.model.CHANNELS``, a control step apart.
             asked: Last command, (batch, 1) [m].
             time: Since the start, (batch,) [s].
         """

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.sim_to_real.command import RATE_HZ
-from diffsim.sim_to_real.model import CHANNELS, PLACES_M
 from diffsim.viz.figures import COLORS, CYCLE, INK, LINE, SOFT, new_figure
+from labs.loop.command import RATE_HZ
+from labs.loop.model import CHANNELS, PLACES_M
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from diffsim.sim_to_real.records import Iteration
+    from labs.loop.records import Iteration
 
 Array = NDArray[np.float64]
 _MARKER_Z = np.array(PLACES_M)

@@ -14,11 +14,11 @@ from diffsim.core.progress import show_progress
 from diffsim.data.study import Run
 from diffsim.data.study_file import STUDY_FILE, load_study
 from diffsim.data.study_save import save_study
-from diffsim.sim_to_real.command import RATE_HZ, Command
-from diffsim.sim_to_real.hardware import Hardware, as_study
-from diffsim.sim_to_real.identification import Identified, identify, loss_of
-from diffsim.sim_to_real.model import Starfish
-from diffsim.sim_to_real.records import (
+from labs.loop.command import RATE_HZ, Command
+from labs.loop.hardware import Hardware, as_study
+from labs.loop.identification import Identified, identify, loss_of
+from labs.loop.model import Starfish
+from labs.loop.records import (
     Iteration,
     IterationPlan,
     LoopResult,
@@ -27,7 +27,7 @@ from diffsim.sim_to_real.records import (
     open_loop,
     save_plan,
 )
-from diffsim.sim_to_real.trajectory import optimize, speed, travel_loss
+from labs.loop.trajectory import optimize, speed, travel_loss
 
 
 def sim_to_real(

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from diffsim.core.check import require_number
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Run
-from diffsim.sim_to_real.command import Command
-from diffsim.sim_to_real.hardware import Hardware
-from diffsim.sim_to_real.identification import FitSettings, Identified
-from diffsim.sim_to_real.model import Starfish
-from diffsim.sim_to_real.trajectory import TrajectorySettings
+from labs.loop.command import Command
+from labs.loop.hardware import Hardware
+from labs.loop.identification import FitSettings, Identified
+from labs.loop.model import Starfish
+from labs.loop.trajectory import TrajectorySettings
 
 Array = NDArray[np.float64]
 _MAY_CHANGE = ("max_iterations", "tolerance")  # of a loop that is resumed
@@ -127,7 +127,7 @@ def open_loop(
     """Make a loop's folder, or make sure that it holds the same loop.
 
     Raises:
-        FileExistsError, ValueError: see :func:`~diffsim.sim_to_real.sim_to_real`.
+        FileExistsError, ValueError: see :func:`~labs.loop.sim_to_real`.
     """
     file = folder / "loop.json"
     now = to_plain(

@@ -9,10 +9,10 @@ import torch
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run
 from diffsim.identify import Problem, WhiteNoise
-from diffsim.sim_to_real.command import Command, Limits
-from diffsim.sim_to_real.identification import FitSettings, correlation_length, identify, loss_of
-from diffsim.sim_to_real.model import Starfish, as_displacements
-from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, travel_loss
+from labs.loop.command import Command, Limits
+from labs.loop.identification import FitSettings, correlation_length, identify, loss_of
+from labs.loop.model import Starfish, as_displacements
+from labs.loop.trajectory import TrajectorySettings, optimize, travel_loss
 
 CHANGED = {"youngs_modulus": 6e5, "drag_4": 2.6}
 PULL = 0.005 * (1.0 - np.cos(2.0 * np.pi * np.arange(24) / 24))

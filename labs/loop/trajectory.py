@@ -13,14 +13,14 @@ from torch import Tensor
 
 from diffsim import optim
 from diffsim.core.errors import DiffsimError
-from diffsim.sim_to_real.command import (
+from labs.loop.command import (
     RATE_HZ,
     Command,
     Limits,
     followed,
     interpolation,
 )
-from diffsim.sim_to_real.model import Starfish
+from labs.loop.model import Starfish
 
 Array = NDArray[np.float64]
 _UNIT_M = 0.01  # scale of the travel, so that L-BFGS' tolerances fit
@@ -91,7 +91,7 @@ def optimize(
     """Minimize L_a over the knots of a period by L-BFGS-B; theta stays fixed.
 
     Bounds of the knots are the solver's; what is too fast for the servo is turned into what it can
-    follow (:func:`~diffsim.sim_to_real.followed`), through which gradients flow.
+    follow (:func:`~labs.loop.followed`), through which gradients flow.
 
     Args:
         model: Model of the robot.

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from diffsim.data.study import Run
 from diffsim.identify import Fit, Problem, WhiteNoise, fit
-from diffsim.sim_to_real.model import CHANNELS, Starfish, as_displacements
+from labs.loop.model import CHANNELS, Starfish, as_displacements
 
 Array = NDArray[np.float64]
 

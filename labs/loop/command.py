@@ -75,7 +75,7 @@ class Command:
         if fastest > limits.rate_m_s + 2.0 * RATE_HZ * atol_m:
             raise ValueError(
                 f"contraction must change by at most {limits.rate_m_s:g} m/s, got {fastest:g} m/s; "
-                "pass it through diffsim.sim_to_real.followed"
+                "pass it through labs.loop.followed"
             )
 
 

@@ -20,11 +20,11 @@ from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.model_file import SavedModel
 from diffsim.identify.numerics import Numerics
 from diffsim.mesh import HexMesh, TetMesh
-from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
 from diffsim.systems.soft_body import SoftModel, SoftScene
-from diffsim.systems.starfish.body import LEAD, TENDON, Quarter, quarter, water
 from diffsim.systems.twin import PLANNED, Twin
+from labs.loop.body import LEAD, TENDON, Quarter, quarter, water
+from labs.loop.command import RATE_HZ
 
 Array = NDArray[np.float64]
 CHANNELS = tuple(f"{marker}_{axis}_m" for marker in MARKERS for axis in "xz")

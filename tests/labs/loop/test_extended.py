@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.sim_to_real import Command, Limits, Starfish, TrajectorySettings, optimize
-from diffsim.sim_to_real.records import LoopSettings, open_loop
-from diffsim.sim_to_real.trajectory import travel_loss
-from diffsim.sim_to_real.worth import worth_of_travel
 from diffsim.systems import Twin
-from tests.sim_to_real.test_optimizations import PULL
+from labs.loop import Command, Limits, Starfish, TrajectorySettings, optimize
+from labs.loop.records import LoopSettings, open_loop
+from labs.loop.trajectory import travel_loss
+from labs.loop.worth import worth_of_travel
+from tests.labs.loop.test_optimizations import PULL
 from tests.systems.late_cart import fitted_cart
 from tests.systems.slack_starfish import TRUTH, fitted_starfish
 

@@ -6,8 +6,8 @@ import pytest
 from diffsim.core.paths import data_folder
 from diffsim.data import import_study
 from diffsim.data.importers.starfish import COMMAND
-from diffsim.sim_to_real import FitSettings, Starfish, on_real_recording
-from diffsim.sim_to_real.measured import SPACING_M, window
+from labs.loop import FitSettings, Starfish, on_real_recording
+from labs.loop.measured import SPACING_M, window
 
 FOLDER = data_folder()
 pytestmark = pytest.mark.skipif(

@@ -14,8 +14,8 @@ from diffsim.core.files import write_text_atomic
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import STUDY_FILE, load_study
-from diffsim.sim_to_real.command import RATE_HZ, Command, Limits
-from diffsim.sim_to_real.model import CHANNELS
+from labs.loop.command import RATE_HZ, Command, Limits
+from labs.loop.model import CHANNELS
 
 
 class Hardware(Protocol):

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from diffsim import mesh, soft
-from diffsim.systems.starfish.body import (
+from labs.loop.body import (
     DEPTH,
     FADE_ANGLE,
     REACH,

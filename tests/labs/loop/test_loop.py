@@ -8,7 +8,7 @@ import torch
 
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run
-from diffsim.sim_to_real import (
+from labs.loop import (
     AwaitingRecordingError,
     Command,
     FitSettings,
@@ -112,7 +112,7 @@ def test_report(resumed, tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra viz")
     pytest.importorskip("plotly", reason="needs the extra viz")
     pytest.importorskip("jinja2", reason="needs the extra viz")
-    from diffsim.viz.loop_report import write_loop
+    from labs.loop.report import write_loop
 
     found = resumed[2].iterations[-1].identified
     row = {"run": "baseline", "use": "fit", "rms_before_m": 0.01, "rms_after_m": 0.002}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.sim_to_real.command import Command, Limits, followed, interpolation, sinusoid
-from diffsim.sim_to_real.trajectory import speed
+from labs.loop.command import Command, Limits, followed, interpolation, sinusoid
+from labs.loop.trajectory import speed
 
 LIMITS = Limits(contraction_m=0.012, rate_m_s=0.1)
 

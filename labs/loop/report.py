@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 from diffsim import mesh
 from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.data.importers.starfish import COMMAND
-from diffsim.sim_to_real.command import RATE_HZ
-from diffsim.sim_to_real.model import PLACES_M, Starfish
-from diffsim.viz import diagnosis_charts, loop_figures
+from diffsim.viz import diagnosis_charts
 from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, data_uri
 from diffsim.viz.moving import Deforming, Moving
+from labs.loop import figures as loop_figures
+from labs.loop.command import RATE_HZ
+from labs.loop.model import PLACES_M, Starfish
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from diffsim.sim_to_real.records import Iteration, LoopResult
+    from labs.loop.records import Iteration, LoopResult
 
 Array = NDArray[np.float64]
 SHORT = {"youngs_modulus": "E [Pa]", "axial_stiffness": "w = EA [N]"}
@@ -69,7 +70,7 @@ def write_loop(
         model: Model of the starfish that the loop was made with.
         folder: Folder that the files are written to.
         fit_s: Length of the recordings that parameters were fitted to [s].
-        real: Result of :func:`diffsim.sim_to_real.on_real_recording`; None: left out.
+        real: Result of :func:`labs.loop.on_real_recording`; None: left out.
 
     Returns:
         Path of the page.

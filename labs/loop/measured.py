@@ -11,9 +11,9 @@ import torch
 
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run, Study
-from diffsim.sim_to_real.command import RATE_HZ
-from diffsim.sim_to_real.identification import FitSettings, identify
-from diffsim.sim_to_real.model import CHANNELS, Starfish, as_displacements, displacements
+from labs.loop.command import RATE_HZ
+from labs.loop.identification import FitSettings, identify
+from labs.loop.model import CHANNELS, Starfish, as_displacements, displacements
 
 SPACING_M = 0.0762  # of the markers m2 and m3, nominal
 BEFORE_S = 0.2  # windows begin that long before the command does

@@ -9,11 +9,11 @@ import pytest
 
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study_save import save_study
-from diffsim.sim_to_real import AwaitingRecordingError, Command, FileHardware, Limits, rod_swimmer
-from diffsim.sim_to_real.hardware import as_study
-from diffsim.sim_to_real.laboratory import VirtualLaboratory
-from diffsim.sim_to_real.model import CHANNELS
-from diffsim.sim_to_real.rod_swimmer import DT, STEPS_PER_SAMPLE, RodSwimmer, Truth
+from labs.loop import AwaitingRecordingError, Command, FileHardware, Limits, rod_swimmer
+from labs.loop.hardware import as_study
+from labs.loop.laboratory import VirtualLaboratory
+from labs.loop.model import CHANNELS
+from labs.loop.rod_swimmer import DT, STEPS_PER_SAMPLE, RodSwimmer, Truth
 
 PULSE = Command(0.005 * (1.0 - np.cos(2.0 * np.pi * np.arange(30) / 30)))
 LAB = VirtualLaboratory(duration_s=0.5)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run
-from diffsim.sim_to_real.command import RATE_HZ, Command, Limits
-from diffsim.sim_to_real.rod_swimmer import DT, STEPS_PER_SAMPLE, RodSwimmer, Truth
+from labs.loop.command import RATE_HZ, Command, Limits
+from labs.loop.rod_swimmer import DT, STEPS_PER_SAMPLE, RodSwimmer, Truth
 
 Array = NDArray[np.float64]
 Policy = Callable[[float, Array], float]
@@ -73,7 +73,7 @@ class VirtualLaboratory:
     virtual = True
 
     def execute(self, command: Command, *, order: int) -> Run:
-        """See :class:`~diffsim.sim_to_real.Hardware`.
+        """See :class:`~labs.loop.Hardware`.
 
         Raises:
             ValueError: the command is beyond the limits.
