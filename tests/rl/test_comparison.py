@@ -16,19 +16,19 @@ pytest.importorskip("gymnasium", reason="environments need gymnasium: pip instal
 
 from diffsim.core import open_executor
 from diffsim.envs.registry import make_task
-from diffsim.learn import comparison, methods, presets
+from diffsim.learn import methods
 from diffsim.learn.gradient import BadGradients
 from diffsim.learn.methods import Plan, train_once, tune
-from diffsim.learn.quality import gradient_quality
 from diffsim.learn.setup import Setup, first_controller
-from diffsim.learn.statistics import (
+from rl import compare, comparison, presets
+from rl.quality import gradient_quality
+from rl.reward_statistics import (
     Scale,
     bootstrap_interval,
     first_reach,
     held,
     interquartile_mean,
 )
-from rl import compare
 from tests.optional import needs
 
 needs("stable_baselines3", reason="PPO is stable-baselines3's: pip install '.[rl]'")
@@ -111,7 +111,7 @@ def test_gradient_quality_differentiates_the_mean_over_episodes() -> None:
     task = make_task("CopterHover", seconds=0.2)
     controller = first_controller(task, 0, 10)
     from diffsim.envs.rollout import rollout_task
-    from diffsim.learn.quality import _per_episode
+    from rl.quality import _per_episode
 
     weights = {k: p.detach() for k, p in controller.named_parameters()}
     each = _per_episode(task, controller, weights, 5, 3, 0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
-from diffsim.learn.comparison import AXES, Runs
-from diffsim.learn.statistics import Row, Scale, bootstrap_interval, held, interquartile_mean
 from diffsim.viz.figures import CYCLE, INK, LINE, SOFT
+from rl.comparison import AXES, Runs
+from rl.reward_statistics import Row, Scale, bootstrap_interval, held, interquartile_mean
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
