@@ -23,12 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from diffsim.cli.catalog import examples
 from diffsim.core import DiffsimError, show_progress
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.yaml_text import read_yaml_file
 
 FOLDER = Path(__file__).parent
 DOCS = FOLDER.parent / "docs"
@@ -80,7 +79,7 @@ def entries(path: Path = FOLDER / "gallery.yaml") -> list[GalleryEntry]:
     """
     known = examples()
     found = []
-    for raw in yaml.safe_load(path.read_text(encoding="utf-8")):
+    for raw in read_yaml_file(path):
         try:
             entry = GalleryEntry(
                 **{**raw, "options": tuple(str(o) for o in raw.get("options", ()))}

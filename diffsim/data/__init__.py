@@ -1,7 +1,7 @@
 """Recordings of real robots: loading, checking, signal analysis.
 
 A *study* is the recordings of one system with what is known about them: ``load_study``,
-``save_study``, ``check_study``, and ``import_study`` for the published data sets.
+``save_study``, ``check_study``.
 """
 
 from importlib import import_module
@@ -15,20 +15,11 @@ from diffsim.data.study_save import save_study
 
 if TYPE_CHECKING:
     from diffsim.data.ball_video import ball_tracks_study, ball_video_study
-    from diffsim.data.beam import TIP_MARKERS, BeamGeometry, BeamStudy, BeamTrial, load_beam_study
-    from diffsim.data.importers import IMPORTERS, import_study
 
 #: What few need, and what takes a second to import: loaded when it is asked for.
 _LATE = {
     "ball_tracks_study": "ball_video",
     "ball_video_study": "ball_video",
-    "TIP_MARKERS": "beam",
-    "BeamGeometry": "beam",
-    "BeamStudy": "beam",
-    "BeamTrial": "beam",
-    "load_beam_study": "beam",
-    "IMPORTERS": "importers",
-    "import_study": "importers",
 }
 
 
@@ -39,11 +30,6 @@ def __getattr__(name: str) -> Any:
 
 
 __all__ = [
-    "IMPORTERS",
-    "TIP_MARKERS",
-    "BeamGeometry",
-    "BeamStudy",
-    "BeamTrial",
     "Channel",
     "Command",
     "Problem",
@@ -54,8 +40,6 @@ __all__ = [
     "ball_video_study",
     "check_study",
     "find_dataset",
-    "import_study",
-    "load_beam_study",
     "load_csv",
     "load_study",
     "save_study",

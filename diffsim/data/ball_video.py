@@ -9,14 +9,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.core.check import require_number
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.calibration import calibrate
-from diffsim.data.importers.common import Array, read_columns, read_metadata
 from diffsim.data.study import Channel, Run, Study
+from diffsim.data.table import read_numbers
 from diffsim.data.track import noise_px, without_merged
 from diffsim.data.video import TENNIS_BALL, ColorBounds, Tracks, frame_size, track_video
 
+Array = NDArray[np.float64]
 LEAST_NOISE = 0.2  # [px] of a center: what the pixel grid and the lossy colors leave
 #: Channel -> noise [px] of the published tracks, see tennis_balls.yaml; of the corners: of a click.
 CHANNELS = {
@@ -38,9 +41,9 @@ def ball_tracks_study(folder: str | Path, held_out_from: int = 21) -> Study:
         held_out_from: Sample with which the held-out run begins.
     """
     folder = Path(folder)
-    meta = read_metadata(folder)
-    data, _ = read_columns(folder / "tracks.csv", ["time_s", *list(CHANNELS)[:4]])
-    points, _ = read_columns(folder / "calibration_points.csv", list(_POINTS))
+    meta = read_yaml_file(folder / "metadata.yaml")
+    data = read_numbers(folder / "tracks.csv", ["time_s", *list(CHANNELS)[:4]])
+    points = read_numbers(folder / "calibration_points.csv", list(_POINTS))
     geometry = meta["geometry"]
     setup = {
         "ball_diameter_m": float(geometry["ball_diameter_m"]),
@@ -88,7 +91,7 @@ def ball_video_study(
         ValueError: too few frames for the clicked corners (one row holds one corner).
     """
     require_number("held_out", held_out, at_least=0.0, below=1.0)
-    points, _ = read_columns(Path(corners), list(_POINTS))
+    points = read_numbers(Path(corners), list(_POINTS))
     tracks = _coming_last(without_merged(track_video(video, 2, color, first=first, last=last)))
     cut = round((1.0 - held_out) * len(tracks.frames))
     if cut < max(10, len(points["u_px"])):

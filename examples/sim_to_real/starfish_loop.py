@@ -23,7 +23,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from diffsim.data import import_study
 from labs.loop import (
     AwaitingRecordingError,
     FileHardware,
@@ -34,6 +33,7 @@ from labs.loop import (
     Starfish,
     TrajectorySettings,
     VirtualLaboratory,
+    import_starfish,
     on_real_recording,
     sim_to_real,
     sinusoid,
@@ -92,7 +92,7 @@ def main(
 
 def _real(model: Starfish, settings: FitSettings) -> dict | None:
     try:
-        study = import_study("starfish")
+        study = import_starfish()
     except FileNotFoundError as missing:
         print(f"no recordings of the real starfish, that part is left out: {missing}")
         return None

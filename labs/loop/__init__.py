@@ -11,6 +11,7 @@ from labs.loop.laboratory import Rig, VirtualLaboratory
 from labs.loop.loop import sim_to_real
 from labs.loop.measured import on_real_recording
 from labs.loop.model import CHANNELS, Starfish
+from labs.loop.recordings import import_starfish
 from labs.loop.records import Iteration, LoopResult, LoopSettings
 from labs.loop.rod_swimmer import Truth
 from labs.loop.trajectory import TrajectorySettings, optimize, speed, travel_loss
@@ -35,6 +36,7 @@ __all__ = [
     "VirtualLaboratory",
     "followed",
     "identify",
+    "import_starfish",
     "on_real_recording",
     "open_close",
     "optimize",

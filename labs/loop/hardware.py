@@ -11,11 +11,11 @@ import numpy as np
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import STUDY_FILE, load_study
 from labs.loop.command import RATE_HZ, Command, Limits
 from labs.loop.model import CHANNELS
+from labs.loop.recordings import COMMAND
 
 
 class Hardware(Protocol):

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run
 from labs.loop.command import RATE_HZ, Command, Limits
+from labs.loop.recordings import COMMAND
 from labs.loop.rod_swimmer import DT, STEPS_PER_SAMPLE, RodSwimmer, Truth
 
 Array = NDArray[np.float64]

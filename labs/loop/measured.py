@@ -1,4 +1,4 @@
-"""The loop's identification on the measured starfish (``import_study("starfish")``)."""
+"""The loop's identification on the measured starfish (``import_starfish()``)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run, Study
 from labs.loop.command import RATE_HZ
 from labs.loop.identification import FitSettings, identify
 from labs.loop.model import CHANNELS, Starfish, as_displacements, displacements
+from labs.loop.recordings import COMMAND
 
 SPACING_M = 0.0762  # of the markers m2 and m3, nominal
 BEFORE_S = 0.2  # windows begin that long before the command does

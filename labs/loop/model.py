@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import soft
-from diffsim.data.importers.starfish import COMMAND, MARKERS
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect, effect_coordinates
@@ -25,6 +24,7 @@ from diffsim.systems.soft_body import SoftModel, SoftScene
 from diffsim.systems.twin import PLANNED, Twin
 from labs.loop.body import LEAD, TENDON, Quarter, quarter, water
 from labs.loop.command import RATE_HZ
+from labs.loop.recordings import COMMAND, MARKERS
 
 Array = NDArray[np.float64]
 CHANNELS = tuple(f"{marker}_{axis}_m" for marker in MARKERS for axis in "xz")

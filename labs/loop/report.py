@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from diffsim import mesh
 from diffsim.core.files import write_bytes_atomic, write_json_atomic
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.viz import diagnosis_charts
 from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, data_uri
@@ -20,6 +19,7 @@ from diffsim.viz.moving import Deforming, Moving
 from labs.loop import figures as loop_figures
 from labs.loop.command import RATE_HZ
 from labs.loop.model import PLACES_M, Starfish
+from labs.loop.recordings import COMMAND
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

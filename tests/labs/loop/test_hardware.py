@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study_save import save_study
 from labs.loop import AwaitingRecordingError, Command, FileHardware, Limits, rod_swimmer
 from labs.loop.hardware import as_study
 from labs.loop.laboratory import VirtualLaboratory
 from labs.loop.model import CHANNELS
+from labs.loop.recordings import COMMAND
 from labs.loop.rod_swimmer import DT, STEPS_PER_SAMPLE, RodSwimmer, Truth
 
 PULSE = Command(0.005 * (1.0 - np.cos(2.0 * np.pi * np.arange(30) / 30)))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run
 from labs.loop import (
     AwaitingRecordingError,
@@ -19,6 +18,7 @@ from labs.loop import (
     VirtualLaboratory,
     sim_to_real,
 )
+from labs.loop.recordings import COMMAND
 
 LIMITS = Limits()
 SINE = Command(0.005 * (1.0 - np.cos(2.0 * np.pi * np.arange(30) / 30)))

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from diffsim.core.paths import data_folder
-from diffsim.data import import_study
-from diffsim.data.importers.starfish import COMMAND
 from labs.loop import FitSettings, Starfish, on_real_recording
 from labs.loop.measured import SPACING_M, window
+from labs.loop.recordings import COMMAND, import_starfish
 
 FOLDER = data_folder()
 pytestmark = pytest.mark.skipif(
@@ -17,7 +16,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def test_windows_are_at_60_hz_and_to_scale():
-    for run in import_study("starfish").runs:
+    for run in import_starfish().runs:
         cut = window(run, 2.0)
         assert np.ptp(np.diff(cut.time_s)) < 1e-12
         assert len(cut.time_s) == 120
@@ -31,7 +30,7 @@ def test_windows_are_at_60_hz_and_to_scale():
 @pytest.mark.slow
 def test_identification_explains_more_than_the_first_guesses():
     settings = FitSettings(duration_s=1.5, max_evaluations=8)
-    found = on_real_recording(import_study("starfish"), Starfish(), settings)
+    found = on_real_recording(import_starfish(), Starfish(), settings)
     fitted = found["runs"][0]
     assert fitted["use"] == "fit"
     assert fitted["rms_after_m"] < fitted["rms_before_m"]

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Run
 from diffsim.identify import Problem, WhiteNoise
 from labs.loop.command import Command, Limits
 from labs.loop.identification import FitSettings, correlation_length, identify, loss_of
 from labs.loop.model import Starfish, as_displacements
+from labs.loop.recordings import COMMAND
 from labs.loop.trajectory import TrajectorySettings, optimize, travel_loss
 
 CHANGED = {"youngs_modulus": 6e5, "drag_4": 2.6}

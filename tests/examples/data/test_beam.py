@@ -8,10 +8,9 @@ import yaml
 from scipy.signal import butter, filtfilt
 from scipy.spatial.transform import Rotation
 
-from diffsim.data import load_beam_study
-from diffsim.data.beam import detect_release, rigid_rotation_deg
-from diffsim.data.beam_motion import describe, moving_tip_mass
 from diffsim.data.signal import amplitude_spectrum
+from examples.data.beam import detect_release, load_beam_study, rigid_rotation_deg
+from examples.data.beam_motion import describe, moving_tip_mass
 
 pytestmark = pytest.mark.reference
 

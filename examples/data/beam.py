@@ -11,8 +11,8 @@ marker places, which fit the data to 0.3-2 mm only: the triangle of tip markers 
 4.7 degrees of pitch, the clamp's for 8.2, all six for the 6.6 that is used. Absolute places are
 therefore never compared, only *displacements from the held state* (median of frames 20-34).
 
-What the recordings show, and a model has to know (numbers: tests/data/test_beam.py, and the
-demo's report):
+What the recordings show, and a model has to know (numbers: tests/examples/data/test_beam.py, and
+the demo's report):
 
 - *The weight is a mass, not a force.* 7.7 Hz without it, 4.3 Hz with it. The ratio asks for a
   modal tip mass of 24 g, a quarter of the bar's 96 g, which is the textbook value: the weight
@@ -55,8 +55,7 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_yaml_file
-from diffsim.data import signal
-from diffsim.data.recording import Recording, load_csv
+from diffsim.data import Recording, load_csv, signal
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.data import signal
-from diffsim.data.beam import BeamStudy, BeamTrial
+from examples.data.beam import BeamStudy, BeamTrial
 
 COMPARE_S = 2.0  # the window of all comparisons: by then the swing is below 1 % of its start
 RING_DOWN_START_S = 0.05  # before this the hand still shapes the motion

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from diffsim.data import BeamStudy, find_dataset, load_beam_study
+from diffsim.data import find_dataset
+from examples.data.beam import BeamStudy, load_beam_study
 
-VIRTUAL_BEAM = Path(__file__).parents[2] / "examples" / "demo" / "virtual_beam"
+VIRTUAL_BEAM = Path(__file__).parents[3] / "examples" / "demo" / "virtual_beam"
 
 
 @pytest.fixture(scope="session")
