@@ -34,7 +34,7 @@ STABLE_ABI = (
 # What one Python adds to its compiler and another does not; kernels know nothing of Python.
 PYTHONS_OWN = ("-Wno-unused-result", "-fno-strict-overflow", "-fwrapv")
 # Scripts that the checkout keeps beside the package, and the wheel in it.
-SCRIPTS = ("examples", "labs/loop", "rl")
+SCRIPTS = ("examples", "labs/balls", "labs/loop", "rl")
 # Bindings convert arguments and compute nothing; -O3 makes them larger and slower to compile.
 BINDINGS_LEVEL = "-Os"
 # Kernels of these folders are compiled together, this many lines at a time: what they include is

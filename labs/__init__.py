@@ -9,5 +9,6 @@ They stand beside the package, which knows nothing of them, and are read from a 
 - ``labs.calibration``: their answers with other thresholds (``python -m labs.calibration``);
 - ``labs.cases``: chosen cases of each laboratory, with their verdicts;
 - ``labs.outside``: cases that other people's simulators made (``python -m labs.outside``);
-- ``labs.loop``: the loop of the thesis on the starfish, and the virtual laboratory that it runs on.
+- ``labs.loop``: the loop of the thesis on the starfish, and the virtual laboratory that it runs on;
+- ``labs.balls``: the thesis's two soft balls on a table, from tracks or a film to a fit.
 """

@@ -147,7 +147,7 @@ def test_setup_installs_what_the_build_requires():
 
 def test_scripts_of_the_checkout_are_found_and_shipped():
     assert paths.SCRIPTS == ROOT
-    assert set(taken("SCRIPTS")["SCRIPTS"]) == {"examples", "labs/loop", "rl"}
+    assert set(taken("SCRIPTS")["SCRIPTS"]) == {"examples", "labs/balls", "labs/loop", "rl"}
     found = catalog.examples()
     assert found["train_ppo"].group == "rl" and found["sliding_block"].group == "contact"
 

@@ -13,8 +13,6 @@ from diffsim.core.lazy import offered
 
 if TYPE_CHECKING:
     from diffsim.viz import (
-        ball_figures,
-        ball_video,
         device_evolution,
         device_files,
         device_picture,
@@ -37,8 +35,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "ball_figures",
-    "ball_video",
     "device_evolution",
     "device_files",
     "device_picture",

@@ -227,7 +227,7 @@ LATER += [
     r"systems\.Twin\.|sim_to_real\.(best_command|worth)",  # of a file: tests/systems/test_twin.py
     r"shape_(at|of)$|prepared_at$|picture$|factor$",  # no tensors, or what others go through
     r"systems\.multicopter\.",  # initial states are fitted away, which leaves terms out
-    r"systems\.(outside|balls)\.",
+    r"systems\.outside\.",
     r"systems\.flow_network\.(Network|StokesScene)|soft_body\.SoftScene\.",
     r"identify\.(Jacobian\.|NumericalEffect\.|ExtendedModel\.(scene|simulate_many)$)",
     r"codesign\.codesign$|devices\.optimize$",

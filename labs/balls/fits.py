@@ -15,7 +15,6 @@ from diffsim.data.study import Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.balls.soft import SoftBallModel, SoftBalls
 from diffsim.systems.rigid_body.camera import (
     HEIGHT_PX,
     WIDTH_PX,
@@ -24,6 +23,7 @@ from diffsim.systems.rigid_body.camera import (
     projected,
 )
 from diffsim.systems.rigid_body.description import RigidBodyDescription
+from labs.balls.soft import SoftBallModel, SoftBalls
 
 Array = NDArray[np.float64]
 

@@ -12,13 +12,13 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.viz import scene
-from diffsim.viz.ball_video import outline, view_of
+from labs.balls.film import outline, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from diffsim.systems.balls.soft import SoftBallModel
+    from labs.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
 COLORS = ("#1f6f9f", "#c8502b")  # ball 0, ball 1

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.data.ball_video import ball_video_study
 from diffsim.data.calibration import calibrate
-from diffsim.systems.balls.fits import soft_model
-from diffsim.systems.balls.soft import MOTION
+from labs.balls.fits import soft_model
+from labs.balls.recordings import ball_video_study
+from labs.balls.soft import MOTION
 from tests.examples.stories import load_story
 
 DIAMETER, MASS = 0.06858, 0.0577

@@ -31,7 +31,7 @@ def test_tracks_of_the_film_are_where_the_balls_were(film):
 
 
 def test_a_ball_hidden_while_it_rolls_is_found_again(tmp_path, film):
-    from diffsim.viz.ball_video import film_balls, view_of
+    from labs.balls.film import film_balls, view_of
     from tests.examples.stories import load_story
 
     story = load_story("sim_to_real/film_tennis_balls.py")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.systems.balls.soft import SoftBalls, ball_mesh
 from diffsim.systems.rigid_body.camera import eye, on_plane, plain_camera, projected
+from labs.balls.soft import SoftBalls, ball_mesh
 from tests.examples.stories import load_story
 
 RADIUS, MASS = 0.03429, 0.0577

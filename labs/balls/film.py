@@ -21,7 +21,7 @@ from diffsim.core.optional import optional
 from diffsim.systems.rigid_body.camera import HEIGHT_PX, WIDTH_PX, eye, projected
 
 if TYPE_CHECKING:
-    from diffsim.systems.balls.soft import SoftBallModel
+    from labs.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
 FELT = (70, 225, 205)  # blue, green, red: optic yellow

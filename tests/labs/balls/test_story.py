@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from diffsim.core.paths import data_folder
-from diffsim.data import Run, Study, ball_tracks_study
-from diffsim.viz.ball_figures import ShownBall, misfits, overlay, recording, simulated, strip
+from diffsim.data import Run, Study
+from labs.balls.figures import ShownBall, misfits, overlay, recording, simulated, strip
+from labs.balls.recordings import ball_tracks_study
 from tests.examples.stories import load_story
 
 FOLDER = data_folder()
