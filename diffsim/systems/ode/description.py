@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from diffsim.causes.channel_groups import CLOCKS
 from diffsim.causes.scales import SCALES
 from diffsim.core.schema_numbers import Seconds
+from diffsim.core.schema_paths import NAMED_CODE, PathWords
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
@@ -58,7 +59,7 @@ class OdeDescription(FormulaKeys):
         "first_CHANNEL, or a quantity with a prior"
     )
     rates: dict[str, Formula] = Field({}, description="Rate of every state, its derivative in time")
-    function: str | None = Field(
+    function: Annotated[str, PathWords("text", NAMED_CODE)] | None = Field(
         None,
         description="FILE.py:NAME instead of rates: a Python function of states, inputs and "
         "parameters, by the names of its arguments, that returns the rates by state. It is run, "

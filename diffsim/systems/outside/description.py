@@ -12,6 +12,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
 from diffsim.causes.plant import Plant
+from diffsim.core.inside import inside
+from diffsim.core.schema_paths import CODE, INSIDE, PathWords
 from diffsim.core.units import in_si, in_unit
 from diffsim.data.steps import looks_held
 from diffsim.data.study import Study
@@ -31,6 +33,7 @@ from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
 
+_MAX_NAME = 255  # letters; what is longer is a text, and no file
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
 
@@ -106,11 +109,11 @@ class OutsideDescription(Description):
     """A simulator of the user's own: any function, class or Gymnasium environment."""
 
     system: Literal["outside"] = Field(description="outside")
-    simulator: str = Field(
+    simulator: Annotated[str, PathWords("text", CODE)] = Field(
         description="FILE.py:NAME beside study.yaml, MODULE:NAME, or gym:ID. NAME is a function "
         "predict(parameters, run), or a class with such a method, or with reset and step"
     )
-    options: dict[str, Any] = Field(
+    options: Annotated[dict[str, Any], PathWords("mapping of names to anything", INSIDE)] = Field(
         {}, description="Keyword arguments that the class is made with, such as a model file"
     )
     parameters: dict[str, AnyQuantity] = Field(
@@ -148,7 +151,11 @@ class OutsideDescription(Description):
     def problems(self, study: Study) -> list[Problem]:
         """A simulator that is not there, hooks that no column has; nothing is run."""
         out = []
-        if problem := self.source(study).problem():
+        try:
+            problem = self.source(study).problem()
+        except ValueError as error:  # a path that leaves its folder
+            problem = str(error)
+        if problem:
             out.append(Problem("error", "model", problem))
         checks: list[Callable[[], object]] = [
             partial(hooks_of.command_groups, study, self.hooks.command),
@@ -220,7 +227,13 @@ class OutsideDescription(Description):
         """Options; those that name a file beside the study get its folder."""
         if folder is None:
             return self.options
-        return {
-            k: str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v
-            for k, v in self.options.items()
-        }
+        opened = ("model",) if self.simulator == MJCF else ()
+        return {k: _file_or_value(folder, k, v, k in opened) for k, v in self.options.items()}
+
+
+def _file_or_value(folder: Path, key: str, given: Any, is_opened: bool) -> Any:
+    """The path of a file that a text names; any other text, which may be no path, as it is."""
+    if not isinstance(given, str) or not 0 < len(given) <= _MAX_NAME or given[:1] in "<\n ":
+        return given
+    is_file = is_opened or (folder / given).is_file()
+    return str(inside(folder, given, f"options.{key}")) if is_file else given

@@ -105,3 +105,15 @@ def test_commands_go_to_actuators_by_name():
 def test_names_that_the_mjcf_lacks_are_said(settings, parameters, message):
     with pytest.raises(ValueError, match=message):
         Mjcf(XML, **settings).predict(parameters, scenes.run_of("sine"))
+
+
+def test_a_model_in_several_files_is_one_simulator(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "sensors.xml").write_text(f"<mujoco>{XML.partition('</actuator>')[2]}")
+    whole = XML.partition("<sensor>")[0] + '<include file="parts/sensors.xml"/></mujoco>'
+    (tmp_path / "rod.xml").write_text(whole)
+    run = scenes.run_of("sine")
+    found = Mjcf(str(tmp_path / "rod.xml"), CHANNELS).predict({}, run)
+    np.testing.assert_array_equal(found, Mjcf(XML, CHANNELS).predict({}, run))
+    with pytest.raises(ValueError, match=r"<include> names 'parts/sensors.xml'; give the model as"):
+        Mjcf(whole)
