@@ -15,18 +15,18 @@ from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.bench.run_zeros import run_zeros
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
+from diffsim.systems.ode.applying import LABELS, labels_of_blocks
+from diffsim.systems.ode.described import DescribedMotion, FormulaSystem, model_of
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
 from diffsim.systems.ode.law_effects import (
     check_laws,
-    labels_of_laws,
     law_effects,
     law_scales,
     unknown_laws,
 )
 from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.names import Reader
+from diffsim.systems.ode.reading import read_system
 
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
 
@@ -51,7 +51,7 @@ class BenchDescription(FormulaKeys):
     def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
         inputs = self.inputs or tuple(Input(name=c) for c in commands if c.isidentifier())
-        read = FormulaSystem(self, inputs, DescribedMotion(), study, reader)
+        read = read_system(self, inputs, DescribedMotion(), study, reader)
         check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
         return read
 
@@ -60,12 +60,12 @@ class BenchDescription(FormulaKeys):
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
-        model = read.model()
+        model = model_of(read)
         scales = Scales.kept_in(study) or Scales.of_runs(study)
         bends = law_scales(self.laws, study, model, read.network, read.known)
         scales = replace(scales, plain={**scales.plain, **bends})
         model.frame = {
-            LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
+            LABELS: labels_of_blocks((*self.effects.formulas, *self.laws), study),
             SCALES: scales.saved(),
         }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
@@ -84,7 +84,7 @@ class BenchDescription(FormulaKeys):
             scales=scales,
             commands={name: "straight" for name in read.input_held},
             channels=tuple(c.name for c in study.channels),
-            numbers=tuple(read.quantities),
+            numbers=tuple(read.base.quantities),
         )
         effects = chosen_effects((*laws, *zeros, *read.own), self.effects, study, ports)
         return DiagnosisSetup(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
+from diffsim.systems.ode.keys import Law, OwnEffect
 from diffsim.systems.ode.network import Change
 from diffsim.systems.ode.scene import OdeScene
 
@@ -81,6 +82,12 @@ def labels_of(per: str, study: Study) -> tuple[str, ...]:
     """Values of a fact in the runs of a study, or in those that its ``frame`` is from."""
     kept = study.frame.get(LABELS, {}).get(per)
     return tuple(kept or dict.fromkeys(_label_run(per, run) for run in study.runs))
+
+
+def labels_of_blocks(blocks: Iterable[OwnEffect | Law], study: Study) -> dict[str, list[str]]:
+    """Values of the facts that own causes and laws are sized by, as a ``frame`` keeps them."""
+    pers = {block.per for block in blocks if block.per is not None}
+    return {per: list(labels_of(per, study)) for per in sorted(pers)}
 
 
 def _label_run(per: str, run: Run) -> str:

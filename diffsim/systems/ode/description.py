@@ -15,8 +15,8 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import HELD, LONGEST, PARTS, DescribedMotion, FormulaSystem
+from diffsim.systems.ode.applying import LABELS, labels_of_blocks
+from diffsim.systems.ode.described import DescribedMotion, FormulaSystem, model_of
 from diffsim.systems.ode.effects import ode_effects, ports_of
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
@@ -34,13 +34,14 @@ from diffsim.systems.ode.keys import (
 )
 from diffsim.systems.ode.law_effects import (
     check_laws,
-    labels_of_laws,
     law_effects,
     law_scales,
 )
 from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
+from diffsim.systems.ode.mends import PARTS
 from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
+from diffsim.systems.ode.reading import HELD, LONGEST, read_system
 from diffsim.systems.ode.refresh_effects import REFRESH, refresh_effects, refresh_periods
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.unknown import unknown_forces
@@ -119,19 +120,7 @@ class OdeDescription(FormulaKeys):
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
     def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
-        motion = DescribedMotion(
-            states=self.states,
-            rates=self.rates,
-            limits=self.limits,
-            places=self.places,
-            stores=self.stores,
-            events=self.events,
-            swings=self.swings,
-            time_step=self.time_step,
-            slow_time=self.slow_time,
-            clocks=self.clocks,
-        )
-        read = FormulaSystem(self, self.inputs, motion, study, reader)
+        read = read_system(self, self.inputs, DescribedMotion.of(self), study, reader)
         check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
         return read
 
@@ -142,7 +131,7 @@ class OdeDescription(FormulaKeys):
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
-        model = read.model()
+        model = model_of(read)
         scales = scales_of(study, model, read.network, read.known, self.places, self.stores)
         bends = law_scales(self.laws, study, model, read.network, read.known)
         scales = replace(scales, plain={**scales.plain, **bends})
@@ -158,7 +147,7 @@ class OdeDescription(FormulaKeys):
             stores=tuple((s, StoreScale(**scales.plain[s.name])) for s in self.stores),
             scales=scales,
         )
-        labels = {**read.labels, **labels_of_laws(self.laws, study)}
+        labels = labels_of_blocks((*self.effects.formulas, *self.laws), study)
         choice = self.effects
         periods = refresh_periods(study, choice.only)
         spoken_of = {*choice.only, *choice.without, *choice.typical}
@@ -174,7 +163,7 @@ class OdeDescription(FormulaKeys):
         timed = (*ode_effects(library), *refresh_effects(study, periods, spoken_of))
         found = (*timed, *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, scales, read.network, read.known)
-        ports = ports_of(library, tuple(read.quantities))
+        ports = ports_of(library, tuple(read.base.quantities))
         effects = chosen_effects((*found, *laws, *read.own), self.effects, study, ports)
         return DiagnosisSetup(
             model,

@@ -17,7 +17,7 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.unknown import Unknown, UnknownLaw
-from diffsim.systems.ode.applying import RunGroups, by_formulas_in, labels_of, symbol
+from diffsim.systems.ode.applying import RunGroups, by_formulas_in, symbol
 from diffsim.systems.ode.keys import Law
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
@@ -43,12 +43,6 @@ def check_laws(
             reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
         reader.parse(f"laws[{i}].of", law.of, known)
         reader.require_per(f"laws[{i}]", law.per)
-
-
-def labels_of_laws(laws: Sequence[Law], study: Study) -> dict[str, list[str]]:
-    """Values of the facts that laws are sized by, as a study's ``frame`` keeps them."""
-    pers = {law.per for law in laws if law.per is not None}
-    return {per: list(labels_of(per, study)) for per in sorted(pers)}
 
 
 def law_effects(
