@@ -61,7 +61,7 @@ class FormulaSystem:
         given: What drives the system.
         motion: States and what goes with them.
         study: Study with the recordings.
-        input_held: Inputs, with whether they are held between samples.
+        held: Inputs, with whether they are held between samples.
         unsure: Inputs of which nobody knows whether they are held between samples.
         assumed: Inputs that are taken to be held though some run does not show it.
         clocks: Channels that are late together, by the parameter that says how much.
@@ -81,7 +81,7 @@ class FormulaSystem:
     given: tuple[Input, ...]
     motion: DescribedMotion
     study: Study
-    input_held: Mapping[str, bool]
+    held: Mapping[str, bool]
     unsure: frozenset[str]
     assumed: frozenset[str]
     clocks: Mapping[str, tuple[str, ...]]
@@ -110,7 +110,7 @@ class FormulaSystem:
     @cached_property
     def formulas(self) -> str:
         """What the model is made of, in text."""
-        return repr((self.keys, self.given, self.motion, self.parts, self.input_held))
+        return repr((self.keys, self.given, self.motion, self.parts, self.held))
 
 
 def model_of(system: FormulaSystem) -> SimModel:
@@ -172,7 +172,7 @@ def _evaluate_input(
     known: Mapping[str, Tensor],
     values: Mapping[str, Tensor],
 ) -> Tensor:
-    formula, held = system.inputs[name], system.input_held[name]
+    formula, held = system.inputs[name], system.held[name]
     columns = {
         c: grid.resampled(run.command[c], held=held) for c in formula.names if c in run.command
     }

@@ -47,7 +47,7 @@ def mended(system: FormulaSystem, reader: Reader) -> FormulaSystem:
 
 def _jump_inside_gaps(system: FormulaSystem, reader: Reader) -> FormulaSystem:
     """When a held command changed in a gap of the rows is a number of the run."""
-    formulas = [formula for name, formula in system.inputs.items() if system.input_held[name]]
+    formulas = [formula for name, formula in system.inputs.items() if system.held[name]]
     held = sorted({name for formula in formulas for name in formula.names})
     found = {run.name: find_gaps(run, held) for run in system.study.runs}
     gaps = {name: of_run for name, of_run in found.items() if of_run}

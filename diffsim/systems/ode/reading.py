@@ -18,7 +18,7 @@ from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Input
 from diffsim.systems.ode.names import RUN_ORDER, Reader, data_names, fact_names, longest
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
-from diffsim.systems.ode.own_effects import own_effects, shape_name
+from diffsim.systems.ode.own_effects import own_effect, shape_name
 from diffsim.systems.quantities import START_IN_PLAY
 
 HELD, LONGEST = "held", "longest"  # places in a study's frame
@@ -76,7 +76,10 @@ def read_system(
         check_motion(motion, keys, held, known, reader)
         define = with_swings(define, motion.swings)
     every = (*known, *columns)
-    own = own_effects(keys.effects.formulas, study, every, tuple(motion.states), reader)
+    own = tuple(
+        own_effect(f"effects.own[{i}]", block, study, every, tuple(motion.states), reader)
+        for i, block in enumerate(keys.effects.formulas)
+    )
     definitions = parsed("define", define)
     for name, table in keys.tables.items():
         of = reader.parse(f"tables.{name}.of", table.of, known)
@@ -86,12 +89,17 @@ def read_system(
     except ValueError as error:
         reader.report("define", str(error))
         definitions = {}
+    for i, law in enumerate(keys.laws):
+        if law.name not in between:
+            reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
+        reader.parse(f"laws[{i}].of", law.of, known)
+        reader.require_per(f"laws[{i}]", law.per)
     system = FormulaSystem(
         keys=keys,
         given=given,
         motion=motion,
         study=study,
-        input_held=held,
+        held=held,
         unsure=frozenset(doubtful - assumed),
         assumed=frozenset(assumed & moving),
         clocks=clocks,
