@@ -183,7 +183,7 @@ def forces(scene, v):
     """Total of a scene's hooks while the body moves at v, (3,) [N]."""
     x = scene.body.x_rest
     moment = Moment(x, v.expand_as(x), 0.0, scene.body.dt)
-    return sum(make()(scene, moment).sum(0) for make in scene.forces)
+    return sum(make()(scene, moment).sum(0) for make in scene.makers)
 
 
 def scene_of(model, run):
@@ -210,7 +210,7 @@ def test_stiffening_force_is_that_of_its_energy():
     x = scene.body.x_rest * 1.05 + torch.as_tensor(1e-3 * rng.standard_normal((63, 3)))
     way = torch.as_tensor(rng.standard_normal((63, 3)))
     stiff = CAUSES["stiffening"].apply(scene, size(20.0), RUN)
-    force = stiff.forces[0]()(stiff, Moment(x, 0 * x, 0.0, 1e-3))
+    force = stiff.makers[0]()(stiff, Moment(x, 0 * x, 0.0, 1e-3))
 
     def energy(at):
         plain = float(scene.body.elastic_energy(at, physics=scene.body.physics(**scene.parameters)))
@@ -351,14 +351,14 @@ def test_catch_of_the_string_keeps_momentum():
     model, run = held_beam(), held_run(0.05)
     fixed, fall = model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2)
     scene = CAUSES["slack_string"].apply(fixed, fall, run)
-    load = scene.parameter("attached_mass")
-    own = scene.parameter("density") * scene.body.nodal_volume
+    load = scene.number("attached_mass")
+    own = scene.number("density") * scene.body.nodal_volume
     falling = scene.falling(scene.last_fall_step())
     fall = falling.motion(falling.num_steps())
     x, v = scene._interpolate_catch(fall, scene.last_fall_step())
     caught = scene.swinging(fall, scene.last_fall_step())
     after = caught.start_velocity
-    down = scene.parameter("gravity") / 9.81
+    down = scene.number("gravity") / 9.81
     before = (own[:, None] * v).sum(0) @ down + load.sum() * 9.81 * 0.03
     torch.testing.assert_close(caught.start_position, x)
     torch.testing.assert_close(((own + load)[:, None] * after).sum(0) @ down, before)
@@ -369,7 +369,7 @@ def test_catch_of_the_string_keeps_momentum():
 def test_creep_takes_the_stiffness_of_motion_away_in_time():
     scene = scene_of(beam(), RUN)
     crept = CAUSES["creep"].apply(scene, size(0.04), RUN)
-    hook = crept.forces[0]()
+    hook = crept.makers[0]()
     rest = scene.body.x_rest
     bent = rest + torch.stack([0 * rest[:, 0], 0 * rest[:, 0], 0.05 * rest[:, 0]], 1)
     hook(crept, Moment(rest, 0 * rest, 0.0, 1e-6))
