@@ -55,6 +55,32 @@ def needs_water(study: Study) -> str | None:
     return None
 
 
+def needs_pressure(study: Study) -> str | None:
+    """A pressure, which identifies a viscosity where pumps prescribe the flow."""
+    commands = [c for run in study.fit_runs for n, c in run.command.items() if n.endswith("_Pa")]
+    is_driven = any(bool((c != 0.0).any()) for c in commands)
+    is_seen = any(c.kind == "pressure" for c in study.channels)
+    return None if is_seen or is_driven else "a pressure channel"
+
+
+def needs_pumps_and_pressure(study: Study) -> str | None:
+    """Runs driven by flow, and a pressure."""
+    if _has_regulators(study):
+        return "runs driven by flow: a regulated pressure makes up for a leak ahead of it"
+    return needs_pressure(study)
+
+
+def needs_pumps(study: Study) -> str | None:
+    """Runs driven by flow."""
+    if _has_regulators(study):
+        return "runs driven by flow: an open inlet finds its own profile"
+    return None
+
+
+def _has_regulators(study: Study) -> bool:
+    return any(name.startswith("pressure_in") for run in study.runs for name in run.command)
+
+
 def _digits(values: Array) -> Array:
     """Values to six digits of the largest, so that rounding of a file makes none."""
     return np.round(values / max(float(np.abs(values).max(initial=0.0)), _NOTHING), 6)
@@ -69,5 +95,8 @@ NEEDS: Mapping[str, Needs] = MappingProxyType(
         "order": needs_order,
         "levels": needs_levels,
         "water": needs_water,
+        "pressure": needs_pressure,
+        "pumps": needs_pumps,
+        "pumps_and_pressure": needs_pumps_and_pressure,
     }
 )

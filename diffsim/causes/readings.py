@@ -92,9 +92,6 @@ def reading_causes(of: Instrument, *, system: str = ANY) -> list[Effect]:
     return [reading_cause(n, of, system=system) for n in rows(SENSOR) if n in of.causes]
 
 
-#: Rows in whose maps time counts: samples without an order have none of them.
-TIMED_READINGS = ("sensor_lag", "sensor_drift", "sensor_backlash", "sensor_delay")
-TIMED_COMMANDS = ("lag", "delay", "backlash", "rate_limit")
 _NAMED = ("sensor_offset", "sensor_drift")  # after the kind, even where there is no other
 
 
@@ -185,8 +182,6 @@ def usual_sample(runs: Iterable[Run]) -> float:
 __all__ = [
     "PLAY_START",
     "SENSOR",
-    "TIMED_COMMANDS",
-    "TIMED_READINGS",
     "Instrument",
     "cause_of_readings",
     "instrument_causes",

@@ -27,7 +27,6 @@ from diffsim.systems.description import Description
 
 _LIBRARIES = {
     "copter": ("diffsim.systems.multicopter", "copter_library"),
-    "stokes": ("diffsim.systems.flow_network", "stokes_library"),
 }
 
 #: Kind of system -> module and class of its description.
@@ -167,9 +166,8 @@ def library(system: str, **options: Any) -> list[Effect]:
     """Candidate causes of a system, to which own ones may be added.
 
     Args:
-        system: "soft_body", "copter" or "stokes".
-        **options: Options of that library; "copter" takes num_rotors, 4 by default, "stokes" the
-            device.
+        system: "soft_body" or "copter".
+        **options: Options of that library; "copter" takes num_rotors, 4 by default.
 
     Raises:
         ValueError: no such system; the message offers the closest names.

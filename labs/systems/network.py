@@ -7,19 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.causes.listing import list_causes
 from diffsim.core.check import require_choice
+from diffsim.core.schema import read_part
 from diffsim.data.study import Array, Run, Study
-from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
-from diffsim.systems.flow_network import (
-    NetworkDevice,
-    Segment,
-    network_base,
-    network_library,
-    network_model,
-)
+from diffsim.systems.description import chosen_effects
+from diffsim.systems.flow_network.device_description import FlowDeviceDescription
 from labs.systems.unknown_pressure import unknown_pressure
 
 PUMP, BACK_PRESSURES = "pump_m3_s", ("outlet_1_Pa", "outlet_2_Pa", "outlet_3_Pa")
@@ -46,80 +42,73 @@ def setup(
         effects: Names of the candidate causes; None: all.
         accept_numerics: Go on although the numerics gate fails.
     """
-    device = device_of(study.metadata, cells_per_width)
-    base = base_of(study, device)
-    library = network_library(device)
-    if effects is not None:
-        library = tuple(e for e in library if e.name in effects)
+    for channel in study.channels:
+        require_choice(f"study {study.name}: channel", channel.name, CHANNELS)
+    described = read_part(
+        FlowDeviceDescription,
+        {
+            **describe(study.metadata, cells_per_width),
+            "is_corrected": corrected,
+            "effects": {} if effects is None else {"only": list(effects)},
+        },
+        "network",
+    )
     until = max(float(run.time_s[-1]) for run in study.runs)
-    effect = unknown_pressure(NUM_KNOTS, until, len(device.outlets))
+    effect = unknown_pressure(NUM_KNOTS, until, BACK_PRESSURES)
     knots = smooth_covariance(np.linspace(0.0, until, NUM_KNOTS), 2.0 * until / (NUM_KNOTS - 1))
-    covariance: Array = np.kron(np.eye(len(device.outlets)), knots).astype(np.float64)
+    covariance: Array = np.kron(np.eye(len(BACK_PRESSURES)), knots).astype(np.float64)
     unknown = UnknownForce(effect, covariance, "unknown pressure")
+    causes = list_causes(described.plant(study))
     return DiagnosisSetup(
-        network_model(
-            device,
-            base,
-            pump=PUMP,
-            back_pressures=BACK_PRESSURES,
-            columns=columns_of(study),
-            corrected=corrected,
-        ),
-        library,
+        described.model(study),
+        chosen_effects(causes, described.effects),
         (unknown,),
         bank(study),
         DiagnosisSettings(accept_numerics=accept_numerics),
     )
 
 
-def columns_of(study: Study) -> tuple[int, ...]:
-    """Which of the model's channels the study holds."""
-    return tuple(
-        CHANNELS.index(require_choice(f"study {study.name}: channel", c.name, CHANNELS))
-        for c in study.channels
-    )
+def describe(facts: Mapping[str, Any], cells_per_width: float = CELLS_PER_WIDTH) -> dict[str, Any]:
+    """``model:`` of a study whose metadata are the laboratory's facts."""
+    geometry, known, spread = facts["geometry"], facts["base_priors"], facts["nuisances"]
 
+    def sized(value: float, name: str) -> dict[str, float]:
+        return {"value": float(value), "percent": 100.0 * float(known[name]["relative_sd"])}
 
-def device_of(facts: Mapping[str, Any], cells_per_width: float = CELLS_PER_WIDTH) -> NetworkDevice:
-    """The device that a study's metadata describes."""
-    geometry = facts["geometry"]
-    channels = {name: dict(c) for name, c in geometry["channels"].items()}
+    channels = geometry["channels"]
     spacing = min(float(c["width_m"]) for c in channels.values()) / cells_per_width
-    box = tuple(float(x) for x in geometry["box_m"])
-    return NetworkDevice(
-        nodes={n: (float(x), float(y)) for n, (x, y) in geometry["position_m"].items()},
-        segments=tuple(
-            Segment(n, c["start"], c["end"], float(c["width_m"])) for n, c in channels.items()
-        ),
-        outlets=tuple(f"outlet_{i}" for i in (1, 2, 3)),
-        tap=float(geometry["tap_share"]),
-        size=(box[0], box[1]),
-        cells=(round(box[0] / spacing), round(box[1] / spacing)),
-        depth=float(geometry["depth_m"]),
-        viscosity=float(facts["base_priors"]["viscosity"]["value"]),
-        shear_rate=float(facts["thinning_rate_1_s"]),
-        density=float(facts["density_kg_m3"]),
-        throat=float(geometry["blockage_share"]),
-    )
-
-
-def base_of(study: Study, device: NetworkDevice) -> tuple[Parameter, ...]:
-    """Base parameters with the study's priors; nuisances as its facts state them."""
-    facts = study.metadata
-    known, nuisances = facts["base_priors"], facts["nuisances"]
-    spread = {"pump_gain": "pump_gain_sd", "flow_gain": "meter_gain_sd"}
-    out = []
-    for p in network_base(device, [r.name for r in study.runs]):
-        sd = p.sd
-        if p.name in known:
-            sd = float(known[p.name]["relative_sd"])
-        elif p.name.startswith("pressure_zero"):
-            sd = float(nuisances["pressure_zero_sd_Pa"])
-        else:
-            stem = p.name.split("@")[0].rstrip("_0123456789")
-            sd = float(nuisances[spread[stem]])
-        out.append(Parameter(p.name, p.value, sd, p.unit, p.log))
-    return tuple(out)
+    return {
+        "system": "flow_device",
+        "network": {
+            "nodes": geometry["position_m"],
+            "channels": [
+                {
+                    "name": name,
+                    "from": c["start"],
+                    "to": c["end"],
+                    "width": sized(c["width_m"], f"width_{name}"),
+                }
+                for name, c in channels.items()
+            ],
+            "outlets": [f"outlet_{i}" for i in (1, 2, 3)],
+            "tap": geometry["tap_share"],
+            "size": geometry["box_m"],
+            "cells": [round(x / spacing) for x in geometry["box_m"]],
+            "depth": geometry["depth_m"],
+        },
+        "viscosity": sized(known["viscosity"]["value"], "viscosity"),
+        "density": facts["density_kg_m3"],
+        "shear_rate": facts["thinning_rate_1_s"],
+        "drives": [PUMP],
+        "back_pressures": list(BACK_PRESSURES),
+        "flows": list(CHANNELS[:3]),
+        "pressures": list(CHANNELS[3:]),
+        "nuisances": {
+            "pump_gain": spread["pump_gain_sd"],
+            "flow_gain": spread["meter_gain_sd"],
+            "pressure_zero": spread["pressure_zero_sd_Pa"],
+        },
+    }
 
 
 def bank(study: Study) -> tuple[Run, ...]:

@@ -29,7 +29,6 @@ NO_ROWS = {
     "causes/row.py",
     "identify/numerics.py",
     "identify/setup.py",  # terms of a law without a form
-    "systems/flow_network/unknown.py",
     "systems/multicopter/unknown.py",
     "systems/ode/event_effects.py",
     "systems/ode/law_port.py",  # courses and terms without a form, which no row can state

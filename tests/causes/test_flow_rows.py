@@ -91,6 +91,24 @@ def test_levels_have_no_causes_in_time_and_those_of_signals_by_name():
         setup_of(study_of(samples="levels", effects={"only": ["lag"]}))
 
 
+@pytest.mark.parametrize("name", ["lag", "delay"])
+def test_samples_at_one_level_have_slopes_of_their_own(name):
+    """A flow that swings passes each level twice, once rising."""
+    made = study_of()
+    setup = setup_of(made)
+    cause = next(e for e in setup.effects if e.name == name)
+    run, q, h = made.runs[0], setup.model.at_prior(), 1e-5
+    weights = torch.linspace(1.0, 2.0, 2 * len(TIME), dtype=torch.float64).view(-1, 2)
+
+    def score(size):
+        return (weights * setup.model.predict(run, q, {cause: size})).sum()
+
+    leaf = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(score(leaf), leaf)
+    at = [float(score(torch.full((1,), k * h, dtype=torch.float64))) for k in (0, 1, 2)]
+    assert float(slope) == pytest.approx((4.0 * at[1] - at[2] - 3.0 * at[0]) / (2.0 * h), rel=1e-3)
+
+
 def test_a_cause_of_a_user_acts_through_the_same_ports():
     rows = [
         {"name": "stronger_pump", "at": "command", "map": "u*(1 + size)", "typical": 0.1},

@@ -228,7 +228,7 @@ LATER += [
     r"shape_(at|of)$|prepared_at$|picture$|factor$",  # no tensors, or what others go through
     r"systems\.multicopter\.",  # initial states are fitted away, which leaves terms out
     r"systems\.outside\.",
-    r"systems\.flow_network\.(Network|StokesScene)|soft_body\.SoftScene\.",
+    r"systems\.flow_network\.Network|soft_body\.SoftScene\.",
     r"identify\.(Jacobian\.|NumericalEffect\.|ExtendedModel\.(scene|simulate_many)$)",
     r"codesign\.codesign$|devices\.optimize$",
     r"simulator\.(Ground|LqrController|PidFlightController|FlightSimulator|payload_limit)",

@@ -10,7 +10,6 @@ import pytest
 from diffsim.core.units import factor
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
-from diffsim.systems.flow_network.causes import stokes_library
 from diffsim.systems.multicopter import unknown_wrench
 from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
 from diffsim.systems.multicopter.frames import RecordingFrames
@@ -22,6 +21,7 @@ from labs.systems.beam_causes import causes
 from labs.virtual import NetworkLab
 from tests.systems.rod.test_rod_description import study as rod_study
 from tests.systems.soft_body.causes import CAUSES
+from tests.systems.test_flow_device import DEVICES, causes_of
 from tests.systems.toy_cart import cart_study
 
 DESCRIBED = Vehicle(
@@ -52,7 +52,7 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "soft_body": tuple(CAUSES.values()),
         "multicopter": tuple(library("copter", num_rotors=6)),
         "described multicopter": candidate_causes(DESCRIBED),
-        "flow_device": stokes_library(),
+        "flow_device": causes_of(DEVICES["pumps"]),
         "flow_network": network.setup(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),
         "balls": tuple(rigid_causes.ball_causes(air, of_balls)),

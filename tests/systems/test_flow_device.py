@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -11,15 +12,10 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from diffsim.core.errors import ConvergenceError
-from diffsim.data.study import Run, Study
-from diffsim.identify import Effect, Numerics, Parameter, SimModel
-from diffsim.systems.flow_network import (
-    ChannelDevice,
-    Opening,
-    device_base,
-    device_model,
-    stokes_library,
-)
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify import Effect, Numerics, SimModel
+from diffsim.systems.flow_network import ChannelDevice, Opening
+from diffsim.systems.registry import description_of, setup_of
 
 DEVICES = {
     "pumps": ChannelDevice(),
@@ -29,21 +25,82 @@ DEVICES = {
 BRANCH = Opening(4.527e-3, 1.629e-3)
 SINGLE = ChannelDevice(outlets=(BRANCH,))
 ROUNDING = 1e-9  # of a solve, relative: by the condition number, and by the order of its sums
-EFFECTS = [(name, e) for name, device in DEVICES.items() for e in stokes_library(device)]
+
+
+def commands_of(device: ChannelDevice) -> tuple[str, ...]:
+    """One of each inlet."""
+    unit = "m2_s" if device.drive == "flow" else "Pa"
+    return tuple(f"{device.drive}_in_{i + 1}_{unit}" for i in range(len(device.inlets)))
+
+
+def channels_of(device: ChannelDevice) -> tuple[Channel, ...]:
+    """Flows, pressures at the inlets, a profile across the last outlet."""
+    rows = (
+        ("flow_out", len(device.outlets), "m^2/s", "flow", 1e-7),
+        ("pressure", len(device.inlets), "Pa", "pressure", 0.5),
+        ("speed", device.num_profile_points, "m/s", "velocity", 1e-4),
+    )
+    return tuple(
+        Channel(f"{name}_{i + 1}", unit, kind, sd)
+        for name, count, unit, kind, sd in rows
+        for i in range(count)
+    )
+
+
+def described(device: ChannelDevice, **keys) -> dict:
+    """Viscosity to 2 %, walls to 0.3 % of the narrowest channel, gains to 0.5 %."""
+    names = [c.name for c in channels_of(device)]
+    flows, taps = len(device.outlets), len(device.inlets)
+    narrowest = min(o.width for o in (*device.inlets, *device.outlets))
+    return {
+        "system": "flow_device",
+        "manifold": {
+            key: [vars(o) for o in value] if key in ("inlets", "outlets") else value
+            for key, value in vars(device).items()
+            if key not in ("viscosity", "num_profile_points")
+        },
+        "viscosity": {"value": device.viscosity, "percent": 2},
+        "wall_offset": {"value": 0.0, "sd": 0.0015 * narrowest},
+        "drives": list(commands_of(device)),
+        "flows": names[:flows],
+        "pressures": names[flows : flows + taps],
+        "velocities": names[flows + taps :],
+        **keys,
+    }
+
+
+def study_of(device: ChannelDevice, keys=None, **changes) -> Study:
+    settings = {"channels": channels_of(device), "runs": (run_of(device, [0.5, 1.0]),), **changes}
+    return Study(
+        name="s", system="flow_device", model=described(device, **(keys or {})), **settings
+    )
+
+
+def device_model(device: ChannelDevice, **keys) -> SimModel:
+    study = study_of(device, keys)
+    return description_of(study).model(study)
+
+
+@lru_cache
+def causes_of(device: ChannelDevice) -> tuple[Effect, ...]:
+    return setup_of(study_of(device)).effects
 
 
 def run_of(device: ChannelDevice, levels: list[float], repeats: int = 2) -> Run:
     """Drive levels in units of the nominal one, each held for some samples."""
     command = np.repeat(np.asarray(levels) * device.nominal_drive, repeats)
-    columns = len(device.channels(1.0, 1.0, 1.0))
-    shares = 1.0 + 0.3 * np.arange(len(device.commands))
+    names = commands_of(device)
+    shares = 1.0 + 0.3 * np.arange(len(names))
     return Run(
         name="levels",
         time_s=np.arange(len(command), dtype=float),
-        measured=np.zeros((len(command), columns)),
-        command={n: s * command for n, s in zip(device.commands, shares, strict=True)},
+        measured=np.zeros((len(command), len(channels_of(device)))),
+        command={n: s * command for n, s in zip(names, shares, strict=True)},
         group="levels",
     )
+
+
+EFFECTS = [(name, e) for name, device in DEVICES.items() for e in causes_of(device)]
 
 
 def predict(model: SimModel, run: Run, effect: Effect | None = None, size=0.0, mesh: float = 1.0):
@@ -53,7 +110,7 @@ def predict(model: SimModel, run: Run, effect: Effect | None = None, size=0.0, m
 
 
 def effect_of(device: ChannelDevice, name: str) -> Effect:
-    return {e.name: e for e in stokes_library(device)}[name]
+    return {e.name: e for e in causes_of(device)}[name]
 
 
 def change(device: ChannelDevice, name: str, size: float, levels: list[float], mesh: float = 1.0):
@@ -254,7 +311,7 @@ def test_blocked_branch_is_constant_and_offset_fades_with_the_drive():
 def test_skewed_inlet_keeps_the_flow_and_moves_the_split():
     moved = change(DEVICES["pumps"], "skewed_inlet", 1.0, [1.0])[0]
     assert abs(moved[0]) > 1e-3 and moved[0] * moved[2] < 0.0
-    weights = predict(device_model(), run_of(DEVICES["pumps"], [1.0], 1))[0, :3]
+    weights = predict(device_model(DEVICES["pumps"]), run_of(DEVICES["pumps"], [1.0], 1))[0, :3]
     assert abs((moved[:3] * weights).sum() / weights.sum()) < 1e-5
 
 
@@ -265,27 +322,21 @@ def test_slip_and_wall_offset_are_nearly_the_same():
     assert slip @ offset / np.linalg.norm(slip) / np.linalg.norm(offset) > 0.99
 
 
-def study_of(device: ChannelDevice, **changes) -> Study:
-    channels = device.channels(1e-7, 0.5, 1e-4)
-    settings = {"channels": channels, "runs": (run_of(device, [0.5, 1.0]),), **changes}
-    return Study(name="s", system="stokes", **settings)
-
-
 def test_needs():
     device = DEVICES["pumps"]
-    no_pressure = tuple(c for c in device.channels(1.0, 1.0, 1.0) if c.kind != "pressure")
+    no_pressure = tuple(c for c in channels_of(device) if c.kind != "pressure")
     blind = study_of(device, channels=no_pressure, runs=(run_of(device, [1.0]),))
-    unmet = {e.name: e.needs(blind) for e in stokes_library(device)}
+    unmet = {e.name: e.needs(blind) for e in causes_of(device)}
     assert unmet["viscosity"] == "a pressure channel"
     assert unmet["compliance"] == "two drive levels or more"
     assert unmet["slip"] is None
-    assert all(e.needs(study_of(device)) is None for e in stokes_library(device))
+    assert all(e.needs(study_of(device)) is None for e in causes_of(device))
     regulated = study_of(DEVICES["regulator"])
     assert "driven by flow" in (effect_of(device, "leak_per_depth").needs(regulated) or "")
 
 
 def test_names_are_unique_and_texts_complete():
-    library = stokes_library(DEVICES["two_pumps"])
+    library = causes_of(DEVICES["two_pumps"])
     assert len({e.name for e in library}) == len(library) == 20
     assert all(e.also_looks_like and e.__doc__ for e in library)
 
@@ -296,19 +347,23 @@ def test_mistakes_are_named():
         ChannelDevice(drive="flows")
     with pytest.raises(ValueError, match=r"outlets must be ordered .* refine cells"):
         ChannelDevice(outlets=(Opening(3e-3, 1.4e-3), Opening(4.5e-3, 1.4e-3)))
-    with pytest.raises(ValueError, match=r"base parameters \['viscos'\] are unknown"):
-        device_model(device, [Parameter("viscos", 0.1, 0.1)])
-    with pytest.raises(ValueError, match=r"commands \['flow_in_1_m2_s'\] are missing"):
-        predict(device_model(device), run_of(DEVICES["regulator"], [1.0]))
+    other = run_of(DEVICES["regulator"], [1.0])
+    with pytest.raises(ValueError, match="run levels has no command 'flow_in_1_m2_s'"):
+        setup_of(study_of(device, runs=(other,)))
+    with pytest.raises(ValueError, match="run levels: command must be one of"):
+        predict(device_model(device), other)
     with pytest.raises(ConvergenceError, match=r"too large to be swept \(sizes: slip_length 0.002"):
         predict(device_model(device), run_of(device, [1.0]), effect_of(device, "slip"), 2e-3)
 
 
-def test_base_can_be_chosen():
-    base = [p for p in device_base(SINGLE) if p.name == "viscosity"]
-    model, run = device_model(SINGLE, base), run_of(SINGLE, [1.0])
+def test_what_is_known_is_no_base_parameter():
+    known = {"wall_offset": 0.0, "nuisances": {"pump_gain": 0, "flow_gain": 0}}
+    model, run = device_model(SINGLE, **known), run_of(SINGLE, [1.0])
     assert [p.name for p in model.base] == ["viscosity"]
     np.testing.assert_allclose(predict(model, run), predict(device_model(SINGLE), run))
+    wider = device_model(SINGLE, **{**known, "wall_offset": 2e-5})
+    there = predict(device_model(SINGLE), run, effect_of(SINGLE, "wall_offset"), 2e-5)
+    np.testing.assert_allclose(predict(wider, run), there)
 
 
 def test_a_prediction_is_fast():

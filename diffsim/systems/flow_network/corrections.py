@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.stokes import Grid
-from diffsim.systems.flow_network.moving_fit import MovingFit
+from diffsim.systems.flow_network.grid_fits import MovingFit
 
 
 class FlowDerivatives:

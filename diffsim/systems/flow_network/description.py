@@ -1,4 +1,4 @@
-"""``model: {system: flow_network}`` and ``{system: flow_device}``, described in YAML."""
+"""``model: {system: flow_network}``: a network of narrow channels, described in YAML."""
 
 from __future__ import annotations
 
@@ -7,28 +7,13 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.causes.plant import IN_TIME, Plant
-from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.plant import Plant
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
-from diffsim.identify.effect import Effect
-from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import SimModel
-from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import (
-    BaseParameters,
-    Description,
-    chosen_effects,
-    settings_with,
-)
-from diffsim.systems.flow_network.causes import (
-    between_samples,
-    lumped_causes,
-    measure_scales,
-    signal_causes,
-)
+from diffsim.systems.description import BaseParameters, Description
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
 from diffsim.systems.flow_network.lumped_build import (
     LumpedNetwork,
@@ -36,6 +21,7 @@ from diffsim.systems.flow_network.lumped_build import (
     layout_of,
     quantities_of,
 )
+from diffsim.systems.flow_network.steady import Samples, plant_of
 from diffsim.systems.quantities import Viscosity
 
 NETWORK = 2000.0  # weighted steps of a prediction
@@ -63,7 +49,7 @@ class FlowNetworkDescription(Description):
     meters: tuple[MeterKeys, ...] = Field(
         min_length=1, description="What each channel of the study measures"
     )
-    samples: Literal["levels", "time"] = Field(
+    samples: Samples = Field(
         "levels",
         description="What the samples of a run are: `levels` of the commands, each by itself, or "
         "one after the other in `time`: then what is late, lags or has play is a cause, too",
@@ -79,43 +65,33 @@ class FlowNetworkDescription(Description):
         """Channels and commands that the description and the study disagree on."""
         return list(self._find_problems(study))
 
-    def setup(self, study: Study) -> DiagnosisSetup:
-        """Model, candidate causes and options for a study."""
-        if found := self.problems(study):
-            raise ValueError("\n".join(str(p) for p in found))
+    def model(self, study: Study) -> SimModel:
+        """The network as a model."""
         network = self._build_network(study)
-        scales = measure_scales(study, network.narrowest)
-        causes = lumped_causes(network, scales)
-        if self.effects.only or self.samples == "time":
-            causes += self._list_signal_causes(study, scales)
         model = SimModel(network, network.parameters.base, "flow network")
         model.run_cost = NETWORK
-        model.frame = {SCALES: scales.saved()}
-        return DiagnosisSetup(
-            model,
-            chosen_effects(causes, self.effects, study, self.plant(study)),
-            settings=settings_with(DiagnosisSettings(), self.effort),
-        )
+        return model
 
     def plant(self, study: Study) -> Plant:
-        """What the network offers to causes of a user."""
-        network, between = self._build_network(study), between_samples(self.samples)
-        return Plant(
-            kind="flow_network",
-            scales=measure_scales(study, network.narrowest),
-            channels=study.channels,
-            commands={name: between for name in network.commands if name},
-            numbers=tuple(network.numbers),
-            facts={IN_TIME: self.samples == "time"},
-        )
-
-    def _list_signal_causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
-        return signal_causes(
+        """What the network tells of itself."""
+        network = self._build_network(study)
+        pumps = [s.flow for s in self.sources if isinstance(s.flow, str)]
+        pressures = [s.pressure for s in self.sources if isinstance(s.pressure, str)]
+        return plant_of(
             study,
-            scales,
-            pumps=[s.flow for s in self.sources if isinstance(s.flow, str)],
-            pressures=[s.pressure for s in self.sources if isinstance(s.pressure, str)],
-            is_in_time=self.samples == "time",
+            kind="flow_network",
+            samples=self.samples,
+            pumps=pumps,
+            pressures=pressures,
+            asked=bool(self.effects.only),
+            narrowest=network.narrowest,
+            numbers=network.numbers,
+            parts=network.parts,
+            facts={
+                "walls": network.narrowest is not None,
+                "sees_pressure": bool(network.parts["gauge"] or pressures),
+                "pumped": bool(pumps),
+            },
         )
 
     def _build_network(self, study: Study) -> LumpedNetwork:
@@ -130,6 +106,7 @@ class FlowNetworkDescription(Description):
             parameters=BaseParameters(known, study.runs),
             density=self.density,
             shear_rate=self.shear_rate,
+            is_in_time=self.samples == "time",
         )
 
     def _find_problems(self, study: Study) -> Iterator[Problem]:

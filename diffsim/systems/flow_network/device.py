@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
-from diffsim.data.study import Array, Channel
+from diffsim.data.study import Array
 from diffsim.stokes.shapes import Box, SmoothUnion
 
 DRIVES = ("flow", "pressure")
@@ -106,36 +106,6 @@ class ChannelDevice:
                 raise ValueError(
                     f"{name} must keep a cell and the fillet, {edge:g} m, from the box's edge"
                 )
-
-    @property
-    def commands(self) -> tuple[str, ...]:
-        """Names of the commands, one per inlet, unit included."""
-        unit = "m2_s" if self.drive == "flow" else "Pa"
-        return tuple(f"{self.drive}_in_{i + 1}_{unit}" for i in range(len(self.inlets)))
-
-    def channels(
-        self, flow_sd: float, pressure_sd: float, velocity_sd: float
-    ) -> tuple[Channel, ...]:
-        """Channels that a run measures: outlet flows, inlet pressures, then the velocity profile.
-
-        Args:
-            flow_sd: Noise of the flow meters [m^2/s].
-            pressure_sd: Noise of the pressure taps [Pa].
-            velocity_sd: Standard deviation of the profile's noise [m/s].
-        """
-        flows = [
-            Channel(f"flow_out_{i + 1}_m2_s", "m^2/s", "flow", flow_sd)
-            for i in range(len(self.outlets))
-        ]
-        taps = [
-            Channel(f"pressure_in_{i + 1}_Pa", "Pa", "pressure", pressure_sd)
-            for i in range(len(self.inlets))
-        ]
-        profile = [
-            Channel(f"velocity_{i + 1}_m_s", "m/s", "velocity", velocity_sd)
-            for i in range(self.num_profile_points)
-        ]
-        return (*flows, *taps, *profile)
 
     @property
     def tap_points(self) -> Array:

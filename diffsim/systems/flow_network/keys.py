@@ -7,8 +7,16 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.schema import Part
-from diffsim.core.schema_numbers import Meters, Pascals, Ratio
-from diffsim.systems.quantities import Length, Resistance
+from diffsim.core.schema_numbers import (
+    KilogramsPerCubicMeter,
+    Meters,
+    Pascals,
+    PerSecond,
+    Ratio,
+)
+from diffsim.systems.description import Description, Quantity
+from diffsim.systems.flow_network.steady import Samples
+from diffsim.systems.quantities import Length, Resistance, Viscosity
 
 
 class TubeKeys(Part):
@@ -38,6 +46,15 @@ class TubeKeys(Part):
         if self.diameter is not None:
             return "round"
         return "slit" if self.is_slit else "rectangle"
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Keys of its sizes."""
+        if self.resistance is not None:
+            return ("resistance",)
+        return (
+            ("diameter", "length") if self.diameter is not None else ("width", "height", "length")
+        )
 
     @model_validator(mode="after")
     def _check_one_shape(self) -> TubeKeys:
@@ -148,3 +165,52 @@ class ManifoldKeys(Part):
     nominal_drive: float = Field(
         1e-4, gt=0, description="A usual level of the command [m^2/s or Pa]"
     )
+
+
+class FlowDeviceKeys(Description):
+    """Keys of a planar device on a grid; a manifold or a network."""
+
+    system: Literal["flow_device"] = Field(description="flow_device")
+    manifold: ManifoldKeys | None = Field(
+        None, description="Inlets, a manifold across them, and outlets; flows per depth"
+    )
+    network: PlaneKeys | None = Field(
+        None, description="In its place: straight channels between nodes, one pump"
+    )
+    viscosity: Viscosity = Field(description="Of the fluid [Pa s]")
+    density: KilogramsPerCubicMeter = Field(1000.0, gt=0, description="Of the fluid [kg/m^3]")
+    shear_rate: PerSecond = Field(
+        100.0, gt=0, description="Beyond which a thinning fluid thins in a network [1/s]"
+    )
+    wall_offset: Length = Field(
+        Quantity(value=0.0), description="All walls of a manifold further out [m]"
+    )
+    drives: tuple[str, ...] = Field(
+        min_length=1, description="Commands: of each inlet of a manifold, or of the pump [m^3/s]"
+    )
+    back_pressures: tuple[str | None, ...] = Field(
+        (), description="Commands: pressure beyond each outlet of a network, null for none [Pa]"
+    )
+    flows: tuple[str | None, ...] = Field(
+        (), description="Channels: flow through each outlet, null where none is measured"
+    )
+    pressures: tuple[str | None, ...] = Field(
+        (), description="Channels: pressure at each inlet of a manifold; at pump and tap [Pa]"
+    )
+    velocities: tuple[str, ...] = Field(
+        (), description="Channels: profile across the last outlet of a manifold [m/s]"
+    )
+    is_corrected: bool = Field(
+        True, description="Whether resistances of a network are corrected by a finer grid once"
+    )
+    samples: Samples = Field(
+        "levels",
+        description="What the samples of a run are: `levels` of the commands, each by itself, or "
+        "one after the other in `time`: then what is late, lags or has play is a cause, too",
+    )
+    nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
+
+    @property
+    def is_in_time(self) -> bool:
+        """Whether samples of a run follow each other in time."""
+        return self.samples == "time"

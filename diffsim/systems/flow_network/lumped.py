@@ -32,11 +32,13 @@ class MeterReading:
     """What a meter reads: the flow in a channel, or the pressure at a place.
 
     Attributes:
+        channel: Channel of the study that shows it.
         tube: Index of the channel whose flow, or inside which the pressure, is read; -1: none.
         node: Index of the node whose pressure is read; -1: none.
         share: Place in the channel, from its start; None: its flow is read.
     """
 
+    channel: str
     tube: int = -1
     node: int = -1
     share: float | None = None
@@ -47,6 +49,7 @@ class TubeLayout:
     """Which channels join which nodes.
 
     Attributes:
+        nodes, tubes: Names of nodes and channels.
         starts, ends: Index of the node at either end of each channel.
         shapes: "slit", "rectangle", "round" or "resistance", one per channel.
         free: Nodes whose pressure is unknown.
@@ -56,6 +59,8 @@ class TubeLayout:
         readings: Of the study's channels, in order.
     """
 
+    nodes: tuple[str, ...]
+    tubes: tuple[str, ...]
     starts: tuple[int, ...]
     ends: tuple[int, ...]
     shapes: tuple[str, ...]
@@ -68,48 +73,26 @@ class TubeLayout:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LumpedScene(SteadyScene):
-    """One run of the network; an effect whose number is zero is absent.
+    """One run of the network.
+
+    Numbers, beside those of the description: ``wall_offset`` and ``slip_length`` [m]; ``thinning``,
+    s of viscosity (1 + (rate / shear_rate)^2)^(-s / 2); ``compliance``, c of width w (1 + c p)
+    [1/Pa]; ``entrance_loss``, K of a loss K rho u^2 / 2 in each branch; ``leak``, flow lost at each
+    pump over the pressure there [m^3/(s Pa)]; ``leak_at_NODE``, the same at a node; of each meter,
+    branch or pressure that is held ``meter_1``, its gain, ``narrowing_1``, of the middle of the
+    branch relative to its width, ``outlet_pressure_1``, on top of the one that is held [Pa].
 
     Attributes:
         layout: What joins what.
-        viscosity: Viscosity of the fluid at no shear [Pa s].
-        width, height, length: Of each channel, (num_tubes,) [m]; a round one has its diameter as
-            width, one of known resistance that [Pa s/m^3] at ``nominal_viscosity``.
         nominal_viscosity: At which resistances are known [Pa s].
-        outlet_pressure: On top of ``back_pressure``, (num_held,) [Pa].
-        channel_gain, channel_offset: Of every meter, (num_channels,).
-        narrowing: Of the middle of each branch, relative to its width, (num_branches,) [-].
         density: Of the fluid [kg/m^3].
         shear_rate: Beyond which the fluid thins [1/s].
-        wall_offset, slip_length: Walls further out, and slip at them [m].
-        thinning: s of viscosity (1 + (rate / shear_rate)^2)^(-s / 2) [-].
-        compliance: c of width w (1 + c p) [1/Pa].
-        entrance_loss: K of a loss K rho u^2 / 2 in each branch [-].
-        leak: Flow lost at each pump over the pressure there [m^3/(s Pa)].
-        node_leak: The same at each free node, (num_free,) [m^3/(s Pa)].
-        rtol: Relative tolerance of the balance [-].
     """
 
     layout: TubeLayout
-    viscosity: Tensor
-    width: Tensor
-    height: Tensor
-    length: Tensor
     nominal_viscosity: float
-    outlet_pressure: Tensor
-    channel_gain: Tensor
-    channel_offset: Tensor
-    narrowing: Tensor
     density: float
     shear_rate: float
-    wall_offset: Tensor = _ZERO
-    slip_length: Tensor = _ZERO
-    thinning: Tensor = _ZERO
-    compliance: Tensor = _ZERO
-    entrance_loss: Tensor = _ZERO
-    leak: Tensor = _ZERO
-    node_leak: Tensor = _ZERO
-    rtol: float = RTOL
 
     def simulate(self) -> Tensor:
         """Readings, (num_samples, num_channels).
@@ -117,20 +100,27 @@ class LumpedScene(SteadyScene):
         Raises:
             ConvergenceError: flows and pressures do not balance; an effect is too large.
         """
-        balance = _Balance(self)
+        drive, held, level = self.levels()
+        balance = _Balance(self, drive, held)
         with torch.no_grad():
             y = balance.solved()
         residual, slope = balance.at(y)
         # one Newton step more carries the gradients (implicit function theorem)
         y = y - torch.linalg.solve(slope.detach(), residual)
-        return self.show(balance.read(y) * self.channel_gain + self.channel_offset)
+        readings = self.layout.readings
+        zeros = torch.stack([self.number(f"pressure_zero_{r.channel}") for r in readings])
+        shown = balance.read(y) * self.several("meter", len(readings)) + zeros
+        return self.instruments.read_late(shown[level], self.grid)
 
 
 class _Balance:
     """Mass and pressures of all levels; unknowns are free pressures [Pa] and flows over a scale."""
 
-    def __init__(self, scene: LumpedScene):
+    def __init__(self, scene: LumpedScene, drive: Tensor, held: Tensor):
         self.scene, layout = scene, scene.layout
+        self.drive = drive
+        self.held = held + scene.several("outlet_pressure", len(layout.held))
+        self.compliance, self.thinning = scene.number("compliance"), scene.number("thinning")
         self.resistance, self.rate = self._compute_tubes()
         nodes = 1 + max(*layout.starts, *layout.ends)
         incidence = torch.zeros(nodes, len(layout.starts), dtype=torch.float64)
@@ -138,17 +128,16 @@ class _Balance:
             incidence[a, k] -= 1.0
             incidence[b, k] += 1.0
         self.incidence = incidence
-        pumped = float(scene.drive.detach().abs().max()) if scene.drive.numel() else 0.0
-        pushed = float((scene.back_pressure + scene.outlet_pressure).detach().abs().max())
+        pumped = float(drive.detach().abs().max()) if drive.numel() else 0.0
+        pushed = float(self.held.detach().abs().max())
         mean = float(self.resistance.detach().mean())
         self.flow_scale = max(pumped, pushed / mean, 1e-6 / mean)
         self.pressure_scale = self.flow_scale * mean
 
     def solved(self) -> Tensor:
         """The unknowns, (levels, num_free + num_tubes), by Newton's method."""
-        levels, n = len(self.scene.level), len(self.scene.layout.free)
-        levels = len(self.scene.back_pressure)
-        y = torch.zeros(levels, n + len(self.scene.layout.starts), dtype=torch.float64)
+        n = len(self.scene.layout.free)
+        y = torch.zeros(len(self.held), n + len(self.scene.layout.starts), dtype=torch.float64)
         size = float("inf")
         for _ in range(MAX_ITERS):
             residual, slope = self.at(y)
@@ -174,10 +163,11 @@ class _Balance:
         given = torch.zeros(len(y), len(pumps), dtype=torch.float64)
         for k, node in enumerate(layout.pumps):
             pumps[node] += 1.0
-            given = given + s.drive[:, k, None] * _make_unit_row(len(pumps), node)
-        leaky = s.leak * pumps[free] + s.node_leak
+            given = given + self.drive[:, k, None] * _make_unit_row(len(pumps), node)
+        leaks = [s.number(f"leak_at_{layout.nodes[node]}") for node in free]
+        leaky = s.number("leak") * pumps[free] + (torch.stack(leaks) if leaks else _ZERO)
         mass = (flow @ self.incidence.mT + given)[:, free] - leaky * pressure[:, free]
-        widened, steep = linearize_pressure(pressure, self.scene.compliance)
+        widened, steep = linearize_pressure(pressure, self.compliance)
         used, rise = self._compute_drop(flow)
         drop = widened[:, list(layout.starts)] - widened[:, list(layout.ends)]
         residual = torch.cat([mass / self.flow_scale, (drop - used) / self.pressure_scale], 1)
@@ -195,7 +185,7 @@ class _Balance:
         """What ideal meters show, (levels, num_channels)."""
         layout, n = self.scene.layout, len(self.scene.layout.free)
         pressure = self._join_pressures(y)
-        widened, _ = linearize_pressure(pressure, self.scene.compliance)
+        widened, _ = linearize_pressure(pressure, self.compliance)
         out = []
         for reading in layout.readings:
             if reading.node >= 0:
@@ -205,41 +195,44 @@ class _Balance:
             else:
                 a, b = layout.starts[reading.tube], layout.ends[reading.tube]
                 there = widened[:, a] + reading.share * (widened[:, b] - widened[:, a])
-                out.append(invert_linearized(there, self.scene.compliance))
+                out.append(invert_linearized(there, self.compliance))
         return torch.stack(out, 1)
 
     def _join_pressures(self, y: Tensor) -> Tensor:
         """Of all nodes, (levels, num_nodes) [Pa]."""
-        s, layout = self.scene, self.scene.layout
+        layout = self.scene.layout
         out = torch.zeros(len(y), len(self.incidence), dtype=torch.float64)
         for k, node in enumerate(layout.free):
             out = out + self.pressure_scale * y[:, k, None] * _make_unit_row(out.shape[1], node)
-        held = s.back_pressure + s.outlet_pressure
         for k, node in enumerate(layout.held):
-            out = out + held[:, k, None] * _make_unit_row(out.shape[1], node)
+            out = out + self.held[:, k, None] * _make_unit_row(out.shape[1], node)
         return out
 
     def _compute_tubes(self) -> tuple[Tensor, Tensor]:
         """Resistance [Pa s/m^3] of each channel at no shear, and its wall rate over the flow."""
-        s = self.scene
-        narrowing = dict(zip(s.layout.branches, s.narrowing, strict=True))
-        rows = [
-            self._compute_tube(k, shape, narrowing.get(k))
-            for k, shape in enumerate(s.layout.shapes)
-        ]
+        branches = self.scene.layout.branches
+        narrowing = {k: self.scene.number(f"narrowing_{i + 1}") for i, k in enumerate(branches)}
+        count = len(self.scene.layout.tubes)
+        rows = [self._compute_tube(k, narrowing.get(k)) for k in range(count)]
         return torch.stack([r for r, _ in rows]), torch.stack([g for _, g in rows])
 
-    def _compute_tube(self, k: int, shape: str, narrowing: Tensor | None) -> tuple[Tensor, Tensor]:
-        s = self.scene
+    def _size_of(self, k: int, size: str) -> Tensor:
+        """A size of a channel [m], or its resistance."""
+        return self.scene.numbers[f"{size}_{self.scene.layout.tubes[k]}"]
+
+    def _compute_tube(self, k: int, narrowing: Tensor | None) -> tuple[Tensor, Tensor]:
+        s, shape = self.scene, self.scene.layout.shapes[k]
+        viscosity = s.number("viscosity")
         if shape == "resistance":
-            return s.width[k] * s.viscosity / s.nominal_viscosity, _ZERO
-        offset = 2.0 * s.wall_offset
-        width, height, slip = s.width[k] + offset, s.height[k], s.slip_length
+            return self._size_of(k, "resistance") * viscosity / s.nominal_viscosity, _ZERO
+        offset, slip = 2.0 * s.number("wall_offset"), s.number("slip_length")
+        width = self._size_of(k, "diameter" if shape == "round" else "width") + offset
         if shape == "round":
             area = torch.pi / 4.0 * width**2
             conductance = area * width**2 / 32.0 * (1.0 + 8.0 * slip / width)
             rate, power = 8.0 / (area * width), 4
         else:
+            height = self._size_of(k, "height")
             if shape == "rectangle":
                 height = height + offset
                 small, large = torch.minimum(width, height), torch.maximum(width, height)
@@ -250,13 +243,18 @@ class _Balance:
             if shape == "rectangle":
                 conductance = conductance * _correct_for_sides(small / large)
             rate, power = 6.0 / (large * small**2), 3
-        resistance = s.viscosity * s.length[k] / conductance
+        resistance = viscosity * self._size_of(k, "length") / conductance
         if narrowing is not None:
             place = torch.linspace(0.0, 1.0, 101, dtype=torch.float64)  # periodic: exact quickly
             hump = torch.cos(torch.pi * (place[:-1] - 0.5)) ** 2
             lodged = ((1.0 - narrowing * hump) ** -power).mean()
             resistance = resistance * (1.0 + THROAT * (lodged - 1.0))
         return resistance, rate
+
+    def _compute_area(self, k: int) -> Tensor:
+        if self.scene.layout.shapes[k] == "round":
+            return torch.pi / 4.0 * self._size_of(k, "diameter") ** 2
+        return self._size_of(k, "width") * self._size_of(k, "height")
 
     def _compute_drop(self, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Drop of F that flows need (levels, num_tubes) [Pa], and its slope [Pa s/m^3].
@@ -266,14 +264,16 @@ class _Balance:
         s = self.scene
         rate = (self.rate / s.shear_rate * flow)[..., None] * _PLACES
         weight = 3.0 * _PLACES**2 * _SHARES
-        thinned = (1.0 + rate**2) ** (-0.5 * s.thinning)
+        thinned = (1.0 + rate**2) ** (-0.5 * self.thinning)
         factor = (thinned * weight).sum(-1)
-        bend = (thinned * weight * (1.0 - s.thinning * rate**2 / (1.0 + rate**2))).sum(-1)
+        bend = (thinned * weight * (1.0 - self.thinning * rate**2 / (1.0 + rate**2))).sum(-1)
         k = torch.zeros(flow.shape[1], dtype=torch.float64)
         for branch in s.layout.branches:
             if s.layout.shapes[branch] != "resistance":
-                area = _compute_area(s.layout.shapes[branch], s.width[branch], s.height[branch])
-                k = k + 0.5 * s.density * s.entrance_loss / area**2 * _make_unit_row(len(k), branch)
+                area = self._compute_area(branch)
+                k = k + 0.5 * s.density * s.number("entrance_loss") / area**2 * _make_unit_row(
+                    len(k), branch
+                )
         used = self.resistance * factor * flow + k * flow * flow.abs()
         return used, self.resistance * bend + 2.0 * k * flow.abs()
 
@@ -283,10 +283,6 @@ def _correct_for_sides(ratio: Tensor) -> Tensor:
     n = torch.arange(1.0, 40.0, 2.0, dtype=torch.float64)
     terms = torch.tanh(0.5 * torch.pi * n / ratio) / n**5
     return 1.0 - 192.0 / torch.pi**5 * ratio * terms.sum()
-
-
-def _compute_area(shape: str, width: Tensor, height: Tensor) -> Tensor:
-    return torch.pi / 4.0 * width**2 if shape == "round" else width * height
 
 
 def _make_unit_row(count: int, index: int) -> Tensor:

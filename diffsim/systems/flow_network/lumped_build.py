@@ -1,11 +1,10 @@
-"""From a described network of channels to scenes and candidate causes."""
+"""From a described network of channels to its layout, its scenes and what causes may change."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,13 +13,13 @@ from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
-from diffsim.systems.flow_network.lumped import LumpedScene, MeterReading, TubeLayout
-from diffsim.systems.flow_network.steady import number_places
+from diffsim.systems.flow_network.lumped import RTOL, LumpedScene, MeterReading, TubeLayout
+from diffsim.systems.flow_network.steady import Parts, counted, drive_commands, numbered
 
 _SIZES = ("width", "height", "diameter", "length", "resistance")
 _WIDTHS = _SIZES[:3]
-#: Fields of a scene that are one number, which causes may change.
-SINGLE = (
+#: Numbers of the whole network that causes may change.
+_SINGLE = (
     *("viscosity", "wall_offset", "slip_length", "thinning"),
     *("compliance", "entrance_loss", "leak"),
 )
@@ -36,6 +35,7 @@ class LumpedNetwork:
         parameters: Quantities by name.
         density: Of the fluid [kg/m^3].
         shear_rate: Beyond which the fluid thins [1/s].
+        is_in_time: Whether samples of a run follow each other in time.
     """
 
     tubes: tuple[TubeKeys, ...]
@@ -45,53 +45,34 @@ class LumpedNetwork:
     parameters: BaseParameters
     density: float
     shear_rate: float
+    is_in_time: bool
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> LumpedScene:
         v = self.parameters.in_run(values, run)
-        drive, back, level = self._group_levels(run)
-        one, zero = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
-
-        def sizes(*names: str) -> Tensor:
-            found = [
-                next((v[f"{n}_{t.name}"] for n in names if f"{n}_{t.name}" in v), one)
-                for t in self.tubes
-            ]
-            return torch.stack(found)
-
-        names = [m.channel for m in self.meters]
+        one = torch.ones((), dtype=torch.float64)
+        pumps = [s.flow for s in self.sources if s.flow is not None]
+        gains = {
+            f"meter_{i + 1}": v.get(f"flow_gain_{m.channel}", one)
+            for i, m in enumerate(self.meters)
+        }
         return LumpedScene(
-            commands=self.commands,
             grid=grid_of(run),
-            numbers=self.numbers,
+            numbers={**v, **gains},
+            zeros=self.numbers,
+            commands=drive_commands(
+                run,
+                pumps,
+                [v["pump_gain"]] * len(pumps),
+                [s.pressure for s in self.sources if s.flow is None],
+            ),
+            num_drives=len(pumps),
+            is_in_time=self.is_in_time,
+            rtol=RTOL * numerics.tolerance,
             layout=self.layout,
-            drive=drive * v["pump_gain"],
-            back_pressure=back,
-            level=level,
-            viscosity=v["viscosity"],
-            width=sizes("width", "diameter", "resistance"),
-            height=sizes("height"),
-            length=sizes("length"),
             nominal_viscosity=self.parameters.quantities["viscosity"].value,
-            outlet_pressure=torch.zeros(back.shape[1], dtype=torch.float64),
-            channel_gain=torch.stack([v.get(f"flow_gain_{n}", one) for n in names]),
-            channel_offset=torch.stack([v.get(f"pressure_zero_{n}", zero) for n in names]),
-            narrowing=torch.zeros(len(self.layout.branches), dtype=torch.float64),
-            node_leak=torch.zeros(len(self.layout.free), dtype=torch.float64),
             density=self.density,
             shear_rate=self.shear_rate,
-            rtol=1e-11 * numerics.tolerance,
         )
-
-    @property
-    def _source_values(self) -> list[str | float | None]:
-        """Command or constant of each pump, then of each pressure."""
-        flows = [s.flow for s in self.sources if s.flow is not None]
-        return [*flows, *(s.pressure for s in self.sources if s.flow is None)]
-
-    @property
-    def commands(self) -> tuple[str, ...]:
-        """Command of each pump, then of each pressure; empty where it is constant."""
-        return tuple(given if isinstance(given, str) else "" for given in self._source_values)
 
     @property
     def narrowest(self) -> float | None:
@@ -100,43 +81,37 @@ class LumpedNetwork:
         keys = [f"{s}_{t.name}" for t in self.tubes if t.shape != "resistance" for s in _WIDTHS]
         return min((values[key].value for key in keys if key in values), default=None)
 
-    def joints(self) -> list[str]:
-        """Names of the nodes where channels meet and no pump is."""
-        layout, nodes = self.layout, nodes_of(self.tubes)
+    @property
+    def parts(self) -> Parts:
+        """Parts that are alike, and what stands for them in names of numbers and commands."""
+        layout = self.layout
         ends = [*layout.starts, *layout.ends]
-        return [nodes[n] for n in layout.free if ends.count(n) > 1 and n not in layout.pumps]
+        joints = [n for n in layout.free if ends.count(n) > 1 and n not in layout.pumps]
+        flows = [i + 1 for i, m in enumerate(self.meters) if m.flow_in is not None]
+        gauges = [str(i + 1) for i, m in enumerate(self.meters) if m.flow_in is None]
+        return {
+            "joint": {layout.nodes[n]: layout.nodes[n] for n in joints},
+            "gauge": {i: i for i in gauges},
+            "inlet": numbered(len(layout.pumps), "inlet_"),
+            "meter": {str(k + 1): str(i) for k, i in enumerate(flows)},
+            "branch": numbered(len(layout.branches)),
+            "outlet": numbered(len(layout.held)),
+        }
 
     @property
-    def numbers(self) -> dict[str, tuple[str, int | None]]:
-        """Numbers that causes may change, as of ``SteadyScene``."""
-        layout, nodes = self.layout, nodes_of(self.tubes)
-        vectors = {
-            "meter": ("channel_gain", len(self.meters)),
-            "narrowing": ("narrowing", len(layout.branches)),
-            "outlet_pressure": ("outlet_pressure", len(layout.held)),
-        }
-        found = number_places(SINGLE, vectors)
-        for i, node in enumerate(layout.free):
-            found[f"leak_at_{nodes[node]}"] = ("node_leak", i)
-        for i, tube in enumerate(self.tubes):
-            width = {"round": "diameter", "resistance": "resistance"}.get(tube.shape, "width")
-            found[f"{width}_{tube.name}"] = ("width", i)
-            if width == "width":
-                found[f"height_{tube.name}"] = ("height", i)
-            if width != "resistance":
-                found[f"length_{tube.name}"] = ("length", i)
-        return found
-
-    def _group_levels(self, run: Run) -> tuple[Tensor, Tensor, Tensor]:
-        """Different levels of pumps and of pressures, and which holds at each sample."""
-        count, pumps = len(run.time_s), self.layout.pumps
-        columns = []
-        for given in self._source_values:
-            value = run.command[given] if isinstance(given, str) else np.full(count, given)
-            columns.append(np.asarray(value, dtype=np.float64))
-        levels, level = np.unique(np.stack(columns, -1), axis=0, return_inverse=True)
-        rows = torch.from_numpy(levels)
-        return rows[:, : len(pumps)], rows[:, len(pumps) :], torch.from_numpy(level.reshape(-1))
+    def numbers(self) -> tuple[str, ...]:
+        """Numbers that causes may change."""
+        layout = self.layout
+        return (
+            *_SINGLE,
+            *counted(
+                meter=len(self.meters),
+                narrowing=len(layout.branches),
+                outlet_pressure=len(layout.held),
+            ),
+            *(f"leak_at_{layout.nodes[node]}" for node in layout.free),
+            *(f"{size}_{t.name}" for t in self.tubes for size in t.sizes),
+        )
 
 
 def layout_of(
@@ -172,12 +147,14 @@ def layout_of(
             raise ValueError(f"meter {m.channel}: no {given!r}; known: {', '.join(known)}")
         index = known.index(str(given))
         readings.append(
-            MeterReading(tube=index, share=m.share)
+            MeterReading(m.channel, tube=index, share=m.share)
             if tube is not None
-            else MeterReading(node=index)
+            else MeterReading(m.channel, node=index)
         )
     ends = tuple(nodes.index(t.end) for t in tubes)
     return TubeLayout(
+        nodes=tuple(nodes),
+        tubes=tuple(names),
         starts=tuple(nodes.index(t.start) for t in tubes),
         ends=ends,
         shapes=tuple(t.shape for t in tubes),

@@ -13,8 +13,7 @@ from torch import Tensor
 from diffsim.core.errors import ConvergenceError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.systems.flow_network.corrections import FlowDerivatives
-from diffsim.systems.flow_network.grid_values import average_corners, integrate_face
-from diffsim.systems.flow_network.moving_fit import MovingFit
+from diffsim.systems.flow_network.grid_fits import MovingFit, average_corners, integrate_face
 from diffsim.systems.flow_network.network import NetworkDevice
 
 BULK_RATIO = 1e7

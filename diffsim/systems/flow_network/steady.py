@@ -1,128 +1,207 @@
-"""What all scenes of steady flow share: levels of the commands, meters, and ports for causes."""
+"""What all networks of steady flow share: the levels of what drives them, and their plant."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import Instruments
-from diffsim.causes.signals import Grid, SignalMap, change_rows
-from diffsim.core.check import did_you_mean
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
+from diffsim.causes.scales import Scales
+from diffsim.causes.scene import Commands, Scene
+from diffsim.core.check import require_choice
+from diffsim.data.study import Run, Study
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
+Samples = Literal["levels", "time"]
+Parts = dict[str, dict[str, str]]
+DEVICE = "device"  # what plain magnitudes are of
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SteadyScene:
+class SteadyScene(Scene):
     """One run in which the flow is steady at every sample.
 
+    Commands are what each pump gives, or each regulator holds [m^3/s, m^2/s or Pa], then what is
+    held at other ends [Pa]. Numbers that only causes change are absent until one does.
+
     Attributes:
-        drive: What each pump gives, or each regulator holds, at each level of the commands,
-            (num_levels, num_inlets) [m^3/s, m^2/s or Pa].
-        back_pressure: Held at other ends, (num_levels, num_held) [Pa].
-        level: Index of the level at each sample, (num_samples,).
-        commands: Name of the command of each column of ``drive``, then of ``back_pressure``; empty
-            where it is constant.
-        grid: Times of the samples.
-        numbers: Numbers that causes may change, by name: the field that holds it, and its index
-            there; None: the field is the number.
-        instruments: What shows flows and pressures, the meters' gains and zeros apart.
+        num_drives: Number of commands that are of pumps or regulators; they come first.
+        rtol: Relative tolerance of the flow [-].
+        is_in_time: Whether samples follow each other in time: where commands are changed on their
+            way, samples at the same level may be changed otherwise by a slope.
     """
 
-    drive: Tensor
-    back_pressure: Tensor
-    level: Tensor
-    commands: tuple[str, ...]
-    grid: Grid
-    numbers: Mapping[str, tuple[str, int | None]]
-    instruments: Instruments = field(default_factory=Instruments)
+    num_drives: int
+    rtol: float
+    is_in_time: bool = False
 
-    play_start = None  # plays begin in their middle
+    def number(self, name: str) -> Tensor:
+        """A number of the scene; zero, where nothing has changed it."""
+        return self.numbers.get(name, _ZERO)
 
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Self:
-        """A copy in which a number is f(number); one that is not there yet counts as zero."""
-        if name not in self.numbers:
-            raise ValueError(f"no number {name!r}{did_you_mean(name, list(self.numbers))}")
-        where, index = self.numbers[name]
-        values: Tensor | None = getattr(self, where)
-        values = _ZERO if values is None else values
-        if index is None:
-            changed = change(values)
+    def several(self, name: str, count: int) -> Tensor:
+        """Numbers that are counted from one, such as ``meter_1``, (count,)."""
+        each = [self.number(f"{name}_{i + 1}") for i in range(count)]
+        return torch.stack(each) if each else _ZERO.expand(0)
+
+    def levels(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Levels of the commands.
+
+        Returns:
+            Drives (num_levels, num_drives), pressures held (num_levels, num_held) [Pa], and the
+            index of the level at each sample, (num_samples,).
+        """
+        heard = self.commands.heard(self.grid).mT
+        if self.is_in_time and self.commands.changes and heard.requires_grad:
+            level = torch.arange(len(heard))
         else:
-            parts = list(values.unbind())
-            parts[index] = change(parts[index])
-            changed = torch.stack(parts)
-        fields: dict[str, Any] = {where: changed}
-        return dataclasses.replace(self, **fields)
-
-    def with_command(self, names: tuple[str, ...], change: SignalMap) -> Self:
-        """A copy in which some commands are f(commands (width, num_samples), grid).
-
-        Names are those of commands, or ``inlet_1`` for what drives the first inlet alone.
-        """
-        num_inlets = self.drive.shape[1]
-        which = [i for i in range(len(self.commands)) if self._is_among(names, i)]
-        told = torch.cat([self.drive, self.back_pressure], 1)[self.level]
-        given = change_rows(told.mT, which, change, self.grid).mT
-        _, first, level = np.unique(
-            given.detach().numpy(), axis=0, return_index=True, return_inverse=True
-        )
-        levels = given[torch.from_numpy(first)]
-        return dataclasses.replace(
-            self,
-            drive=levels[:, :num_inlets],
-            back_pressure=levels[:, num_inlets:],
-            level=torch.from_numpy(level.reshape(-1)),
-        )
-
-    def _is_among(self, names: tuple[str, ...], column: int) -> bool:
-        """Whether a column of the commands is named; without names all that have a command are."""
-        command = self.commands[column]
-        if not names:
-            return bool(command)
-        is_inlet = column < self.drive.shape[1] and f"inlet_{column + 1}" in names
-        return is_inlet or command in names
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
-        """A copy in which some channels are f(channels (width, num_samples), grid)."""
-        instruments = self.instruments.with_reading(channels, change)
-        return dataclasses.replace(self, instruments=instruments)
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
-        """A copy in which some channels show what was ``delay`` ago [s]."""
-        return dataclasses.replace(self, instruments=self.instruments.with_clock(channels, delay))
-
-    def show(self, levels: Tensor) -> Tensor:
-        """What instruments say at every sample, (num_samples, num_channels).
-
-        Args:
-            levels: What meters show at each level, (num_levels, num_channels).
-        """
-        return self.instruments.read_late(levels[self.level], self.grid)
+            _, first, at = np.unique(
+                heard.detach().numpy(), axis=0, return_index=True, return_inverse=True
+            )
+            heard, level = heard[torch.from_numpy(first)], torch.from_numpy(at.reshape(-1))
+        return heard[:, : self.num_drives], heard[:, self.num_drives :], level
 
 
-def number_places(
-    single: tuple[str, ...], vectors: Mapping[str, tuple[str, int]]
-) -> dict[str, tuple[str, int | None]]:
-    """Places of the numbers of a scene: "leak", and "narrowing_1" for the first of several.
+def drive_commands(
+    run: Run,
+    drives: Sequence[str],
+    gains: Sequence[Tensor],
+    held: Sequence[str | float | None] = (),
+) -> Commands:
+    """Commands of a run: of the drives, by their gains, then of the pressures that are held.
+
+    A drive is also known as ``inlet_1``, ``inlet_2`` and so on, by its place.
 
     Args:
-        single: Fields that are a number.
-        vectors: Field, and how many numbers it holds, by what these are called before their number.
+        run: Run that is simulated.
+        drives: Command of each pump or regulator.
+        gains: Gain of each drive.
+        held: Command or constant of each pressure [Pa]; None, or a command that the run does not
+            have: zero.
+
+    Raises:
+        ValueError: a drive whose command the run does not have.
     """
-    found: dict[str, tuple[str, int | None]] = {name: (name, None) for name in single}
-    for called, (where, count) in vectors.items():
-        found |= {f"{called}_{i + 1}": (where, i) for i in range(count)}
-    return found
+    for name in drives:
+        require_choice(f"run {run.name}: command", name, run.command)
+    columns = [
+        run.command.get(g, 0.0) if isinstance(g, str) else g or 0.0 for g in (*drives, *held)
+    ]
+    values = [torch.from_numpy(np.full(len(run.time_s), c, np.float64)) for c in columns]
+    values[: len(gains)] = [v * gain for v, gain in zip(values, gains, strict=False)]
+    names = [given if isinstance(given, str) else "" for given in (*drives, *held)]
+    made = Commands.named(names, torch.stack(values))
+    inlets = {f"inlet_{i + 1}": (i,) for i in range(len(drives))}
+    return Commands(made.values, {**inlets, **made.rows})
 
 
-__all__ = ["SteadyScene", "number_places"]
+def plant_of(
+    study: Study,
+    *,
+    kind: str,
+    samples: Samples,
+    pumps: Sequence[str],
+    pressures: Sequence[str],
+    asked: bool,
+    narrowest: float | None,
+    numbers: Sequence[str],
+    parts: Parts,
+    facts: Mapping[str, bool],
+) -> Plant:
+    """What a network or a device tells of itself to causes.
+
+    What signals meet on their way is judged where samples follow each other in time, or where the
+    study names causes.
+
+    Args:
+        study: Study with the recordings.
+        kind: Kind of system.
+        samples: What the samples of a run are.
+        pumps, pressures: Names of the commands.
+        asked: Whether the study names the causes that are judged.
+        narrowest: Width of the narrowest channel [m]; None: no channel has a width.
+        numbers: Numbers that causes may change.
+        parts: Parts that are alike; those of a kind of which there are none are left out.
+        facts: What else holds of the system.
+    """
+    scales = Scales.of(study, {DEVICE: {} if narrowest is None else {"narrowest": narrowest}})
+    several = bool(pumps and pressures)
+    groups = [  # a pump's gain is a cause of its own
+        CommandGroup(
+            tuple(dict.fromkeys(names)),
+            scales.of_commands(names),
+            between="straight" if samples == "time" else "held",
+            is_one_sided=scales.is_one_sided(names),
+            ending=ending if several else "",
+            facts=known,
+        )
+        for names, ending, known in (
+            (pumps, "_of_pumps", ("gain_is_fitted",)),
+            (pressures, "_of_pressures", ()),
+        )
+        if names
+    ]
+    is_in_time = samples == "time"
+    few = not is_in_time and not asked
+    return Plant(
+        kind=kind,
+        scales=scales,
+        channels=study.channels,
+        commands={name: group.between for group in groups for name in group.names},
+        ways=tuple(groups),
+        numbers=tuple(numbers),
+        facts={
+            IN_TIME: is_in_time,
+            LATE_RECORD: not groups,
+            "few_poses": few,
+            "few_levels": few,
+            **facts,
+        },
+        parts={of: names for of, names in parts.items() if names},
+        magnitudes=scales.plain[DEVICE],
+    )
+
+
+def meter_gains(values: Mapping[str, Tensor], count: int) -> dict[str, Tensor]:
+    """Numbers ``meter_1`` and so on, the gain of each meter: that of flow meters, else one.
+
+    Args:
+        values: Quantities by name, ``flow_gain_1`` and so on among them.
+        count: Number of meters, those of flows first.
+    """
+    one = torch.ones((), dtype=torch.float64)
+    return {f"meter_{i + 1}": values.get(f"flow_gain_{i + 1}", one) for i in range(count)}
+
+
+def counted(**counts: int) -> tuple[str, ...]:
+    """Names of numbers that are counted from one, ``meter_1``, by what stands before the count."""
+    return tuple(f"{name}_{i + 1}" for name, count in counts.items() for i in range(count))
+
+
+def numbered(count: int, before: str = "", start: int = 1) -> dict[str, str]:
+    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers.
+
+    Args:
+        count: Number of parts.
+        before: What stands before the count.
+        start: What the first one is counted as.
+    """
+    return {str(i): f"{before}{i}" for i in range(start, start + count)}
+
+
+__all__ = [
+    "Parts",
+    "Samples",
+    "SteadyScene",
+    "counted",
+    "drive_commands",
+    "meter_gains",
+    "numbered",
+    "plant_of",
+]

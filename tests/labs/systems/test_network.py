@@ -16,7 +16,7 @@ from diffsim.diagnose.checks.gradients import GRADIENT_RTOL
 from diffsim.identify import Fit, SimModel, fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.flow_network import NetworkScene
+from diffsim.systems.flow_network.network_balance import NetworkScene
 from diffsim.systems.flow_network.unit_flows import NARROWING_STEP, ChannelShape, UnitFlowTable
 from labs.cases.network import (
     NAMES,

@@ -1,4 +1,4 @@
-"""Values and slopes of a field known in fluid cells, at nodes and points and just beyond walls."""
+"""Fields on a grid: their values and slopes at points and just beyond walls, means, integrals."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from diffsim.data.study import Array
+from diffsim.stokes import FlowField, Grid
+from diffsim.stokes.devices.losses import integral, on_face
 
 NUM_NEIGHBORS = 12
 """The stencil of a node inside: its 4 cells and the 8 around them."""
@@ -61,3 +63,22 @@ def apply(matrix: Tensor, field: Tensor) -> Tensor:
     """A sparse matrix times the last axis of a field."""
     flat = field.reshape(-1, field.shape[-1])
     return torch.sparse.mm(matrix, flat.T).T.reshape(*field.shape[:-1], matrix.shape[0])
+
+
+def average_corners(nodal: Tensor) -> Tensor:
+    """Means over the corners of cells, (nx, ny), of values at nodes (nx + 1, ny + 1)."""
+    return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])
+
+
+def integrate_face(grid: Grid, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
+    """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,).
+
+    Args:
+        grid: Grid of the values.
+        phi: Level set at the nodes, positive in the fluid.
+        along_x: The values.
+        face: Face of the box, such as "x-".
+    """
+    empty = phi.new_zeros(0)
+    field = FlowField(grid, phi, along_x[..., None], empty, empty, {})
+    return integral(field, face, on_face(grid, along_x, face))
