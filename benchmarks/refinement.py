@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.machine import machine
 from diffsim import soft
 from diffsim.applications import Application, minimize, solver_options
 from diffsim.applications.catalog import FOLDER
@@ -34,6 +33,7 @@ from diffsim.applications.gallery import REFINED
 from diffsim.applications.table import OURS, load
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
+from labs.machine import machine
 
 LEGGED = "newton_cholesky"  # takes a third of the time of ours on these, to the same tolerance
 RTOL, FINER_RTOL = 1e-4, 1e-3  # of steps; the latter on the finer mesh
