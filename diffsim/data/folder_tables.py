@@ -77,11 +77,8 @@ class FoundTable:
     def table(self) -> Table:
         """The table itself."""
         if self.path.suffix.lower() not in SUFFIXES:
-            lines = {
-                "header_line": self.layout.header_line,
-                "first_line": self.layout.first_line,
-            }
-            return Table(self.path, "run", **lines)
+            head, first = self.layout.header_line, self.layout.first_line
+            return Table(self.path, "run", header_line=head, first_line=first)
         return Table(self.folder / self.reference, "run")
 
 
