@@ -130,7 +130,10 @@ class RunSamples:
 
 
 def _interpolate_straight(at: Array, clock: Array, values: Array) -> Array:
-    """Values on straight lines between samples; NaN beyond them."""
+    """Values on straight lines between samples; NaN beyond them, but for rounding."""
+    near = np.clip(at, clock[0], clock[-1])
+    slack = np.maximum(_SLACK_S, 4.0 * np.spacing(np.abs(near)))
+    at = np.where(np.abs(at - near) <= slack, near, at)
     return np.interp(at, clock, values, left=np.nan, right=np.nan)
 
 

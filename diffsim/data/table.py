@@ -476,6 +476,12 @@ def is_list(cell: str) -> bool:
     return cell[:1] in ("[", "(") and all(map(_is_number, _entries(cell)))
 
 
+def names_of(name: str, cell: str) -> list[str]:
+    """Columns that a column makes by one of its cells: its entries where that is a list."""
+    width = len(_entries(cell)) if is_list(cell) else 0
+    return [f"{name}[{k}]" for k in range(width)] if 0 < width <= MOST_ENTRIES else [name]
+
+
 def _entries(cell: str) -> list[str]:
     return _LIST_MARKS.sub(" ", cell).split()
 
@@ -485,16 +491,17 @@ def _spread(path: Path, lines: Sequence[int], cells: dict[str, list[str]]) -> di
     out: dict[str, list[str]] = {}
     for name, own in cells.items():
         first = next((cell for cell in own if cell), "")
-        if not is_list(first) or (width := len(_entries(first))) > MOST_ENTRIES:
+        if (names := names_of(name, first)) == [name]:
             out[name] = own
             continue
+        width = len(names)
         rows = [_entries(cell) or [""] * width for cell in own]
         if other := next((k for k, row in enumerate(rows) if len(row) != width), None):
             raise ValueError(
                 f"{path}, row {lines[other]}, column {name}: a list of {len(rows[other])} numbers, "
                 f"but the first has {width}"
             )
-        out |= {f"{name}[{k}]": [row[k] for row in rows] for k in range(width)}
+        out |= {entry: [row[k] for row in rows] for k, entry in enumerate(names)}
     return out
 
 

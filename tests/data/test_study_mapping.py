@@ -462,9 +462,7 @@ def test_lists_in_cells_of_files_with_the_same_columns(folder):
     with pytest.raises(ValueError, match=r"file: 3, but the run has read\.csv, goal\.csv"):
         load(folder, time=clock, **changes)
     (folder / "goal.csv").write_text('stamp,positions\n1,"[1, 2]"\n2,"[3]"\n')
-    with pytest.raises(
-        ValueError, match=r"goal\.csv, row 3, column positions: a list of 1 "
-    ):
+    with pytest.raises(ValueError, match=r"goal\.csv, row 3, column positions: a list of 1 "):
         load(folder, time=clock, **changes)
 
 
