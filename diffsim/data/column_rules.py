@@ -122,8 +122,8 @@ def beside_measured(guess: Guess) -> Iterable[str]:
 
 
 def held(guess: Guess) -> Iterable[str]:
-    """Columns that rest, and change by much: a slow or coarse sensor changes by little."""
-    for c in (c for c in guess.those("") if not is_motion(c.column)):
+    """Where nothing is called a command: what rests, and changes by more than a coarse sensor."""
+    for c in _of_no_motion(guess):
         values = guess.samples(c)
         repeats = [np.diff(v) == 0.0 for v in values if len(v) > 1]
         share = float(np.mean(np.concatenate(repeats))) if repeats else 0.0
@@ -136,10 +136,10 @@ def held(guess: Guess) -> Iterable[str]:
 
 
 def smooth(guess: Guess) -> Iterable[str]:
-    """What has a unit of what drives, and no noise but that of rounding."""
-    for c in guess.those(""):
+    """Where nothing is called a command: a unit of what drives, no noise but that of rounding."""
+    for c in _of_no_motion(guess):
         unit = "" if c.column.unit is None else re.sub(r"[\s*·.]", "", to_si(c.column.unit).unit)
-        if unit in _SET_UNITS and not is_motion(c.column) and _is_smooth(guess.samples(c)):
+        if unit in _SET_UNITS and _is_smooth(guess.samples(c)):
             _decide(c, "by its lack of noise")
     return ()
 
@@ -150,8 +150,9 @@ def equal_in_two_runs(guess: Guess) -> Iterable[str]:
     for i, k in combinations(range(len(guess.runs)), 2):
         alike = [c for c, values in samples.items() if _is_equal(values[i], values[k])]
         if alike and len(alike) < len(samples):
-            for c in alike:
-                _decide(c, "equal to the digit in two runs" if c.role == "" else "")
+            for c in (c for c in alike if not c.role):
+                if not is_motion(c.column) or _follower(guess, c, guess.those("")):
+                    _decide(c, "equal to the digit in two runs")
             break
     return ()
 
@@ -163,11 +164,9 @@ def followed(guess: Guess) -> Iterable[str]:
         return ()
     levels = {c: _level(guess.samples(c)) for c in open_ones}
     for c in open_ones:
-        for other in (o for o in open_ones if (o.column.unit, o.place) == (c.column.unit, c.place)):
-            is_clean = levels[c] < _CLEANER * levels[other]
-            if is_clean and _follows(guess.samples(other), guess.samples(c)):
-                c.role, c.why = "command", f"less noisy, and {other.column.name} follows it"
-                break
+        noisy = [other for other in open_ones if levels[c] < _CLEANER * levels[other]]
+        if other := _follower(guess, c, noisy):
+            c.role, c.why = "command", f"less noisy, and {other.column.name} follows it"
     return ()
 
 
@@ -253,6 +252,12 @@ COLUMN_RULES: tuple[Callable[[Guess], Iterable[str]], ...] = (
 )
 
 
+def _of_no_motion(guess: Guess) -> list[GuessedColumn]:
+    """Open columns that are called no motion, where nothing is called a command."""
+    is_known = bool(guess.those("command"))
+    return [] if is_known else [c for c in guess.those("") if not is_motion(c.column)]
+
+
 def _decide(c: GuessedColumn, why: str) -> None:
     if why:
         c.role, c.why = "command", why
@@ -303,6 +308,15 @@ def _level(values: Sequence[Array]) -> float:
     """Noise as fourth differences have it: what is left of a sweep in frequency is rounding."""
     fourth = np.concatenate([np.diff(v[np.isfinite(v)], n=4) for v in values])
     return float(scatter(fourth, 4)) if len(fourth) else np.inf
+
+
+def _follower(
+    guess: Guess, c: GuessedColumn, others: Iterable[GuessedColumn]
+) -> GuessedColumn | None:
+    """The first of others, in the same unit and file, that does a little later what a column did."""
+    alike = (o for o in others if o is not c)
+    alike = (o for o in alike if (o.column.unit, o.place) == (c.column.unit, c.place))
+    return next((o for o in alike if _follows(guess.samples(o), guess.samples(c))), None)
 
 
 def _follows(values: Sequence[Array], leader: Sequence[Array]) -> bool:

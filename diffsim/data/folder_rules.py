@@ -23,6 +23,7 @@ from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
 from diffsim.data.log_columns import BESIDE, log_column
 from diffsim.data.names import DRIVES, STATE, is_asked
+from diffsim.data.table import MAKER
 
 Rule: TypeAlias = Callable[[Guess], Iterable[str]]
 
@@ -31,6 +32,7 @@ MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each 
 _IN_NAME = re.compile(
     r"(?<![\d.])(\d+(?:p\d+)?)(mm|cm|g|kg|mbar|kPa|Pa|bar|mN|N|V|Hz|deg|rpm)(?![A-Za-z])"
 )
+_PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
 _SAME = 0.02  # rms over range: commands of repeats agree to this
 
 
@@ -40,11 +42,7 @@ def search(guess: Guess) -> Iterable[str]:
     found = list(find_tables(guess.folder, not_read))
     yield from not_read
     if not found:
-        raise ValueError(
-            f"{guess.folder} has no table with rows of numbers, nor has a folder in it; expected "
-            "files such as run_1.csv with columns divided by comma, semicolon or tab, or one of "
-            f"{', '.join(SUFFIXES)}"
-        )
+        raise ValueError("\n".join([_why_none(guess.folder), *not_read]))
     top = min(one.level for one in [f for f in found if f.has_clock] or found)
     guess.found = [one for one in found if one.level == top]
     others = dict.fromkeys(
@@ -294,6 +292,19 @@ def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
     for rule in RULES:
         guess.said += rule(guess)
     return guess
+
+
+def _why_none(folder: Path) -> str:
+    """That a folder has no table, and what it has."""
+    there = sorted(path.name for path in folder.iterdir())
+    packed = [name for name in there if Path(name).suffix.lower() in _PACKED]
+    mend = f"unpack {packed[0]} first" if packed else ""
+    mend = f"`python {folder / MAKER}` makes its files" if MAKER in there else mend
+    expected = f"a table is a CSV file, or one of {', '.join(SUFFIXES)}"
+    return (
+        f"{folder} has no table with rows of numbers, nor has a folder in it; it has "
+        f"{', '.join(there[:8])}{', ...' if there[8:] else ''}: {mend or expected}"
+    )
 
 
 def _rank(family: Sequence[FoundTable]) -> tuple[int, bool, int]:
