@@ -114,8 +114,8 @@ def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
     time = guess.time[0] if len(guess.time) == 1 else guess.time
     lines += ["# The clock of the files.", f"time: {_write_inline(time)}", *_formats(guess.kinds)]
     lines += ["", "# What was measured; sd is the noise, guessed from the scatter between samples."]
-    lines += ["channels:"]
-    lines += [f"  - {_write_inline(_channel(c, guess))}" for c in guess.those("channel")]
+    channels = [f"  - {_write_inline(_channel(c, guess))}" for c in guess.those("channel")]
+    lines += ["channels:", *channels] if channels else ["channels: []"]
     lines += ["", *_commands(guess), "", *_runs(guess)]
     lines += ["", "# `check` repeats these until you take them out.", "todo:"]
     lines += [f"  - {_write_inline(sentence)}" for sentence in guess.todo]

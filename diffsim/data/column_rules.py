@@ -228,10 +228,11 @@ def said_of_columns(guess: Guess) -> Iterable[str]:
         )
     if not commands:
         guess.todo.append("commands: no column looks commanded; which of the channels did you set?")
-    if guess.those("channel"):
-        guess.todo.append(
-            "sd of each channel: the noise is a guess from the scatter between samples"
-        )
+    guess.todo.append(
+        "sd of each channel: the noise is a guess from the scatter between samples"
+        if guess.those("channel")
+        else "channels: no column changes in any run; what did you measure?"
+    )
 
 
 COLUMN_RULES: tuple[Callable[[Guess], Iterable[str]], ...] = (
@@ -313,7 +314,7 @@ def _level(values: Sequence[Array]) -> float:
 def _follower(
     guess: Guess, c: GuessedColumn, others: Iterable[GuessedColumn]
 ) -> GuessedColumn | None:
-    """The first of others, in the same unit and file, that does a little later what a column did."""
+    """The first of others, of its unit and file, that does a little later what a column did."""
     alike = (o for o in others if o is not c)
     alike = (o for o in alike if (o.column.unit, o.place) == (c.column.unit, c.place))
     return next((o for o in alike if _follows(guess.samples(o), guess.samples(c))), None)

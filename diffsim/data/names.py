@@ -55,9 +55,7 @@ IDLE = re.compile(  # further clocks of a log, and flags
     re.I,
 )
 GIVEN_OUT = re.compile(r"control|controller|pwm|duty|feedback", re.I)
-DRIVING = re.compile(
-    r"(^|_)(torques?|tau|moment|drehmoment|efforts?|current|strom)(_|\d|$)", re.I
-)
+DRIVING = re.compile(r"(^|_)(torques?|tau|moment|drehmoment|efforts?|current|strom)(_|\d|$)", re.I)
 DRIVES = re.compile(r"motor|rotor|actuator", re.I)  # rather than what a controller aimed at
 #: Files and topics: what was asked for, by words that leave no doubt, or by others.
 _ASKED = re.compile(rf"(^|[^a-z])({_DESIRED}|input|action)s?([^a-z]|$)|setpoint|cmd", re.I)

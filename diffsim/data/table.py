@@ -33,9 +33,20 @@ MISSING = ("nan", "na", "n/a", "#n/a", "n.a.", "null", "none", "-", "--", "---",
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
 
 
-def delimiter_of(header: str) -> str:
-    """Delimiter of a file by its header line: a semicolon or tab if there is one, else a comma."""
-    return next((mark for mark in (";", "\t") if mark in header), ",")
+def delimiter_of(header: str, sample: str = "") -> str:
+    """Delimiter of a file by its header line: a semicolon or tab if there is one, else a comma; a
+    blank where the first sample is several numbers with nothing but blanks between them."""
+    found = next((mark for mark in (";", "\t") if mark in header), ",")
+    cells = sample.split()
+    is_blank = found == "," and len(cells) > 1 and all(map(_is_number, cells))
+    return " " if is_blank else found
+
+
+def cells_of(line: str, mark: str) -> list[str]:
+    """Cells of a line, without blanks around them; a header between blanks may begin with #."""
+    if mark == " ":
+        return line.lstrip("#% \t").split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=mark), [])]
 
 
 _LIST_MARKS = re.compile(r"[\[\](),;]")
@@ -84,7 +95,7 @@ def open_table(
             cells, or a line is no CSV.
     """
     with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
-        rows = csv.reader(lines, delimiter=mark)
+        rows = csv.reader(lines, delimiter=mark, skipinitialspace=mark == " ")
         yield header, _number_rows(path, header, rows, before, mark != ",")
 
 
@@ -125,7 +136,8 @@ def _header(
     before = [file.readline(MAX_LINE + 1) for _ in range(skipped)]
     first = before[line - 1] if line else file.readline(MAX_LINE + 1)
     where = f"{path}, row {line or skipped + 1}"
-    mark = delimiter_of(first)
+    sample = file.readline() if line else first
+    mark = delimiter_of(first, sample)
     if len(first) > MAX_LINE or (count := first.count(mark) + 1) > MAX_COLUMNS:
         size = f"{count:,} columns" if len(first) <= MAX_LINE else f"more than {MAX_LINE:,} letters"
         raise ValueError(
@@ -133,7 +145,7 @@ def _header(
             "this file a column of the table?"
         )
     try:
-        header = [name.strip() for name in next(csv.reader([first], delimiter=mark), [])]
+        header = cells_of(first, mark)
     except csv.Error as error:
         raise ValueError(f"{where}: not CSV: {error}") from None
     if not header:
@@ -150,7 +162,7 @@ def _header(
             f"{path}: column {repeated[0]!r} occurs more than once in the header; `columns` of "
             "`table` gives names of your own"
         )
-    return header, mark, (file if line else chain([first], file))
+    return header, mark, chain([sample], file)
 
 
 def _rows(path: Path, rows: Iterator[list[str]], before: int) -> Iterator[list[str]]:
@@ -448,7 +460,9 @@ def _all_numbers_of(
         try:
             if (first := next(rows, None)) is None:
                 return None
-            found = np.loadtxt(chain([first], rows), delimiter=mark, comments=None, ndmin=2)
+            cells = chain([first], rows)
+            by = None if mark == " " else mark
+            found = np.loadtxt(cells, delimiter=by, comments=None, ndmin=2)
         except ValueError:  # cell by cell it is told which
             return None
     if found.shape[1] != len(header) or np.isinf(found).any():
@@ -461,7 +475,7 @@ def _all_cells_of(
 ) -> tuple[list[int], dict[str, list[str]]]:
     """Line of each row of a file, and the cells by column, lists spread out."""
     with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
-        rows = csv.reader(lines, delimiter=mark)
+        rows = csv.reader(lines, delimiter=mark, skipinitialspace=mark == " ")
         numbered = list(_number_rows(path, header, rows, before, mark != ","))
     if not numbered:
         raise ValueError(f"{path}: no rows below the header; was the export cut short?")

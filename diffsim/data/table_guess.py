@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 from diffsim.core.units import to_si
-from diffsim.data.table import delimiter_of, is_list, names_of, open_text
+from diffsim.data.table import cells_of, delimiter_of, is_list, names_of, open_text
 
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
@@ -87,7 +86,10 @@ def layout_of(path: Path) -> TableLayout | None:
     """
     with open_text(path) as file:
         lines = [line.rstrip("\r\n") for line in islice(file, FIRST_LINES)]
-    rows = [_cells(line) for line in lines]
+    marks = [delimiter_of(line, line) for line in lines]
+    if marks and marks[-1] == " ":  # names between blanks, too
+        marks = [" "] * len(lines)
+    rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
     first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_numeric(row)), None)
     above = [] if first is None else _lines_above(rows, first)
     if first is None or not above:
@@ -160,11 +162,6 @@ def column_of(name: str, unit_cell: str = "") -> Column:
 
 def _is_ending(word: str) -> bool:
     return word in _ENDINGS and word not in _WORDS
-
-
-def _cells(line: str) -> list[str]:
-    row = next(csv.reader([line], delimiter=delimiter_of(line)), [])
-    return [cell.strip() for cell in row]
 
 
 def _drop_empty_end(row: list[str]) -> list[str]:

@@ -311,3 +311,27 @@ def test_a_file_that_is_damaged_or_empty_in_part_warns_nobody(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "not read: " in said and "r3.csv, row 3: 3 cells" in said
     assert names(load_study(tmp_path).runs) == ["r0", "r1", "r2", "r9"]
+
+
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("mark", [" ", ",", "\t"])
+def test_tables_as_numpy_writes_them(tmp_path, named, mark):
+    """Blanks that line numbers up, and # before the header or none."""
+    for k in range(2):
+        table = np.column_stack([1e-3 * T, STEPS * (k + 1), noisy(k)])
+        header = mark.join(("t", "cmd", "x")) if named else ""
+        np.savetxt(tmp_path / f"r{k}.txt", table, delimiter=mark, header=header, fmt="%12.6f")
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    expected = (["cmd"], ["x"]) if named else (["column_2"], ["column_3"])
+    assert (names(study.commands), names(study.channels)) == expected
+    np.testing.assert_allclose(study.runs[1].time_s, 1e-3 * T, atol=1e-9)
+    np.testing.assert_allclose(study.runs[1].measured[:, 0], noisy(1), atol=1e-6)
+
+
+def test_a_folder_in_which_nothing_moves_says_so(tmp_path):
+    write(tmp_path / "a.csv", "t,x,y", [1e-3 * T, np.ones(60), np.full(60, 2.0)])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert study.channels == () and study.runs[0].setup["y"] == 2.0
+    assert any("no column changes in any run" in sentence for sentence in study.todo)
