@@ -23,7 +23,7 @@ from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
 from diffsim.data.log_columns import BESIDE, log_column
 from diffsim.data.names import DRIVES, STATE, is_asked
-from diffsim.data.table import MAKER
+from diffsim.data.table import MAKER, Table
 
 Rule: TypeAlias = Callable[[Guess], Iterable[str]]
 
@@ -202,6 +202,27 @@ def runs(guess: Guess) -> Iterable[str]:
         yield f"runs: one for each of {count} {what}" if count > 1 else "runs: one"
 
 
+def lists_of_runs(guess: Guess) -> Iterable[str]:
+    """Tables that have a row for each run, such as labels: what they know of it may be facts."""
+    names = {run.name for run in guess.runs}
+    for path in sorted(guess.folder.glob("*.csv")) if len(names) > 1 else ():
+        try:
+            table = Table(path, "table")
+        except ValueError:
+            continue
+        others = [name for name in table.header if name]
+        key = next((n for n in others if names <= set(table.texts(n))), None)
+        if key is not None and len(others) > 1:
+            run, word = guess.runs[0], f"{{{key}}}"
+            files = ", ".join(f'"{file.replace(run.name, word, 1)}"' for file in run.files)
+            facts = ", ".join(f'{name}: "{{{name}}}"' for name in others if name != key)
+            yield (
+                f"{path.name} lists the runs by its column {key}; to take the others as facts, "
+                f'write runs: [{{table: {path.name}, name: "{word}", file: [{files}], '
+                f"setup: {{{facts}}}}}]"
+            )
+
+
 def numbers_in_names(guess: Guess) -> Iterable[str]:
     """Numbers with a unit in a file's name: step_100mbar.csv."""
     for run in guess.runs:
@@ -271,6 +292,7 @@ RULES: tuple[Rule, ...] = (
     splits,
     runs,
     *COLUMN_RULES,
+    lists_of_runs,
     numbers_in_names,
     repeats,
     uses,

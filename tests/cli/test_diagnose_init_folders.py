@@ -45,7 +45,6 @@ def arm(folder: Path, num: int) -> None:
 @pytest.mark.parametrize("num", [4, 14])
 def test_goal_duration_and_reading_of_a_run_have_a_folder(tmp_path, num):
     arm(tmp_path, num)
-    (tmp_path / "labels.csv").write_text("run,label\nfixed_a,healthy\n")
     assert init(tmp_path) == 0
     study = load_study(tmp_path)
     assert names(study.channels) == ["motor_1", "motor_2"]
@@ -59,6 +58,20 @@ def test_goal_duration_and_reading_of_a_run_have_a_folder(tmp_path, num):
     goal = run.command["motor_1_cmd"]  # rests until the next, half a row of it beside each jump
     assert goal[[0, 9, 13, 51, 59]].tolist() == [340.0, 340.0, 600.0, 500.0, 500.0]
     assert study.runs[-1].use == "test"
+
+
+def test_a_list_of_the_runs_is_told_with_what_takes_its_facts(tmp_path, capsys):
+    arm(tmp_path, 3)
+    (tmp_path / "labels.csv").write_text("run,label\nfixed_a,healthy\nfixed_b,stuck\nfixed_c,off\n")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if "labels.csv lists the runs" in line)
+    study = tmp_path / "study.yaml"
+    stated = yaml.safe_load(study.read_text())
+    study.write_text(yaml.safe_dump({**stated, **yaml.safe_load(line.partition("write ")[2])}))
+    assert [run.setup for run in load_study(study).runs] == [
+        {"label": label} for label in ("healthy", "stuck", "off")
+    ]
 
 
 def test_lists_in_cells_goals_and_states_with_the_same_columns(tmp_path):
