@@ -9,9 +9,11 @@ from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from diffsim.causes.readings import PLAY_START, with_play_start
+from diffsim.causes.scene import Commands
 from diffsim.causes.signals import Grid, delayed, held_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run, Study
@@ -145,9 +147,9 @@ def _build_scene(
         run=run,
         network=system.network,
         grid=grid,
-        values=known,
+        numbers=known,
         starts=system.starts,
-        inputs={n: _evaluate_input(system, n, run, grid, known, values) for n in system.inputs},
+        commands=_evaluate_inputs(system, run, grid, known, values),
         channels=tuple(c.name for c in study.channels),
         ranges=keys.ranges,
         columns={
@@ -162,6 +164,21 @@ def _build_scene(
         places = tuple(scene.channels.index(c) for c in channels)
         scene = scene.with_clock(places, known[name])
     return scene
+
+
+def _evaluate_inputs(
+    system: FormulaSystem,
+    run: Run,
+    grid: Grid,
+    known: Mapping[str, Tensor],
+    values: Mapping[str, Tensor],
+) -> Commands:
+    """Inputs (..., num_inputs, num_times), with points in front where any of them has some."""
+    found = [_evaluate_input(system, n, run, grid, known, values) for n in system.inputs]
+    lead = np.broadcast_shapes(*(u.shape for u in found)) if found else (len(grid.times),)
+    none = torch.zeros(0, len(grid.times), dtype=torch.float64)
+    stacked = torch.stack([u.expand(lead) for u in found], -2) if found else none
+    return Commands.named(tuple(system.inputs), stacked)
 
 
 def _evaluate_input(
