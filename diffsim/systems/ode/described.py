@@ -22,7 +22,7 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.gaps import Gap
-from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store, Swing
+from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
 from diffsim.systems.ode.names import data_values, facts_of, scalars
 from diffsim.systems.ode.network import TIME, Network
 from diffsim.systems.ode.pieces import Piece, start_name
@@ -60,7 +60,6 @@ class FormulaSystem:
 
     Attributes:
         keys: Keys that all systems of formulas share.
-        given: What drives the system.
         motion: States and what goes with them.
         study: Study with the recordings.
         held: Inputs, with whether they are held between samples.
@@ -80,7 +79,6 @@ class FormulaSystem:
     """
 
     keys: FormulaKeys
-    given: tuple[Input, ...]
     motion: DescribedMotion
     study: Study
     held: Mapping[str, bool]
@@ -112,7 +110,7 @@ class FormulaSystem:
     @cached_property
     def formulas(self) -> str:
         """What the model is made of, in text."""
-        return repr((self.keys, self.given, self.motion, self.parts, self.held))
+        return repr((self.keys, self.parts, self.held))
 
 
 def model_of(system: FormulaSystem) -> SimModel:
