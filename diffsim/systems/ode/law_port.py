@@ -397,7 +397,7 @@ class OdeLaws:
             "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
             "typical": law.typical,
             "unit": law.unit,
-            "signed": law.signed,
+            "one_sided": not law.signed,
             "scanned": True,
             "family": "law",
             "price": law.price,
