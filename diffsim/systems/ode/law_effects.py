@@ -13,6 +13,7 @@ from diffsim.causes.catalogue import rows
 from diffsim.causes.row import Row
 from diffsim.causes.scales import Scales
 from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.fill_in import fill_in
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
@@ -153,7 +154,10 @@ class _Bender:
         if other is None:
             name, said = f"{row.name}_of_{law.name}", row.form
         else:
-            name, said = f"part_of_{other.name}_in_{law.name}", row.form.format(other=other.name)
+            name, said = (
+                f"part_of_{other.name}_in_{law.name}",
+                fill_in(row.form, {"other": other.name}),
+            )
         parts = self._list_letters(law, name, other)
         formula = parse_expression(row.said("law"), (*parts, *self.known))
         further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]

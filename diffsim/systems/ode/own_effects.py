@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+from diffsim.causes.row import with_size
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
@@ -57,7 +60,7 @@ def _make_effect(
         tries=(-1.0, 1.0) if block.scanned else (),
         also_looks_like=block.also_looks_like,
         price=block.price,
-        words=None if block.words is None else block.words.format,
+        words=None if block.words is None else partial(with_size, block.words),
         components=groups.components,
         apply=by_formulas_in(
             _make_change(where, block, study, known, states, reader), symbol(block.name), groups
