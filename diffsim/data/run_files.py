@@ -36,6 +36,7 @@ from diffsim.data.run_samples import (
 )
 from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import (
+    MOST_BLOCKS,
     ChannelEntry,
     CommandEntry,
     RunEntry,
@@ -333,6 +334,12 @@ def _blocks(run: Run, entry: RunEntry, where: str) -> list[Run]:
         edges = np.linspace(0, n, blocks.num + 1).round().astype(int)
     else:
         assert blocks.length_s is not None
+        count = (run.time_s[-1] - run.time_s[0]) / blocks.length_s
+        if count > MOST_BLOCKS:
+            raise ValueError(
+                f"{where}.blocks.length_s: makes {count:,.0f} pieces of run {run.name}, at most "
+                f"{MOST_BLOCKS:,}"
+            )
         lengths = np.arange(run.time_s[0], run.time_s[-1], blocks.length_s)
         edges = np.append(np.searchsorted(run.time_s, lengths - 1e-9), n)
     by_number = {k: use for use, numbers in blocks.use.items() for k in numbers}

@@ -64,6 +64,9 @@ def _wrap_in_list(given: Any) -> Any:
     return given if isinstance(given, (list, tuple)) and given else [given]
 
 
+MOST_BLOCKS = 10_000  # pieces of a run
+
+
 class TimeSource(Part):
     """Clock of the files."""
 
@@ -260,7 +263,9 @@ class Fact(Part):
 class Blocks(Part):
     """A long run cut into pieces, each a run of its own: name_1, name_2, ..."""
 
-    num: int | None = Field(None, ge=2, description="Number of pieces of equal length")
+    num: int | None = Field(
+        None, ge=2, le=MOST_BLOCKS, description="Number of pieces of equal length"
+    )
     length_s: Positive | None = Field(None, description="Length of a piece [s], in place of `num`")
     use: UseOfBlocks = Field(
         {}, description="Pieces by use, counted from 1; all others have the run's `use`"
@@ -376,7 +381,10 @@ class RunEntry(RunKeys):
     )
     repeat_of: str | None = Field(None, description="Run whose command was executed again")
     order: int | None = Field(
-        None, description="Place in the sequence of experiments; default: place in the list"
+        None,
+        ge=-(10**15),
+        le=10**15,
+        description="Place in the sequence of experiments; default: place in the list",
     )
     blocks: Blocks | None = Field(None, description="Cut the run into pieces")
 

@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
-from diffsim.data.formats.columns import MOST_ENTRIES
+from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
-MAX_COLUMNS = 10_000
 MAX_LINE = 4_000_000  # characters
 MISSING = ("nan", "na", "n/a", "#n/a", "n.a.", "null", "none", "-", "--", "---", "----")
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)

@@ -187,7 +187,9 @@ class EffectChoice(Part):
 class Effort(Part):
     """How much is simulated; the defaults suit most studies."""
 
-    max_effects: int | None = Field(None, ge=1, description="Largest number of causes in one set")
+    max_effects: int | None = Field(
+        None, ge=1, le=100, description="Largest number of causes in one set"
+    )
     num_refits: int | None = Field(None, ge=1, description="Sets that are refitted per round")
     max_rounds: int | None = Field(None, ge=1, description="Moves to a better set, at most")
     scan_points: int | None = Field(

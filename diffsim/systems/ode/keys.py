@@ -185,7 +185,10 @@ class Events(Part):
         FORMS, description="Forms that it may have: train is pulses in equal distances"
     )
     knots: int = Field(
-        300, ge=20, description="Knots of the free force in the longest run, from which it is read"
+        300,
+        ge=20,
+        le=10_000,
+        description="Knots of the free force in the longest run, from which it is read",
     )
 
 

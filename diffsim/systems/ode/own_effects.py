@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
+from diffsim.causes.row import with_size
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
@@ -53,7 +55,7 @@ def own_effect(
         tries=(-1.0, 1.0) if block.scanned else (),
         also_looks_like=block.like,
         price=block.price,
-        words=None if block.words is None else block.words.format,
+        words=None if block.words is None else partial(with_size, block.words),
         components=groups.components,
         apply=by_formulas_in(
             _make_change(where, block, study, known, states, reader), symbol(block.name), groups
