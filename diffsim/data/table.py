@@ -318,7 +318,7 @@ class Table:
         return [row[at].strip() for row in self._cells]
 
     def seconds(self, column: str | None, factor: float | None, step: float | None) -> Array:
-        """Clock of the rows [s].
+        """Clock of the rows [s]; NaN where a stamp is missing.
 
         Args:
             column: Column with the time; None: ``time_s``.
@@ -326,7 +326,7 @@ class Table:
             step: Seconds between rows, or for each count of the column.
 
         Raises:
-            ValueError: no such column, or a time is missing.
+            ValueError: no such column, or a cell that is no time.
         """
         if step is not None and column is None:
             return step * np.arange(len(self), dtype=np.float64)
@@ -334,23 +334,8 @@ class Table:
         if factor is None:
             return _clock(self.path, self.lines, name, self.texts(name))
         now = self.numbers(name)
-        if np.isnan(now).any():
-            line = self.lines[int(np.argmax(np.isnan(now)))]
-            raise ValueError(f"{self.path}, row {line}, column {name}: time is missing")
         scale = step or factor
         return scale * now if scale != 1.0 else now
-
-
-def require_increasing(table: Table, rows: Rows, now: Array, column: str) -> None:
-    """Refuse rows whose times do not increase, with the row at which they do not."""
-    back = np.diff(now) <= 0.0
-    if back.any():
-        at = int(np.argmax(back)) + 1
-        raise ValueError(
-            f"{table.path}, row {table.lines[rows[at]]}, column {column}: time must increase, got "
-            f"{now[at]:g} s after {now[at - 1]:g} s; remove repeated rows or sort the file, or "
-            "split it into runs"
-        )
 
 
 def as_label(cell: str) -> float | int | str:
