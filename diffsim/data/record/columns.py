@@ -215,7 +215,11 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
         if _has_gain(record, channel):
             continue
         for command in record.commands:
-            if channel.unit is None or channel.unit != command.unit:
+            if (
+                channel.unit is None
+                or channel.unit != command.unit
+                or not _is_far(channel, command)
+            ):
                 continue
             fits = [
                 _best_fit(u.values * (command.scale or 1.0), y.values * (channel.scale or 1.0))
@@ -240,6 +244,13 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
                 True,
             )
             return
+
+
+def _is_far(channel: Signal, command: Signal) -> bool:
+    """Whether ranges are so far apart that a factor between units may be the reason."""
+    a = channel.range * abs(channel.scale or 1.0)
+    b = command.range * abs(command.scale or 1.0)
+    return a > 0.0 < b and abs(np.log(a / b)) > np.log(0.4 * BIG)
 
 
 def _best_fit(u: Array, y: Array) -> tuple[float, float]:

@@ -32,6 +32,7 @@ GROWTH = 5.0  # times that two starts part, beyond which a piece must not go on
 NEAR = 0.01  # of a state's usual motion: how far starts are moved
 BENT = 0.2  # of half the distance: how far the mean of two paths may leave the one between
 STRAIGHT = 1e-3  # of the distance of two starts, likewise: a linear system
+MANY = 8  # states, from which on they are moved together
 FEWEST = 8  # samples of a piece
 SEEN = 32  # samples that tell the start of a piece
 PLACES = 8  # of a piece from which the model is asked
@@ -212,9 +213,20 @@ def _part(path: Path, start: Array, usual: Usual, first: int, last: int) -> _Par
 
 
 def _is_straight(path: Path, start: Array, usual: Usual, last: int) -> bool:
-    """Whether a run is a straight image of its start, as those of linear systems are."""
-    parted = _part(path, start, usual, 0, last)
-    return bool((parted.bend <= STRAIGHT * 2.0 * NEAR).all())
+    """Whether a run is a straight image of its start, as those of linear systems are.
+
+    Of many states all are moved at once, twice: a path for each would take more than the answer.
+    """
+    if len(start) <= MANY:
+        return bool((_part(path, start, usual, 0, last).bend <= STRAIGHT * 2.0 * NEAR).all())
+    signs = np.where(np.arange(len(start)) % 2 == 0, 1.0, -1.0)
+    ways = NEAR * usual.states * np.stack([np.ones(len(start)), signs])
+    points = np.concatenate([start[None], start + ways, start - ways])
+    middle, *sides = path(points, 0, last)[1] / usual.states
+    bends = [
+        above + below - 2.0 * middle for above, below in zip(sides[:2], sides[2:], strict=True)
+    ]
+    return all(bool((np.linalg.norm(b, axis=-1) <= STRAIGHT * 2.0 * NEAR).all()) for b in bends)
 
 
 def _find_first_end(path: Path, run: Run, start: Array, usual: Usual, first: int) -> _End | None:
