@@ -22,7 +22,9 @@ from diffsim.core.inside import require_file_name
 from diffsim.core.schema import KindWords, Part
 from diffsim.core.schema_paths import FolderAnywhere, PathInside
 from diffsim.core.units import to_si
+from diffsim.data.decode import Decode
 from diffsim.data.fault_keys import FaultKeys
+from diffsim.data.stamps import Duplicates, Stamps
 from diffsim.data.study import SYSTEMS
 from diffsim.data.study_types import (
     Every,
@@ -150,8 +152,16 @@ class Source(Part):
         description="Which of the run's files holds the column, from 1, where several have one of "
         "that name; default: the first that has it",
     )
+    decode: Decode = Field(
+        Decode(), description="How numbers of its columns are coded: {wrap: 4096}, {sign_bit: 15}"
+    )
     scale: Number = Field(1.0, description="The column is multiplied by this")
     offset: Number = Field(0.0, description="Added after `scale`, in `unit`")
+    unwrap: Positive | None = Field(
+        None,
+        description="What is read goes on over the ends of a range of this size, in `unit`, such "
+        "as 360 of an angle in deg: last of all",
+    )
 
     @model_validator(mode="after")
     def _column_or_formula(self) -> Source:
@@ -342,6 +352,19 @@ class RunKeys(Part):
     average: bool = Field(False, description="Whether `every` n samples are averaged into one")
     missing_if: Formula | None = Field(
         None, description="Where this formula is true, nothing was measured"
+    )
+    duplicates: Duplicates | None = Field(
+        None,
+        description="Rows with equal stamps: the first, the last or the mean of them is used, or "
+        "they are spread evenly until the next stamp, as of a clock that counts too coarsely",
+    )
+    stamps: Stamps = Field(
+        Stamps(), description="Stamps that are missing, go back or jump: what is done to them"
+    )
+    gaps: Literal["line"] | None = Field(
+        None,
+        description="Where rows were lost: line puts them back without measurements, and commands "
+        "on straight lines",
     )
     columns: dict[str, Elsewhere] = Field(
         {},
