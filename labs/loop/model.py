@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import soft
+from diffsim.causes.instruments import grid_at
+from diffsim.causes.scene import Commands
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect, effect_coordinates
@@ -205,18 +207,19 @@ class Starfish:
         volume = made.body.nodal_volume
         scene = SoftScene(
             body=made.body,
-            sample_times=times + count * dt,
+            grid=grid_at((times + count * dt).detach()),
             observe=self.observe,
             axes=(0, 2) * len(MARKERS) + (0,),
-            parameters={
+            numbers={
                 "youngs_modulus": values["youngs_modulus"],
                 # half a tendon in a quarter of the body
                 "fiber_stiffness": (0.5 * values["axial_stiffness"]).expand(2),
                 "rayleigh_beta": torch.tensor(self.rayleigh_beta, dtype=torch.float64),
                 "added_mass": 1000.0 * self.added_mass * volume,
             },
-            command=torch.cat([ramp * contraction[0], contraction])[:, None],
-            command_names=(self.command,),
+            commands=Commands.named(
+                (self.command,), torch.cat([ramp * contraction[0], contraction])[None]
+            ),
             command_dt=dt,
             actuate=_compute_activation,
             water=water_of(made.body.mesh, drag, thrust),

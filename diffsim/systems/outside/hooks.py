@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from diffsim.causes import plant
 from diffsim.causes.channel_groups import CLOCK, WHOLE, channel_groups
 from diffsim.causes.commands import CommandGroup
-from diffsim.causes.readings import Instrument
+from diffsim.causes.readings import Instrument, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
@@ -73,6 +73,7 @@ def command_groups(
             between,
             scales.is_one_sided(columns),
             f"_of_{spell_plainly(name)}" if name else "",
+            sample_s=usual_sample(study.runs),
         )
         for name, columns in given.items()
         if columns
