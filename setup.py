@@ -34,7 +34,7 @@ STABLE_ABI = (
 # What one Python adds to its compiler and another does not; kernels know nothing of Python.
 PYTHONS_OWN = ("-Wno-unused-result", "-fno-strict-overflow", "-fwrapv")
 # Scripts that the checkout keeps beside the package, and the wheel in it.
-SCRIPTS = ("examples", "rl")
+SCRIPTS = ("examples", "labs/balls", "labs/loop", "rl")
 # Bindings convert arguments and compute nothing; -O3 makes them larger and slower to compile.
 BINDINGS_LEVEL = "-Os"
 # Kernels of these folders are compiled together, this many lines at a time: what they include is
@@ -351,8 +351,8 @@ class BuildExt(build_ext):
 class BuildPy(build_py):
     """The package, and in a wheel the scripts that stand beside it in a checkout.
 
-    A wheel has ``diffsim/_scripts/examples`` and ``diffsim/_scripts/rl``, without kept results;
-    ``diffsim.core.paths`` finds them there or in the checkout.
+    A wheel has ``diffsim/_scripts/examples`` and ``diffsim/_scripts/rl``, without kept results, and
+    of ``labs`` what examples need; ``diffsim.core.paths`` finds them there or in the checkout.
     """
 
     def run(self) -> None:
@@ -364,6 +364,9 @@ class BuildPy(build_py):
         for name in SCRIPTS:
             ignored = shutil.ignore_patterns("__pycache__", "results", "*.pyc")
             shutil.copytree(ROOT / name, target / name, ignore=ignored)
+            if "/" in name:
+                above = Path(name).parent / "__init__.py"
+                shutil.copyfile(ROOT / above, target / above)
 
 
 setup(

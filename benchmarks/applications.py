@@ -16,9 +16,9 @@ from pathlib import Path
 import torch
 
 from benchmarks.machine import machine
-from diffsim.applications import SOLVERS, table
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
+from examples.applications import SOLVERS, table
 
 
 def main() -> None:

@@ -100,7 +100,7 @@ class Planted:
 
     @property
     def room(self) -> str:
-        """Folder of the package, or of the kernels with "csrc/" before it."""
+        """Folder of the package or beside it, or of the kernels with "csrc/" before it."""
         parts = Path(self.file).parts
         return f"csrc/{parts[2]}" if parts[0] == "csrc" else parts[1]
 

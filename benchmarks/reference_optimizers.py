@@ -22,7 +22,7 @@ F64 = torch.float64
 def _falling_bar() -> Any:
     """An application whose truth is known: a bar falls; its stiffness and its weight are sought."""
     from diffsim import mesh, soft
-    from diffsim.applications import Application, Parameters, solver_options
+    from examples.applications import Application, Parameters, solver_options
 
     box = mesh.hex_box((3, 1, 1), (0.06, 0.02, 0.02))
     body = soft.SoftBody(
@@ -60,8 +60,8 @@ def _falling_bar() -> Any:
 
 def application_search() -> Mapping[str, Any]:
     """Applications' L-BFGS: from a guess, from random starts, warmed up, with failures, resumed."""
-    from diffsim.applications import minimize
     from diffsim.core.errors import ConvergenceError
+    from examples.applications import minimize
 
     bar = _falling_bar()
 
@@ -268,7 +268,7 @@ def demo_fit() -> Mapping[str, Any]:
 def trajectory_search() -> Mapping[str, Any]:
     """Sim to real: the starfish's command by L-BFGS, and its parameters from a recording."""
     from diffsim.data import Run
-    from diffsim.sim_to_real import (
+    from labs.loop import (
         Command,
         FitSettings,
         Limits,

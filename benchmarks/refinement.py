@@ -28,12 +28,12 @@ import torch
 
 from benchmarks.machine import machine
 from diffsim import soft
-from diffsim.applications import Application, minimize, solver_options
-from diffsim.applications.catalog import FOLDER
-from diffsim.applications.gallery import REFINED
-from diffsim.applications.table import OURS, load
+from diffsim.cli.catalog import FOLDER
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
+from examples.applications import Application, minimize, solver_options
+from examples.applications.table import OURS, load
+from examples.gallery import REFINED
 
 LEGGED = "newton_cholesky"  # takes a third of the time of ours on these, to the same tolerance
 RTOL, FINER_RTOL = 1e-4, 1e-3  # of steps; the latter on the finer mesh

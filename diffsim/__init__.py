@@ -30,7 +30,6 @@ from diffsim.core.version import __version__
 
 if TYPE_CHECKING:
     from diffsim import (
-        applications,
         contact,
         control,
         copter,
@@ -53,7 +52,6 @@ if TYPE_CHECKING:
     from diffsim.core.precision import in_float64
 
 ROOMS = (
-    "applications",
     "contact",
     "control",
     "copter",
@@ -96,7 +94,6 @@ __all__ = [
     "Record",
     "Solve",
     "__version__",
-    "applications",
     "contact",
     "control",
     "copter",

@@ -8,5 +8,7 @@ They stand beside the package, which knows nothing of them, and are read from a 
 - ``labs.unlisted``: laws that no library lists, hidden and counted (``python -m labs.unlisted``);
 - ``labs.calibration``: their answers with other thresholds (``python -m labs.calibration``);
 - ``labs.cases``: chosen cases of each laboratory, with their verdicts;
-- ``labs.outside``: cases that other people's simulators made (``python -m labs.outside``).
+- ``labs.outside``: cases that other people's simulators made (``python -m labs.outside``);
+- ``labs.loop``: the loop of the thesis on the starfish, and the virtual laboratory that it runs on;
+- ``labs.balls``: the thesis's two soft balls on a table, from tracks or a film to a fit.
 """

@@ -30,8 +30,10 @@ import torch
 from diffsim.cli.arguments import add_executor
 from diffsim.core import open_executor
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.learn import METHODS, PRESETS, Plan, comparison, preset
-from diffsim.viz.learning_figures import comparison_figure
+from diffsim.learn import METHODS, Plan
+from rl import comparison
+from rl.figures import comparison_figure
+from rl.presets import PRESETS, preset
 
 
 def report(task: str, plan: Plan, folder: Path, figure: Path, *, quality: bool) -> str | None:

@@ -41,7 +41,7 @@ LOADED = (
     "diffsim.cli.main",
     "diffsim.soft",
     "diffsim.copter",
-    "diffsim.applications",
+    "diffsim.optim",
 )
 ROOT = Path(__file__).resolve().parents[1]
 ENDED_S = 10.0

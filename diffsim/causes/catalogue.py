@@ -3,7 +3,8 @@
 A table has a domain: what commands pass (``actuator``), what shows channels (``sensor``), and one
 for each kind of system. Who looks for a cause, its usual size or its words finds them there. A
 table may take rows of another one, ``{include: load/tip_mass}``, or all of it, ``{include:
-actuator}``: then it says in which order its system has them.
+actuator}``: then it says in which order its system has them. ``each: record`` says that a row is of
+the instruments of all channels together.
 """
 
 from __future__ import annotations
@@ -61,8 +62,7 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
     found, wrong = list[tuple[str, Row]](), []
     for name, given in read_yaml_file(path).items():
         if "include" in given:
-            table, _, one = str(given["include"]).partition("/")
-            found += [(of, row) for of, row in rows_in_order(table) if not one or row.name == one]
+            found += _included(given)
             continue
         try:
             found.append((domain, Row.model_validate({"name": name, **given})))
@@ -71,6 +71,15 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
     if wrong:
         raise Mistakes(wrong)
     return tuple(found)
+
+
+def _included(given: Mapping[str, str]) -> list[tuple[str, Row]]:
+    """Rows of another table, and of what else they are said to be of."""
+    table, _, one = given["include"].partition("/")
+    chosen = [(of, row) for of, row in rows_in_order(table) if not one or row.name == one]
+    if "each" not in given:
+        return chosen
+    return [(of, row.model_copy(update={"each": given["each"]})) for of, row in chosen]
 
 
 def all_rows() -> Iterator[tuple[str, Row]]:

@@ -36,6 +36,8 @@ class CommandGroup:
         unit: Unit of the commands; None: not said.
         shown: Unit in which a user reads them; None: ``unit``.
         facts: What holds of these commands, as rows ask for it: "gain_is_fitted".
+        sample_s: Usual time between two samples, half of which delays and lags may be without
+            surprise; 0: their rows say what is usual [s].
     """
 
     names: tuple[str, ...]
@@ -46,6 +48,7 @@ class CommandGroup:
     unit: str | None = None
     shown: str | None = None
     facts: tuple[str, ...] = ()
+    sample_s: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", MappingProxyType(dict(self.scales)))

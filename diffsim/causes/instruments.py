@@ -19,25 +19,34 @@ class Instruments:
     """What instruments make of channels.
 
     Attributes:
-        readings: What causes do to channels, by their indices, in the order in which they act.
-        clocks: How late channels are [s].
+        acts: Channels by their indices, and what causes do to them, in the order in which they
+            act: a map of readings, or how late a clock is, () or (K,) [s].
     """
 
-    readings: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
-    clocks: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
+    acts: tuple[tuple[tuple[int, ...], SignalMap | Tensor], ...] = ()
+
+    @property
+    def readings(self) -> tuple[tuple[tuple[int, ...], SignalMap], ...]:
+        """Channels and the maps of their readings, in order."""
+        return tuple((c, act) for c, act in self.acts if not isinstance(act, Tensor))
+
+    @property
+    def clocks(self) -> tuple[tuple[tuple[int, ...], Tensor], ...]:
+        """Channels and how late they are [s]."""
+        return tuple((c, act) for c, act in self.acts if isinstance(act, Tensor))
 
     def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Instruments:
         """A copy in which some channels are f(channels (..., width, num_times), grid)."""
-        return replace(self, readings=(*self.readings, (channels, change)))
+        return replace(self, acts=(*self.acts, (channels, change)))
 
     def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Instruments:
         """A copy in which some channels show what was ``delay``, () or (K,), ago [s]."""
-        return replace(self, clocks=(*self.clocks, (channels, delay)))
+        return replace(self, acts=(*self.acts, (channels, delay)))
 
     @property
     def is_empty(self) -> bool:
         """Whether they show all as it is."""
-        return not (self.readings or self.clocks)
+        return not self.acts
 
     def num_points(self, num_channels: int) -> int:
         """Number of points K of what causes do; 0 where sizes have no axis of points.
@@ -67,9 +76,25 @@ class Instruments:
         """The same by clocks that are late, smooth between samples."""
         signals = self.read(shown, grid).mT
         for channels, delay in delays_of(self.clocks).items():
-            late = partial(smoothly_delayed, delay=delay[..., None])
-            signals = change_rows(signals, channels, late, grid)
+            signals = change_rows(signals, channels, _make_late(delay), grid)
         return signals.mT
+
+    def read_in_order(self, shown: Tensor, grid: Grid) -> Tensor:
+        """The same, what is late at its place among the other changes.
+
+        Args:
+            shown: What there is to be read, (..., num_samples, num_channels).
+            grid: Times of the samples.
+        """
+        signals = shown.mT
+        for channels, act in self.acts:
+            change = _make_late(act) if isinstance(act, Tensor) else act
+            signals = change_rows(signals, channels, change, grid)
+        return signals.mT
+
+
+def _make_late(delay: Tensor) -> SignalMap:
+    return partial(smoothly_delayed, delay=delay[..., None])
 
 
 def grid_of(run: Run) -> Grid:

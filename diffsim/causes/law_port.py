@@ -99,7 +99,7 @@ class PortLaws:
         if self._list_constants():
             for name in plant.numbers:
                 yield Entry("number", name, "-", 1.0)
-        for name in plant.between:
+        for name in plant.commands:
             reach = plant.scales.of_commands((name,))["reach"]
             yield Entry("input", name, self._units.get(name, "-"), reach)
         for name, place in plant.places.items():
@@ -229,7 +229,7 @@ class PortLaws:
         """One simulation that is listened to at commands and places."""
         q, sizes = _point_of(problem, x)
         forces = {place: WatchedForce() for place in self.plant.places}
-        signals = {name: _WatchedSignal() for name in self.plant.between}
+        signals = {name: _WatchedSignal() for name in self.plant.commands}
         with torch.no_grad():
             # of the base class: a scene that is known again would not be simulated
             scene: Any = SimModel.scene(problem.model, run, q, sizes, problem.numerics)

@@ -20,6 +20,8 @@ from diffsim.causes.readings import cause_of_readings, instrument_of, pace, with
 from diffsim.causes.row import Row, spell_plainly
 from diffsim.identify.effect import Effect
 
+RECORD = "record"  # what rows of the whole record are each of
+
 
 def list_causes(plant: Plant) -> tuple[Effect, ...]:
     """Causes of a system, those of its table and of what that includes.
@@ -70,10 +72,12 @@ def _way_of(row: Row) -> str:
 
 def _list_way(way: str, found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
     if way == "commands":
-        for group in plant.commands:
-            yield from pace(_list_on_the_way(found, group, plant), plant.sample_s)
+        for group in plant.ways:
+            yield from pace(_list_on_the_way(found, group, plant), group.sample_s)
     elif way == "readings":
         yield from pace(_list_in_instruments(found, plant), plant.sample_s)
+    elif way == f"each {RECORD}":
+        yield from _list_in_record(found, plant)
     elif way == "force":
         yield from _list_at_places(found, plant)
     else:
@@ -88,6 +92,12 @@ def _list_on_the_way(found: Sequence[Row], group: CommandGroup, plant: Plant) ->
 
 
 def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    for instrument in plant.instruments or ():
+        for row in found:
+            if row.name in instrument.causes and is_offered(row, plant, {}):
+                yield cause_of_readings(row, instrument, system=plant.kind)
+    if plant.instruments is not None:
+        return
     late = bool(plant.facts.get(LATE_RECORD))
     for group in channel_groups(plant.channels, late_record=late):
         of = instrument_of(group, plant.channels, plant.scales)
@@ -98,18 +108,37 @@ def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]
                 yield cause_of_readings(row, named, system=plant.kind)
 
 
+def _list_in_record(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    of = plant.record
+    for row in found:
+        if of is not None and row.name in of.causes and is_offered(row, plant, {}):
+            yield cause_of_readings(row, of, system=plant.kind)
+
+
 def _list_at_places(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    """Forces on the whole, by the system's own functions; others at each place."""
+    for row in found:
+        if row.name in plant.functions and is_offered(row, plant, {}):
+            yield _say_units(row, "N", "m").effect(
+                plant.functions[row.name], plant.magnitudes, system=plant.kind
+            )
+    found = [row for row in found if row.name not in plant.functions]
     for name, place in plant.places.items():
         facts = dict.fromkeys(place.facts, True)
         for row in found:
             if is_offered(row, plant, facts):
-                yield row.effect(
+                yield _say_units(row, place.unit, place.length).effect(
                     on_place(row, name),
                     place.magnitudes,
                     system=plant.kind,
                     ending=f"_at_{spell_plainly(name)}",
-                    unit=row.unit.replace("F", place.unit).replace("X", place.length),
                 )
+
+
+def _say_units(row: Row, force: str, length: str) -> Row:
+    """A row of forces with units in place of F, that of the force, and X, that of the position."""
+    unit = row.unit.replace("F", force).replace("X", length)
+    return row.model_copy(update={"unit": unit})
 
 
 def _list_of_parts(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
@@ -131,7 +160,7 @@ def _cause_of_part(row: Row, filled: Row, ending: str, plant: Plant) -> Effect |
         assert row.each is not None
         name = plant.parts[row.each][ending.removeprefix("_")]
         return row.effect(on_commands(row, (name,)), usual, system=system, ending=ending)
-    if row.at == "number":
+    if row.at == "number" and row.name not in plant.functions:
         numbers = filled.add or filled.scale
         if any(n not in plant.numbers for n in numbers):
             return None

@@ -96,7 +96,7 @@ def own_causes(rows: Sequence[OwnRow], plant: Plant, study: Study) -> tuple[Effe
 def _list_offered_names(row: OwnRow, plant: Plant) -> Sequence[str]:
     """Names that a row's ``of``, ``add`` or ``scale`` may use."""
     return {
-        "command": tuple(plant.between),
+        "command": tuple(plant.commands),
         "reading": plant.channel_names,
         "clock": plant.channel_names if plant.is_in_time else (),
         "number": plant.numbers,
@@ -151,11 +151,11 @@ def _acts(row: OwnRow, plant: Plant, study: Study) -> tuple[Apply, Mapping[str, 
 def _acts_on_commands(
     row: OwnRow, plant: Plant, study: Study
 ) -> tuple[Apply, Mapping[str, float], str | None]:
-    names = row.of or tuple(plant.between)
+    names = row.of or tuple(plant.commands)
     scales = plant.scales.of_commands(names)
     units = {c.unit for c in study.commands if c.name in names}
     if row.said("map") in MAPS:
-        apply = on_commands(row, names, scales, plant.between[names[0]])
+        apply = on_commands(row, names, scales, plant.commands[names[0]])
     else:
         known = (*OF_SIGNALS, *constants_of(study), *signals_of(study))
         apply = _by(_read(row, row.said("map"), known, scales), row).at_commands(names)

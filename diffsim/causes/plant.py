@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.ports import on_place
 from diffsim.causes.scales import Scales
-from diffsim.data.study import Channel, Run, Study
+from diffsim.causes.sessions import Sessions
+from diffsim.data.study import Channel
 from diffsim.identify.effect import Apply
 
 if TYPE_CHECKING:
+    from diffsim.causes.readings import Instrument
     from diffsim.causes.row import Row
     from diffsim.causes.signals import Between
 
@@ -42,42 +44,6 @@ class Place:
     length: str = "m"
 
 
-@dataclass(frozen=True)
-class Sessions:
-    """Groups of runs between which somebody may have changed something.
-
-    Attributes:
-        fact: Fact of the runs' ``setup`` that says in which session they were recorded.
-        labels: Its values; the first session is as described.
-    """
-
-    fact: str
-    labels: tuple[str, ...]
-
-    @classmethod
-    def of(cls, fact: str | None, study: Study) -> Sessions | None:
-        """Sessions of a study's runs; None: there are not two.
-
-        Args:
-            fact: Name of the fact; None: none is stated.
-            study: Study with the runs.
-        """
-        if fact is None:
-            return None
-        labels = {str(run.setup[fact]) for run in study.runs if fact in run.setup}
-        return cls(fact, tuple(sorted(labels))) if len(labels) > 1 else None
-
-    def index_of(self, run: Run) -> int | None:
-        """Place of a run's session among the later ones; None: the first, or one that was never
-        fitted, which is as described.
-
-        Args:
-            run: Run that is simulated.
-        """
-        label = str(run.setup.get(self.fact, self.labels[0]))
-        return self.labels.index(label) - 1 if label in self.labels[1:] else None
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plant:
     """A described system, as causes of the library, causes of a user and laws see it.
@@ -86,7 +52,8 @@ class Plant:
         kind: Kind of system, by which rows may say something of their own.
         scales: Usual magnitudes of the recordings.
         channels: Channels of the study, in order.
-        commands: Commands that go the same way, group by group.
+        commands: What each command does between samples, by name.
+        ways: Commands that go the same way, group by group: causes change them alike.
         numbers: Names of the numbers that may be changed.
         fitted: Those among them that are base parameters already: a cause beside one could not be
             told from it.
@@ -97,8 +64,11 @@ class Plant:
         functions: What rows ``at: scene`` do, by name of the row.
         magnitudes: What ``typical`` of rows may use, beside magnitudes of commands.
         sessions: Groups of runs between which something may have changed; None: there are none.
+        instruments: What shows the channels, where a study says which; None: by their sensors and
+            kinds.
+        record: All channels as one instrument, for rows of the whole record; None: none is judged.
         clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
-        sample_s: Usual time between two samples, half of which delays and lags may be without
+        sample_s: Usual time between two samples; instruments may be late by half of it without
             surprise; 0: their rows say what is usual [s].
         push: Function (row, place) -> how a force of a user acts; other than through the scene's
             port where a system writes forces into its formulas.
@@ -107,7 +77,8 @@ class Plant:
     kind: str
     scales: Scales
     channels: tuple[Channel, ...]
-    commands: tuple[CommandGroup, ...] = ()
+    commands: Mapping[str, Between] = field(default_factory=dict)
+    ways: tuple[CommandGroup, ...] = ()
     numbers: tuple[str, ...] = ()
     fitted: Collection[str] = ()
     places: Mapping[str, Place] = field(default_factory=dict)
@@ -116,6 +87,8 @@ class Plant:
     functions: Mapping[str, Apply] = field(default_factory=dict)
     magnitudes: Mapping[str, float] = field(default_factory=dict)
     sessions: Sessions | None = None
+    instruments: tuple[Instrument, ...] | None = None
+    record: Instrument | None = None
     clocks: Collection[tuple[str, ...]] = ()
     sample_s: float = 0.0
     push: Callable[[Row, str], Apply] = on_place
@@ -130,10 +103,5 @@ class Plant:
         """Names of the channels, in order."""
         return tuple(c.name for c in self.channels)
 
-    @property
-    def between(self) -> dict[str, Between]:
-        """What each command does between samples, by name."""
-        return {name: group.between for group in self.commands for name in group.names}
 
-
-__all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant", "Sessions"]
+__all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant"]

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.causes.row import ANY, Row
 from diffsim.causes.scene import ForceLaw, LawFormula, Scene
+from diffsim.causes.sessions import Sessions
 from diffsim.causes.signals import MAPS, Between, Grid, SignalMap, SizedMap
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
-
-if TYPE_CHECKING:
-    from diffsim.causes.plant import Sessions
 
 PLAY = "with_play"  # the map that depends on where a run starts
 OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals

@@ -129,7 +129,7 @@ class Scene:
         numbers: Numbers of the system by name, () or (K,) each at K points.
         zeros: Further numbers that causes may change, which are zero until one does.
         commands: What drives the system.
-        forces: Place and law of each force that causes add.
+        forces: Place and law of each force that causes add, in order.
         instruments: What shows the channels.
     """
 
@@ -137,7 +137,7 @@ class Scene:
     numbers: Mapping[str, Tensor]
     zeros: Collection[str] = ()
     commands: Commands = _NONE
-    forces: tuple[tuple[str, ForceLaw], ...] = ()
+    forces: tuple[tuple[str, Any], ...] = ()
     instruments: Instruments = field(default_factory=Instruments)
 
     def simulate(self) -> Tensor:
@@ -148,6 +148,18 @@ class Scene:
     def play_start(self) -> Tensor | None:
         """Where in a play the run starts, -1 to 1; None: not known, so in the middle."""
         return self.numbers.get(PLAY_START)
+
+    def number(self, name: str) -> Tensor:
+        """A number as it is in this run, () or (K,).
+
+        Raises:
+            ValueError: there is no such number.
+        """
+        if name in self.numbers:
+            return self.numbers[name]
+        if name not in self.zeros:
+            require_choice("number", name, (*self.numbers, *self.zeros))
+        return _ZERO
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some entries replaced."""
@@ -190,10 +202,7 @@ class Scene:
         Raises:
             ValueError: there is no such number.
         """
-        value = self.numbers.get(name, _ZERO)
-        if name not in self.numbers and name not in self.zeros:
-            require_choice("number", name, (*self.numbers, *self.zeros))
-        return replace(self, numbers={**self.numbers, name: change(value)})
+        return replace(self, numbers={**self.numbers, name: change(self.number(name))})
 
     def with_force(self, place: str, law: ForceLaw) -> Self:
         """A copy with one more force.

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
-import sys
 from pathlib import Path
-from types import ModuleType
 
 from diffsim.cli.arguments import positive
 from diffsim.core.optional import ask_for
-from diffsim.core.paths import SCRIPTS
+from diffsim.core.paths import import_script
 
 HELP = "the silicone beam's story: measured against simulated, on one page"
-STORY = SCRIPTS / "examples" / "demo"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +32,7 @@ def command(args: argparse.Namespace) -> None:
     """
     if args.data is not None and not args.data.is_dir():
         raise ValueError(f"--data must be an existing folder, got {args.data}")
-    story = _story()
+    story = import_script("examples.demo")
     ask_for(["matplotlib", "plotly", "jinja2"], purpose="the page of the demo")
     story.main(
         data=args.data,
@@ -45,15 +41,3 @@ def command(args: argparse.Namespace) -> None:
         resume=args.resume,
         threads=args.threads,
     )
-
-
-def _story() -> ModuleType:
-    """The package ``examples.demo``; the library itself never imports it."""
-    if not STORY.is_dir():
-        raise FileNotFoundError(
-            f"the demo's scripts are missing: {STORY} does not exist; install the wheel anew, or "
-            "clone the repository and install it with pip install -e ."
-        )
-    if str(SCRIPTS) not in sys.path:
-        sys.path.insert(0, str(SCRIPTS))
-    return importlib.import_module("examples.demo")

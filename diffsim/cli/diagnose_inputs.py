@@ -18,7 +18,6 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
 from diffsim.core.version import __version__
 from diffsim.data.bank import generated_bank
-from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.inputs import Inputs
@@ -41,15 +40,12 @@ def read_study(given: str) -> Study:
     Raises:
         FileNotFoundError: neither; the message offers the closest names.
     """
-    is_described = _is_own(given) or given in {path.stem for path in described()}
-    if given in IMPORTERS and not is_described:
-        return import_study(given)
     return load_study(study_file(given))
 
 
 def _is_own(given: str) -> bool:
     """Whether it is the user's; results may lie in a folder named like a published data set."""
-    path, published = Path(given), {*IMPORTERS, *(path.stem for path in described())}
+    path, published = Path(given), {path.stem for path in described()}
     is_results = path.is_dir() and given in published and not (path / "study.yaml").exists()
     return path.exists() and not is_results
 
@@ -66,7 +62,7 @@ def study_file(given: str) -> Path:
     if given in files:
         return files[given]
     try:
-        require_choice("STUDY", given, {**files, **IMPORTERS})
+        require_choice("STUDY", given, files)
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
     raise FileNotFoundError(f"{given} has no study.yaml")

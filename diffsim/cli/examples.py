@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from diffsim.core.paths import import_script
+
 HELP = "list the examples, or run one by its name"
 
 
@@ -28,14 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
 
 def command(args: argparse.Namespace) -> int:
     """List, run, or make the gallery; returns the exit status."""
-    from diffsim.applications import catalog
+    from diffsim.cli import catalog
 
     if args.step == "list":
         print(catalog.listing(catalog.examples()))
         return 0
     if args.step == "gallery":
-        from diffsim.applications import gallery
-
+        gallery = import_script("examples.gallery")
         gallery.require_success(gallery.make(args.out, args.names, args.docs))
         print(f"page: {args.out / 'gallery.md'}")
         return 0

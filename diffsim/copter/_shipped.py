@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 from diffsim.core.check import require_choice
+from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_text
 
 
@@ -25,6 +26,25 @@ def read_shipped(folder: str, kind: str, name: str) -> str:
     require_choice(kind, name, shipped(folder))
     entry = resources.files("diffsim.copter").joinpath(folder, f"{name}.yaml")
     return entry.read_text(encoding="utf-8")
+
+
+def beside_or_shipped(folder: Path, stated: str, what: str) -> str | Path:
+    """A file that another file names, in its folder, or the name of a shipped one.
+
+    Args:
+        folder: Folder that a path cannot leave.
+        stated: What the other file states.
+        what: What states it, for messages.
+
+    Returns:
+        A path, or a name, as ``read_named`` takes it.
+
+    Raises:
+        ValueError: the path leaves the folder.
+    """
+    path = inside(folder, stated, what)
+    is_name = Path(stated).suffix == "" and path.parent == folder and not path.is_file()
+    return stated if is_name else path
 
 
 def read_named(folder: str, kind: str, name: str | Path) -> tuple[str, str, Path | None]:

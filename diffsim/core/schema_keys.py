@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from diffsim.core.schema import KindWords, Part
+from diffsim.core.schema_paths import PathWords
 
 _PLAIN = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "anything"}
 
@@ -24,6 +25,7 @@ class Key:
         default: What holds where it is left out; None: it must be given.
         meaning: What the key says, in a sentence.
         parts: Blocks that its value is made of.
+        reach: Of a path, where it may lie; None: it names no file.
     """
 
     name: str
@@ -31,6 +33,7 @@ class Key:
     default: str | None
     meaning: str
     parts: tuple[type[Part], ...]
+    reach: str | None = None
 
 
 def keys_of(part: type[Part]) -> list[Key]:
@@ -57,7 +60,18 @@ def _key(name: str, info: FieldInfo) -> Key:
         _default(info),
         " ".join((info.description or "").split()),
         tuple(dict.fromkeys(_parts(info.annotation))),
+        next((m.reach for m in _words(info) if isinstance(m, PathWords)), None),
     )
+
+
+def _words(info: FieldInfo) -> Iterator[Any]:
+    """What annotates a key, within unions and lists too."""
+    yield from info.metadata
+    waiting = [info.annotation]
+    while waiting:
+        one = waiting.pop()
+        yield from getattr(one, "__metadata__", ())
+        waiting += get_args(one)
 
 
 def words_of(annotation: Any) -> str:

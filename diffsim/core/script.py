@@ -1,18 +1,21 @@
 """Imported first by scripts: Ctrl-C ends them with one line, also while the rest is imported.
 
 PyTorch takes seconds to load, in which ``interruptible`` is not entered yet. A package that is
-missing is named in one line too, with the command that installs it. Libraries do not import this
-module: it changes how the process ends.
+missing is named in one line too, with the command that installs it. What the scripts share can be
+imported by all of them: ``examples.applications``, ``labs.loop``. Libraries do not import this
+module: it changes how the process ends, and where modules are looked for.
 """
 
 from __future__ import annotations
 
 import signal
 import sys
+from pathlib import Path
 from types import TracebackType
 
 from diffsim.core.interrupts import end_while_loading, interruptible
 from diffsim.core.optional import advice, ask_for, present
+from diffsim.core.paths import SCRIPTS
 
 _before = sys.excepthook
 
@@ -34,7 +37,8 @@ def _missing(error: ImportError) -> str | None:
     if "pip install" in str(error):  # as diffsim's own messages say it
         return str(error)
     top = (error.name or "").partition(".")[0]
-    if not isinstance(error, ModuleNotFoundError) or top in ("", "diffsim", "examples", "rl"):
+    own = ("", "diffsim", "examples", "labs", "rl")
+    if not isinstance(error, ModuleNotFoundError) or top in own:
         return None
     return None if present(top) else f"{top} is not installed: {advice([top])}"
 
@@ -50,11 +54,16 @@ def _is_imported_by_a_script() -> bool:
     return frame.f_globals.get("__name__") == "__main__"
 
 
+def _find_scripts() -> None:
+    """Let a script import ``examples``, ``labs``, ``rl``; a user's own such names come first."""
+    own = SCRIPTS in Path(sys.argv[0]).resolve().parents
+    sys.path.insert(1 if own else len(sys.path), str(SCRIPTS))
+
+
 sys.excepthook = _in_one_line
-if (
-    _is_imported_by_a_script()
-    and signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not deaf to it
-):
-    signal.signal(signal.SIGINT, end_while_loading)
+if _is_imported_by_a_script():
+    _find_scripts()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not deaf to it
+        signal.signal(signal.SIGINT, end_while_loading)
 
 __all__ = ["ask_for", "interruptible"]

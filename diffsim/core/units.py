@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
+
+from diffsim.core.unit_text import LONGEST, powers_of
 
 NO_UNIT = "-"
 _RELATIVE = (NO_UNIT, "", "command", "channel")  # units that say nothing after a number
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
-_POWER = re.compile(r"(?<![A-Za-z_])(m|mm|cm|km|s)([234])(?![0-9])")
 _LARGEST = 1e100  # of a unit in SI units, and of its inverse: the square has room in float64
-_LONGEST = 100  # letters of a unit; the longest in common use has some forty
-_RAISED = re.compile(r"(?<![A-Za-z_0-9.])[\d.]+\s*(\^|\*\*)")  # pint would evaluate 9**9**9
+_LONGEST = 2 * LONGEST  # letters of a number with its unit
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
 _COHERENT = {
     "dimensionless": NO_UNIT,
@@ -54,32 +54,45 @@ def _parse_unit(unit: str) -> Any:
     Raises:
         ValueError: nobody knows such a unit.
     """
-    registry = _registry()
     text = unit.strip()
-    if text in ("", NO_UNIT, "1"):
-        return registry.dimensionless
-    if len(text) > _LONGEST or _RAISED.search(text):
-        shown = text if len(text) <= _LONGEST else f"{text[:20]}..."
-        raise ValueError(
-            f"unit {shown!r} is no unit: at most {_LONGEST} letters, and powers of units alone, "
-            f"such as m/s^2; got {len(text)} letters"
-        )
-    # "N m" and "Nm" are both written; pint reads a space as a product
-    text = re.sub(r"(?<=[A-Za-z0-9)])\s+(?=[A-Za-z(])", "*", text.replace("·", "*"))
-    for one, other in (("Nm", "N*m"), ("²", "^2"), ("³", "^3"), ("µ", "u"), ("Ohm", "ohm")):
-        text = text.replace(one, other)
-    text = _POWER.sub(r"\1^\2", text)  # "m/s2" and "mm3" are written, too
+    if text == NO_UNIT:
+        text = "1"
     if text.lower() == "grad":  # pint has gons and, of "Grad", 1e9 rad; a German degree is neither
         raise ValueError(f"unit {unit!r} is unknown; write deg for degrees, gon for gradians")
+    from pint import PintError
+
     try:
-        return registry.parse_units(text)
-    except Exception as error:  # pint raises errors of its parser, of tokenize and of its own
+        return _unit_of(powers_of(text or "1"))
+    except (ValueError, PintError) as error:
         from diffsim.core.check import did_you_mean  # brings torch, which `info` does without
 
+        shown = text if len(text) <= LONGEST else f"{text[:20]}..."
+        why = f" ({error})" if isinstance(error, ValueError) else did_you_mean(shown, _COMMON)
         raise ValueError(
-            f"unit {unit!r} is unknown{did_you_mean(unit, _COMMON)}; write it as in m/s^2, N m, "
-            f"mbar, deg, or - for none"
+            f"unit {shown!r} is unknown{why}; write it as in m/s^2, N m, mbar, deg, or - for none"
         ) from error
+
+
+def _unit_of(powers: Mapping[str, float]) -> Any:
+    """The unit of pint, which is asked for single names alone: it would evaluate 9**9**9."""
+    registry = _registry()
+    is_alone = list(powers.values()) == [1]
+    made: dict[str, float] = {}
+    for said, power in powers.items():
+        name = registry.get_name(said)
+        if not _is_straight(name):
+            raise ValueError(f"{said} is logarithmic; convert such numbers first")
+        difference = f"delta_{name}"  # W/degC is one of differences
+        name = difference if not is_alone and difference in registry else name
+        made[name] = made.get(name, 0) + power
+    made.pop("", None)  # of dimensionless
+    return registry.Unit(registry.UnitsContainer(made))
+
+
+def _is_straight(name: str) -> bool:
+    """Whether a factor and an offset lead into SI units; to what decibels stand for, none do."""
+    at = [_registry().Quantity(v, name).to_base_units().magnitude for v in (0.0, 1.0, 2.0)]
+    return math.isclose(at[2] - at[1], at[1] - at[0], rel_tol=1e-9)
 
 
 def factor(unit: str, into: str) -> float:
@@ -159,7 +172,7 @@ def in_si(
     Raises:
         ValueError: not a number, or an unknown unit.
     """
-    matched = _QUANTITY.fullmatch(str(value))
+    matched = _match_quantity(value)
     if matched is None or isinstance(value, bool) or matched.group(2).startswith(","):
         comma = "; use a decimal point" if matched and matched.group(2).startswith(",") else ""
         raise ValueError(f"must be a number, or one with its unit, got {value!r}{comma}")
@@ -182,7 +195,7 @@ def in_unit(value: float | int | str, unit: str, *, difference: bool = False) ->
         raise ValueError(f"must be a number in {unit}, got {value}")
     if isinstance(value, (int, float)):
         return float(value)
-    matched = _QUANTITY.fullmatch(str(value))
+    matched = _match_quantity(value)
     if matched is None:
         raise ValueError(f"must be a number in {unit}, or one with its unit, got {value!r}")
     number, own = matched.groups()
@@ -191,6 +204,14 @@ def in_unit(value: float | int | str, unit: str, *, difference: bool = False) ->
     scale, ours, theirs = factor(own, unit), to_si(own), to_si(unit)
     shift = 0.0 if difference else (ours.offset - theirs.offset) / theirs.factor
     return float(number) * scale + shift
+
+
+def _match_quantity(value: float | int | str) -> re.Match[str] | None:
+    """Number and unit; the pattern would walk a text without end for as long as its square."""
+    text = str(value)
+    if len(text) > _LONGEST:
+        raise ValueError(f"must be a number, or one with its unit, got {len(text):,} letters")
+    return _QUANTITY.fullmatch(text)
 
 
 SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these

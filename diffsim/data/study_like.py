@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_yaml_file
 
 READY = Path(__file__).parent / "ready"  # rigs by the names of their files
@@ -33,7 +34,7 @@ def read_whole(path: Path) -> Any:
 
     Raises:
         FileNotFoundError: neither a file nor a rig of the name in ``like``.
-        ValueError: a file that is like itself.
+        ValueError: a file that is like itself, or that is not in the study's folder.
     """
     return _read(path, ())
 
@@ -52,10 +53,11 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Any:
 
 
 def _find(path: Path, name: str) -> Path:
-    """The file that a name means: one beside the study, or a rig that is ready."""
-    for file in (path.parent / name, READY / f"{name}.yaml"):
-        if file.is_file():
-            return file
+    """The file that a name means: one in the study's folder, or a rig that is ready."""
+    if (file := inside(path.parent, name, f"{path}: like")).is_file():
+        return file
+    if name in ready_rigs():
+        return READY / f"{name}.yaml"
     raise FileNotFoundError(
         f"{path}: like: no file {name} beside the study, and no rig of that name is ready "
         f"(ready: {', '.join(ready_rigs())}){did_you_mean(name, ready_rigs())}"

@@ -20,11 +20,13 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
 from diffsim.core.inside import require_file_name
 from diffsim.core.schema import KindWords, Part
+from diffsim.core.schema_paths import FolderAnywhere, PathInside
 from diffsim.core.units import to_si
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import SYSTEMS
 from diffsim.data.study_types import (
     Every,
+    Files,
     FillValue,
     Formula,
     Number,
@@ -316,7 +318,7 @@ class RunEntry(RunKeys):
         description="Name; {file}, {toss} stand for the file's name and for values of `split`, "
         "`table` or the file's pattern. Default: the file's name with the values",
     )
-    file: Texts = Field(
+    file: Files = Field(
         (),
         description="CSV file, or one of another format (Parquet, HDF5, MAT, NPZ, XLSX, ULog, "
         "MCAP, rosbag), `FILE#PART` where it holds several tables. `*` or {level} in it: each file "
@@ -324,7 +326,7 @@ class RunEntry(RunKeys):
         "the name with "
         ".csv",
     )
-    table: str | None = Field(
+    table: PathInside | None = Field(
         None, description="CSV file that lists runs: each row is one, its cells are used as {cell}"
     )
     split: Texts = Field((), description="Columns: each value, or pair of values, is a run")
@@ -358,10 +360,11 @@ class StudyFile(Part):
     name: Annotated[str, AfterValidator(_plain_name)] = Field(
         description="Short name, as reports and the folder of results show it"
     )
-    like: str | None = Field(
+    like: PathInside | None = Field(
         None,
-        description="Rig that is ready (position_servo), or another study's file: its keys hold "
-        "where this file states none. Entries of lists are joined by `name`; null takes a key away",
+        description="Rig that is ready (position_servo), or another study's file in this one's "
+        "folder: its keys hold where this file states none. Entries of lists are joined by `name`; "
+        "null takes a key away",
     )
     system: Annotated[
         str | None, PlainValidator(_read_system), KindWords(f"one of {', '.join(SYSTEMS)}")
@@ -369,12 +372,12 @@ class StudyFile(Part):
     model: dict[str, Any] | None = Field(
         None, description="Description of the system; its keys depend on `system`, see below"
     )
-    data: str | None = Field(
+    data: FolderAnywhere | None = Field(
         None,
         description="Folder of the files: of a published data set by name, or a path from here. "
         "Default: the folder of study.yaml",
     )
-    model_folder: str | None = Field(
+    model_folder: FolderAnywhere | None = Field(
         None, description="Folder that files of `model` are in; default: that of `data`"
     )
     time: Times = Field(

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
 from diffsim.core.schema import KindWords
+from diffsim.core.schema_paths import INSIDE, PathWords
 from diffsim.core.units import in_unit, to_si
 from diffsim.data.formula import quoted_names
 from diffsim.data.study import USES
@@ -159,6 +160,9 @@ Positive = Annotated[float, BeforeValidator(read_number), Field(gt=0), KindWords
 Unit = Annotated[str, PlainValidator(_read_unit), KindWords("unit")]
 Formula = Annotated[str, PlainValidator(_read_formula), KindWords("formula")]
 Texts = Annotated[tuple[str, ...], PlainValidator(read_texts), KindWords("text or list of texts")]
+Files = Annotated[
+    tuple[str, ...], PlainValidator(read_texts), PathWords("text or list of texts", INSIDE)
+]
 PerRun = Annotated[
     float | dict[str, float],
     PlainValidator(_read_per_run),

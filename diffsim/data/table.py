@@ -191,6 +191,27 @@ def parse_number(
     return value
 
 
+def read_numbers(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Columns of numbers by name; an empty cell is NaN.
+
+    Raises:
+        FileNotFoundError, ValueError: no file, a column that is missing, or a cell that is no
+            number.
+    """
+    values: dict[str, list[float]] = {name: [] for name in names}
+    with open_table(path, "recording") as (header, rows):
+        for name in names:
+            if name not in header:
+                raise ValueError(
+                    f"{path}: column {name} is missing{did_you_mean(name, header)}; "
+                    f"the file has {', '.join(header)}"
+                )
+        for line, row in rows:
+            for name in names:
+                values[name].append(parse_number(path, line, name, row[header.index(name)]))
+    return {name: np.array(column) for name, column in values.items()}
+
+
 class Table:
     """A recorded file in memory; numbers are read when a column is asked for.
 

@@ -24,6 +24,7 @@ from diffsim.copter import (
     load_vehicle,
     prepare_flight,
 )
+from diffsim.copter._shipped import beside_or_shipped
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
@@ -87,9 +88,9 @@ class CopterHover(Task):
 
     @classmethod
     def find_file(cls, option: str, stated: Any, folder: Path, source: str) -> Any:
-        """See ``Task``; a design without a suffix is a shipped one."""
-        if option == "design" and isinstance(stated, str) and not Path(stated).suffix:
-            return stated
+        """See ``Task``; a design may be a shipped one."""
+        if option == "design" and isinstance(stated, str):
+            return beside_or_shipped(folder, stated, f"{source}: {option}")
         return super().find_file(option, stated, folder, source)
 
     def __init__(

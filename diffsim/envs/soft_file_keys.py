@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema import FinitePart, Part
 from diffsim.core.schema_numbers import Hertz, Meters, MetersPerSecond, Radians, Seconds
+from diffsim.core.schema_paths import PathInside
 from diffsim.envs.rewards import RewardTerm
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.places import Point
@@ -67,7 +68,7 @@ class SoftTaskKeys(FinitePart):
     model: Annotated[SoftBodyKeys, BeforeValidator(_fill_in_watchers)] = Field(
         description="The body, as `model:` of a study; `markers` and `channels` may be left out"
     )
-    extended_model: str | Path | None = Field(
+    extended_model: PathInside | Path | None = Field(
         None, description="`extended_model.yaml` of a diagnosis of `model`: its sizes and causes"
     )
     posterior: bool = Field(

@@ -91,9 +91,9 @@ class FoundRobot:
     def _require_possible(self) -> None:
         """Refuse causes that need time or the past of an episode."""
         scene = self.scene(self.model.at_prior())
-        forces = [make() for make in scene.forces]
+        forces = [make() for make in scene.makers]
         wrong = [type(f).__name__.strip("_") for f in forces if not f.of_state]
-        if scene.command_changes:
+        if scene.commands.changes:
             wrong.append("a map of commands")
         if type(scene) is not SoftScene:
             wrong.append(type(scene).__name__)

@@ -1,7 +1,7 @@
 """Training of controllers: through the simulator's gradient, and without it.
 
 A learner takes a ``Setup`` (task and seed) and its frozen options; ``Run`` keeps its progress on
-disk and goes on after an interruption; ``comparison`` trains several methods on equal terms.
+disk and goes on after an interruption. ``rl/compare.py`` trains several methods on equal terms.
 
 Needs the packages of the extra ``rl``. Importing this room needs nothing; what is
 missing is named when a learner is used.
@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 from diffsim.core.lazy import offered
 
 if TYPE_CHECKING:
-    from diffsim.learn import comparison, open_loop
+    from diffsim.learn import open_loop
     from diffsim.learn.cma_es import CmaLearner, CmaOptions
     from diffsim.learn.gradient import GradientLearner, GradientOptions
     from diffsim.learn.methods import METHODS, Plan, make_learner
     from diffsim.learn.mixed import MixedLearner, MixedOptions
     from diffsim.learn.options import main_training
     from diffsim.learn.ppo import PpoLearner, PpoOptions
-    from diffsim.learn.presets import PRESETS, preset
     from diffsim.learn.recipes import RECIPES, Recipe, recipe
     from diffsim.learn.run import Learner, Run, read_rows, train
     from diffsim.learn.sac import SacLearner, SacOptions
@@ -40,7 +39,6 @@ _WHERE = {
     "METHODS": "methods",
     "MixedLearner": "mixed",
     "MixedOptions": "mixed",
-    "PRESETS": "presets",
     "Plan": "methods",
     "PpoLearner": "ppo",
     "PpoOptions": "ppo",
@@ -57,12 +55,10 @@ _WHERE = {
     "TqcLearner": "tqc",
     "TqcOptions": "tqc",
     "Trained": "trained",
-    "comparison": "comparison",
     "load_trained": "trained",
     "main_training": "options",
     "make_learner": "methods",
     "open_loop": "open_loop",
-    "preset": "presets",
     "read_rows": "run",
     "read_trained": "trained",
     "recipe": "recipes",
@@ -74,7 +70,6 @@ if not TYPE_CHECKING:  # to a type checker, any name would be one
 
 __all__ = [
     "METHODS",
-    "PRESETS",
     "RECIPES",
     "CmaLearner",
     "CmaOptions",
@@ -98,12 +93,10 @@ __all__ = [
     "TqcLearner",
     "TqcOptions",
     "Trained",
-    "comparison",
     "load_trained",
     "main_training",
     "make_learner",
     "open_loop",
-    "preset",
     "read_rows",
     "read_trained",
     "recipe",

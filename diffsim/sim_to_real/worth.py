@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import torch
 
-from diffsim.sim_to_real.command import Command, Limits
-from diffsim.sim_to_real.model import Starfish
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
-from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, travel_loss
 from diffsim.systems.twin import Twin
 
 SHARES = (1.0, 0.5, 0.0)  # of a cause's size: as it is, half mended, mended
 ALL = "all"
 MISS = "miss"  # root mean square, in units of ``miss``
-_Found = TypeVar("_Found")
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Worth:
 
 
 @dataclass(frozen=True)
-class _Task(Generic[_Found]):
+class TaskByShare(Generic[Found]):
     """What is asked of a model in which causes act with a share of their sizes.
 
     Attributes:
@@ -67,9 +64,9 @@ class _Task(Generic[_Found]):
         of: What scores are.
     """
 
-    best: Callable[[float, Collection[str], _Found | None], _Found]
-    score: Callable[[_Found], float]
-    unaware: Callable[[_Found], float]
+    best: Callable[[float, Collection[str], Found | None], Found]
+    score: Callable[[Found], float]
+    unaware: Callable[[Found], float]
     of: str = MISS
 
     def worth(self, causes: Sequence[str]) -> tuple[Worth, ...]:
@@ -106,7 +103,7 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         with torch.no_grad():
             return float(task.score(twin.simulate(task.commands(knots))))
 
-    return _Task(
+    return TaskByShare(
         best=lambda share, causes, last: best_command(
             twin.with_share(share, causes) if causes else twin,
             task,
@@ -116,40 +113,3 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         score=lambda found: found.score,
         unaware=lambda found: unaware(torch.from_numpy(found.knots)),
     ).worth(twin.causes)
-
-
-def worth_of_travel(
-    model: Starfish,
-    values: Mapping[str, float],
-    start: Command,
-    limits: Limits,
-    settings: TrajectorySettings | None = None,
-) -> tuple[Worth, ...]:
-    """What each cause of a swimmer costs its travel: the farthest way with it, half, and none [m].
-
-    Args:
-        model: Robot with causes, as ``Starfish.extended`` makes it.
-        values: Values of its parameters, by name, sizes of causes among them.
-        start: Command to start at; its period is kept.
-        limits: Limits of the servo.
-        settings: Periods, knots and budget of each search.
-    """
-    chosen = settings or TrajectorySettings()
-
-    def unaware(command: Command) -> float:
-        with torch.no_grad():
-            period = torch.from_numpy(command.contraction_m)
-            return -float(travel_loss(model, values, period, chosen.periods))
-
-    return _Task(
-        best=lambda share, causes, last: optimize(
-            model,
-            model.mended(values, share, causes),
-            start if last is None else last.command,
-            limits,
-            chosen,
-        ),
-        score=lambda found: -found.loss_after,
-        unaware=lambda found: unaware(found.command),
-        of="travel",
-    ).worth([effect.name for effect in model.causes])

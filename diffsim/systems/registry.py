@@ -26,7 +26,6 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import Description
 
 _LIBRARIES = {
-    "soft_body": ("diffsim.systems.soft_body", "soft_body_library"),
     "copter": ("diffsim.systems.multicopter", "copter_library"),
 }
 

@@ -13,9 +13,6 @@ from diffsim.core.lazy import offered
 
 if TYPE_CHECKING:
     from diffsim.viz import (
-        application_pictures,
-        ball_figures,
-        ball_video,
         device_evolution,
         device_files,
         device_picture,
@@ -31,9 +28,6 @@ if TYPE_CHECKING:
         flow,
         flow_scene,
         frames,
-        learning_figures,
-        loop_figures,
-        loop_report,
         palette,
         report,
         rotors,
@@ -41,9 +35,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "application_pictures",
-    "ball_figures",
-    "ball_video",
     "device_evolution",
     "device_files",
     "device_picture",
@@ -59,9 +50,6 @@ __all__ = [
     "flow",
     "flow_scene",
     "frames",
-    "learning_figures",
-    "loop_figures",
-    "loop_report",
     "palette",
     "report",
     "rotors",

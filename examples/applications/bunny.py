@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
-from diffsim.applications import Application, Parameters
-from diffsim.cli.application import main
 from diffsim.mesh.sdf import ellipsoid, rotate, smooth_union, translate
+from examples.applications import Application, Parameters
+from examples.applications.command import main
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40
 DT, STEPS = 0.001, 100  # [s]

@@ -21,9 +21,9 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.applications import Application
-from diffsim.applications.identification import TRUTH_RTOL, identification
-from diffsim.cli.application import main
+from examples.applications import Application
+from examples.applications.command import main
+from examples.applications.identification import TRUTH_RTOL, identification
 
 RTOL, MAX_EVALUATIONS = 1e-4, 30
 TRUTH = (1e6, 0.4)  # Young's modulus [Pa], Poisson's ratio

@@ -20,10 +20,10 @@ from diffsim.core.script import interruptible
 import numpy as np
 
 from diffsim import soft
-from diffsim.applications import Application
-from diffsim.applications.gait import gait, signal, sinusoid, strong
-from diffsim.cli.application import main
 from diffsim.systems import robots
+from examples.applications import Application
+from examples.applications.command import main
+from examples.applications.gait import gait, signal, sinusoid, strong
 
 RTOL, MAX_EVALUATIONS = 1e-4, 25
 DT, STEPS = 0.0025, 400  # [s]

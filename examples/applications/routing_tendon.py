@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.applications import Application, Parameters
-from diffsim.cli.application import main
+from examples.applications import Application, Parameters
+from examples.applications.command import main
 
 RTOL, MAX_EVALUATIONS = 1e-4, 60
 SIDE, HEIGHT, DT, STEPS = 0.04, 0.16, 0.01, 100  # [m], [m], [s]

@@ -14,10 +14,10 @@ from diffsim.core.script import interruptible
 import numpy as np
 
 from diffsim import soft
-from diffsim.applications import Application, Parameters
-from diffsim.applications.gait import gait, lines_between_knots
-from diffsim.cli.application import main
 from diffsim.systems import robots
+from examples.applications import Application, Parameters
+from examples.applications.command import main
+from examples.applications.gait import gait, lines_between_knots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
 DT, STEPS, KNOTS = 0.004, 400, 20  # [s]

@@ -14,7 +14,9 @@ from diffsim.core.script import interruptible
 
 from pathlib import Path
 
-from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study
+from diffsim.data import find_dataset
+from examples.data import beam_motion
+from examples.data.beam import BeamStudy, load_beam_study
 
 VIRTUAL = Path(__file__).parents[1] / "demo" / "virtual_beam"
 

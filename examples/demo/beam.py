@@ -14,11 +14,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.data import TIP_MARKERS, BeamGeometry, Channel, Run, Study
+from diffsim.data import Channel, Run, Study
 from diffsim.identify import Numerics
 from diffsim.mesh import HexMesh
 from diffsim.systems import setup_of
 from diffsim.systems.soft_body import SoftScene
+from examples.data.beam import TIP_MARKERS, BeamGeometry
 from examples.demo.published import described_body
 
 Array = NDArray[np.float64]

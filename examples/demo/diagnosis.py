@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.files import to_plain
-from diffsim.data import BeamStudy
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of
+from examples.data.beam import BeamStudy
 from examples.demo.plan import Plan
 from examples.demo.published import write_study
 

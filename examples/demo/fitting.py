@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.data import BeamGeometry, BeamTrial
+from examples.data.beam import BeamGeometry, BeamTrial
 from examples.demo.beam import Beam, Setup
 from examples.demo.identify import Unknown, fit
 from examples.demo.plan import Plan

@@ -12,10 +12,10 @@ import torch
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.core.stages import file_digest
-from diffsim.data import BeamGeometry, BeamStudy, BeamTrial
-from diffsim.data.beam_motion import COMPARE_S
 from diffsim.mesh import surface_quads
 from diffsim.viz.frames import pack
+from examples.data.beam import BeamGeometry, BeamStudy, BeamTrial
+from examples.data.beam_motion import COMPARE_S
 from examples.demo.beam import Beam, Release, Setup
 from examples.demo.numerics import motion
 from examples.demo.plan import Plan

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from diffsim.data import BeamGeometry
+from examples.data.beam import BeamGeometry
 from examples.demo.beam import Beam, Setup, timoshenko_sag
 from examples.demo.plan import Plan
 from examples.demo.workers import Workers

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import BeamGeometry, signal
-from diffsim.data.beam_motion import RING_DOWN_START_S
+from diffsim.data import signal
+from examples.data.beam import BeamGeometry
+from examples.data.beam_motion import RING_DOWN_START_S
 from examples.demo.beam import Beam
 from examples.demo.plan import Plan
 from examples.demo.workers import Workers

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from diffsim.data import BeamStudy
 from diffsim.viz import report as rp
+from examples.data.beam import BeamStudy
 from examples.demo import (
     page_causes,
     page_diagnosis,

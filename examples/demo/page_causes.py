@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import BeamStudy
-from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass
 from diffsim.viz import figures
 from diffsim.viz.figures import COLORS, INK, SOFT
 from diffsim.viz.report import Picture, Section, Table
+from examples.data.beam import BeamStudy
+from examples.data.beam_motion import COMPARE_S, moving_tip_mass
 from examples.demo import verdict
 from examples.demo.numerics import euler_damping_ratio
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import BeamStudy, BeamTrial, signal
-from diffsim.data.beam_motion import COMPARE_S, RING_DOWN_START_S
+from diffsim.data import signal
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.data.beam import BeamStudy, BeamTrial
+from examples.data.beam_motion import COMPARE_S, RING_DOWN_START_S
 from examples.demo import verdict
 from examples.demo.ladder import Rung, run_of
 from examples.demo.page_measured import case_title

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import BeamStudy, BeamTrial, signal
-from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
+from diffsim.data import signal
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.data.beam import BeamStudy, BeamTrial
+from examples.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
 
 ROLES = ("measured", "measured_2", "third", "fourth")
 CASE_TITLES = {"gravity": "own weight only", "load52": "52 g weight at the tip"}

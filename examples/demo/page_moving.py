@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import TIP_MARKERS, BeamStudy
 from diffsim.viz import report as rp
 from diffsim.viz.figures import COLORS
 from diffsim.viz.frames import triangles
 from diffsim.viz.moving import Deforming, Moving
+from examples.data.beam import TIP_MARKERS, BeamStudy
 from examples.demo.ladder import Rung, run_of
 from examples.demo.recording import ASIDE_M, ROLE
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data import TIP_MARKERS, BeamStudy
-from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import figures
 from diffsim.viz.figures import COLORS, INK, SOFT
+from examples.data.beam import TIP_MARKERS, BeamStudy
+from examples.data.beam_motion import COMPARE_S
 from examples.demo import verdict
 
 Array = NDArray[np.float64]

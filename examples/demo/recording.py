@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import TIP_MARKERS, BeamStudy
-from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import scene
 from diffsim.viz.figures import COLORS
 from diffsim.viz.frames import triangles
+from examples.data.beam import TIP_MARKERS, BeamStudy
+from examples.data.beam_motion import COMPARE_S
 from examples.demo.ladder import Rung, run_of
 
 ROLE = {"published": "published", "identified": "fitted", "mass": "third", "joint": "fourth"}

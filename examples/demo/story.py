@@ -9,7 +9,9 @@ from typing import Any
 from diffsim import __version__
 from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.core.stages import Stages, code_digest, file_digest
-from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study
+from diffsim.data import find_dataset
+from examples.data import beam_motion
+from examples.data.beam import BeamStudy, load_beam_study
 from examples.demo import diagnosis, early, fitting, ladder, mesh_study, numerics, verdict
 from examples.demo.plan import FULL, QUICK, Plan
 from examples.demo.workers import Workers

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import BeamStudy
-from diffsim.data.beam_motion import moving_tip_mass
+from examples.data.beam import BeamStudy
+from examples.data.beam_motion import moving_tip_mass
 from examples.demo.numerics import euler_damping_ratio
 
 

@@ -20,9 +20,9 @@ import torch
 
 from diffsim.core.files import write_json_atomic
 from diffsim.data import Run, Study
-from diffsim.systems.balls import SoftBallModel
-from diffsim.systems.balls.fits import soft_model
-from diffsim.viz.ball_video import film_balls, view_of
+from labs.balls import SoftBallModel
+from labs.balls.film import film_balls, view_of
+from labs.balls.fits import soft_model
 
 RATE = 60.0  # frames per second
 DIAMETER, MASS = 0.06858, 0.0577  # [m], [kg]

@@ -38,18 +38,7 @@ from diffsim.core import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data import Run
 from diffsim.learn import GradientLearner, read_rows, recipe, train
-from diffsim.learn.tendon_swim import (
-    CONTROL_S,
-    DATA_SHEET,
-    SETTLE_S,
-    STROKE_S,
-    UNIT_M_S,
-    Servo,
-    Steering,
-    SwimSetup,
-    swim_options,
-)
-from diffsim.sim_to_real import (
+from labs.loop import (
     CHANNELS,
     FitSettings,
     Limits,
@@ -60,6 +49,17 @@ from diffsim.sim_to_real import (
     identify,
     open_close,
     speed,
+)
+from labs.loop.tendon_swim import (
+    CONTROL_S,
+    DATA_SHEET,
+    SETTLE_S,
+    STROKE_S,
+    UNIT_M_S,
+    Servo,
+    Steering,
+    SwimSetup,
+    swim_options,
 )
 
 Array = NDArray[np.float64]

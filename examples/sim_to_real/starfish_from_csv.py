@@ -26,7 +26,8 @@ import numpy as np
 
 from diffsim.data import load_study
 from diffsim.diagnose import diagnose
-from diffsim.sim_to_real import (
+from diffsim.systems import setup_of
+from labs.loop import (
     CHANNELS,
     Command,
     FitSettings,
@@ -42,7 +43,6 @@ from diffsim.sim_to_real import (
     speed,
     worth_of_travel,
 )
-from diffsim.systems import setup_of
 
 STUDY = Path(__file__).with_name("learned_swimmer_study.yaml")
 CONTRACTION = "tendon_contraction_m"

@@ -23,8 +23,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from diffsim.data import import_study
-from diffsim.sim_to_real import (
+from labs.loop import (
     AwaitingRecordingError,
     FileHardware,
     FitSettings,
@@ -34,6 +33,7 @@ from diffsim.sim_to_real import (
     Starfish,
     TrajectorySettings,
     VirtualLaboratory,
+    import_starfish,
     on_real_recording,
     sim_to_real,
     sinusoid,
@@ -81,7 +81,7 @@ def main(
     loop_s = time.process_time() - begin
     found = _real(model, QUICK.fit if quick else REAL) if real else None
     # matplotlib and jinja2 are only needed from here on
-    from diffsim.viz.loop_report import write_loop
+    from labs.loop.report import write_loop
 
     page = write_loop(result, model, out, fit_s=settings.fit.duration_s, real=found)
     print(f"report: {page}")
@@ -92,7 +92,7 @@ def main(
 
 def _real(model: Starfish, settings: FitSettings) -> dict | None:
     try:
-        study = import_study("starfish")
+        study = import_starfish()
     except FileNotFoundError as missing:
         print(f"no recordings of the real starfish, that part is left out: {missing}")
         return None

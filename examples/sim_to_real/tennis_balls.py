@@ -39,12 +39,13 @@ from numpy.typing import NDArray
 from diffsim.core import show_progress
 from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
-from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_study
+from diffsim.data import Channel, Run, Study
 from diffsim.identify import Jacobian, Problem, WhiteNoise, descend, fit, random_starts
-from diffsim.systems.balls import MOTION, SoftBallModel
-from diffsim.systems.balls.fits import setup, soft_model
-from diffsim.viz.ball_figures import ShownBall, misfits, overlay, recording, simulated, strip
-from diffsim.viz.ball_video import view_of
+from labs.balls import MOTION, SoftBallModel
+from labs.balls.figures import ShownBall, misfits, overlay, recording, simulated, strip
+from labs.balls.film import view_of
+from labs.balls.fits import setup, soft_model
+from labs.balls.recordings import ball_tracks_study, ball_video_study
 
 Array = NDArray[np.float64]
 # Seen before the impact, and so not drawn at random; the numbers are at the priors' centers.

@@ -13,12 +13,14 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from diffsim.causes import CommandGroup, command_cause
+from diffsim.causes import CommandGroup, command_cause, rows
 from diffsim.causes.needs import needs_command
+from diffsim.causes.ports import on_readings
+from diffsim.causes.readings import SENSOR
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body import forces, material
-from diffsim.systems.soft_body.causes import body_cause, soft_body_library
+from diffsim.systems.soft_body.causes import body_cause
 from diffsim.systems.soft_body.scene import SoftScene
 
 # Bending: the mean of strain^4 over the section is 9/5 of the square of the mean of strain^2.
@@ -44,7 +46,7 @@ def _backlash(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 def _sideways_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     sideways = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    return scene.with_parameter("gravity", scene.parameter("gravity") + size[0] * sideways)
+    return scene.with_parameter("gravity", scene.number("gravity") + size[0] * sideways)
 
 
 def _tip_scale(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -140,7 +142,7 @@ TEMPERATURE_DRIFT = replace(
     typical=0.003,
 )
 SENSOR_SCALE = replace(
-    next(e for e in soft_body_library() if e.name == "sensor_scale"),
+    rows(SENSOR)["sensor_scale"].effect(on_readings(rows(SENSOR)["sensor_scale"], ())),
     typical=0.06,
 )
 TIP_SCALE = Effect(

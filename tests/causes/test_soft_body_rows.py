@@ -78,7 +78,7 @@ def test_a_force_of_a_user_pulls_at_its_marker():
     rng = np.random.default_rng(0)
     x = scene.body.x_rest
     v = torch.as_tensor(rng.standard_normal(x.shape))
-    force = scene.forces[-1]()(scene, Moment(x, v, 0.0, 1e-3))
+    force = scene.makers[-1]()(scene, Moment(x, v, 0.0, 1e-3))
     tip = scene.observe(v)[2]
     assert float((force * v).sum()) == pytest.approx(-3.0 * float(tip**2), rel=1e-12)
     slower = predicted(SWUNG, damper, damper.typical)

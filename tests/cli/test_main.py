@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from diffsim import __version__, cli
-from diffsim.core import compiled
+from diffsim.core import compiled, paths
 from diffsim.core.errors import ConvergenceError, Mistakes
 from diffsim.core.interrupts import EXIT_INTERRUPTED
 from tests import warm
@@ -179,11 +179,9 @@ def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
 
 
 def test_demo_elsewhere_says_where_it_is(capsys, monkeypatch, tmp_path):
-    from diffsim.cli import demo
-
-    monkeypatch.setattr(demo, "STORY", tmp_path / "examples" / "demo")
+    monkeypatch.setattr(paths, "SCRIPTS", tmp_path)
     assert cli.main(["demo"]) == 2
-    assert "the demo's scripts are missing" in capsys.readouterr().err
+    assert "examples.demo is missing" in capsys.readouterr().err
 
 
 def test_help_of_the_demo_says_what_it_is(capsys):

@@ -163,10 +163,7 @@ CALL |= {
     "SoftRobot.center": lambda: {"x": STATE.x},
     "SoftRobot.force": lambda: {"state": STATE},
     "SoftRobot.step": lambda: {"state": STATE, "command": 0.3 * noise(len(ROBOT.command_names))},
-    "followed": lambda: {
-        "contraction": 0.005 + 0.004 * noise(12).tanh(), "limits": sim_to_real.Limits(),
-    },
-}  # fmt: skip
+}
 
 
 # --- tasks
@@ -230,7 +227,7 @@ LATER += [
     r"systems\.Twin\.|sim_to_real\.(best_command|worth)",  # of a file: tests/systems/test_twin.py
     r"shape_(at|of)$|prepared_at$|picture$|factor$",  # no tensors, or what others go through
     r"systems\.multicopter\.",  # initial states are fitted away, which leaves terms out
-    r"systems\.(outside|balls)\.|sim_to_real\.(Starfish|travel_loss)",
+    r"systems\.outside\.",
     r"systems\.flow_network\.Network|soft_body\.SoftScene\.",
     r"identify\.(Jacobian\.|NumericalEffect\.|ExtendedModel\.(scene|simulate_many)$)",
     r"codesign\.codesign$|devices\.optimize$",

@@ -28,7 +28,7 @@ SYSTEMS_IN_MOTION = (
     "soft_body",
     "starfish",
 )
-PARTS_IN_MOTION = ("event_effects", "place_effects", "store_effects", "stepping", "unknown")
+PARTS_IN_MOTION = ("event_effects", "mends", "moving", "place_effects", "store_effects", "unknown")
 
 STUDY = """
 name: small_bench

@@ -13,6 +13,7 @@ import diffsim
 
 FOLDER = Path(diffsim.__file__).parent
 PAGE = Path(__file__).parents[2] / "docs" / "glossary.md"
+BESIDE = ("examples", "labs")
 # what "where" says instead of a room, where a term is not of one room
 NO_ROOM = frozenset(("every layer", "every solver", "everywhere", "tests"))
 NOT_CODE = re.compile(r'"""(?s:.*?)"""|#.*')  # docstrings and comments
@@ -45,8 +46,12 @@ def rows_of(text: str) -> list[Row]:
 
 @cache
 def words_in(room: str) -> frozenset[str]:
-    """Identifiers and words of strings of a room; "" is all rooms; a missing room has none."""
-    place = FOLDER.joinpath(*room.split("."))
+    """Identifiers and words of strings of a room; "" is all rooms; a missing room has none.
+
+    A room may stand beside the package, as ``examples.applications`` does.
+    """
+    parts = room.split(".")
+    place = FOLDER.parent.joinpath(*parts) if parts[0] in BESIDE else FOLDER.joinpath(*parts)
     files = sorted(place.rglob("*.py")) or [place.with_suffix(".py")]
     text = "\n".join(f.read_text(encoding="utf-8") for f in files if f.is_file())
     return frozenset(WORD.findall(NOT_CODE.sub("", text)))

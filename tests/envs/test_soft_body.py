@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,12 @@ def test_it_moves_as_the_scene_that_predicts_recordings() -> None:
     for _ in range(3):
         state, _ = task.step(state, action)
     held = torch.full((8, 1), 0.7 * 0.2, dtype=torch.float64)
-    scene = task.robot.scene.changed(
-        command=held, command_dt=0.01, observe=lambda x: x.flatten(-2), start="rest"
+    plain = task.robot.scene
+    scene = plain.changed(
+        commands=replace(plain.commands, values=held.mT),
+        command_dt=0.01,
+        observe=lambda x: x.flatten(-2),
+        start="rest",
     )
     moved = scene.motion(6)[-1].reshape(-1, 3)
     assert float((moved - task.robot.body.x_rest).abs().max()) > 1e-3

@@ -11,7 +11,7 @@ from diffsim import soft
 from diffsim.core.errors import DiffsimError
 from diffsim.envs.rollout import rollout_task
 from diffsim.learn import GradientLearner, GradientOptions, train
-from diffsim.sim_to_real import open_close
+from labs.loop import open_close
 from tests.examples.stories import load_story
 
 pytest.importorskip("gymnasium", reason="tasks need the extra 'rl'")

@@ -16,7 +16,7 @@ pytest.importorskip("gymnasium", reason="environments need gymnasium: pip instal
 from diffsim.control import MLPController
 from diffsim.envs.registry import make_task
 from diffsim.envs.task import Entry, Task, TaskState
-from diffsim.learn import mixed, presets
+from diffsim.learn import mixed
 from diffsim.learn.methods import make_learner
 from diffsim.learn.mixed import (
     MixedLearner,
@@ -26,8 +26,9 @@ from diffsim.learn.mixed import (
     episode_gradients,
     first_order_weight,
 )
-from diffsim.learn.quality import _per_episode
 from diffsim.learn.setup import Setup, evaluate, first_controller
+from rl import presets
+from rl.quality import _per_episode
 
 SPREAD = 0.2
 

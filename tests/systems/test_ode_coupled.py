@@ -88,6 +88,19 @@ def test_an_unknown_force_reaches_it_too():
     np.testing.assert_allclose(seen, predicted(cart(0.0), constant_force=0.5), atol=1e-9)
 
 
+def test_an_event_reaches_it_too():
+    """It was added to the cart's rate alone."""
+    place = {**MODEL["places"][0], "name": "cart"}
+    study = replace(cart(0.0), model=MODEL | {"places": [place], "events": [{"at": ["cart"]}]})
+    setup = setup_of(study)
+    step = next(e for e in setup.effects if e.name == "step_event_at_cart")
+    q = setup.model.at_prior()
+    onset = next(i for i, p in enumerate(setup.model.base) if p.name == "event_onset")
+    q[onset] = setup.model.base[onset].coordinate_of(-1.0)  # before the run
+    seen = setup.model.predict(study.runs[0], q, {step: torch.tensor([0.5], dtype=q.dtype)})
+    np.testing.assert_allclose(seen, predicted(cart(0.0), constant_force=0.5), atol=1e-9)
+
+
 def test_a_force_that_is_not_there_is_told():
     place = {**MODEL["places"][0], "force": "psuh"}
     study = replace(cart(0.0), model=MODEL | {"places": [place]})

@@ -17,8 +17,7 @@ from diffsim.data.steps import looks_held
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics
-from diffsim.systems.ode import described as described_file
-from diffsim.systems.ode import stepping
+from diffsim.systems.ode import mends, reading
 from diffsim.systems.registry import description_of, load_extended, setup_of
 from tests.systems.toy_cart import TIME, cart_study, described
 
@@ -304,9 +303,9 @@ def test_equations_too_fast_for_the_samples_are_stepped_more_often():
 def test_steps_are_tried_once_for_the_check_and_the_set_up(monkeypatch):
     """Both simulated the plain model, and asked twice whether a command moves all the time."""
     tried, asked = [], []
-    away, moves = stepping.runs_away, described_file.moves_on
-    monkeypatch.setattr(stepping, "runs_away", lambda *a: tried.append(a) or away(*a))
-    monkeypatch.setattr(described_file, "moves_on", lambda *a: asked.append(a) or moves(*a))
+    away, moves = mends.runs_away, reading.moves_on
+    monkeypatch.setattr(mends, "runs_away", lambda *a: tried.append(a) or away(*a))
+    monkeypatch.setattr(reading, "moves_on", lambda *a: asked.append(a) or moves(*a))
     study = winding(inputs=[{"name": "force"}])
     description = description_of(study)
     notes = description.problems(study)

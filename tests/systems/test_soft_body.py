@@ -183,7 +183,7 @@ def forces(scene, v):
     """Total of a scene's hooks while the body moves at v, (3,) [N]."""
     x = scene.body.x_rest
     moment = Moment(x, v.expand_as(x), 0.0, scene.body.dt)
-    return sum(make()(scene, moment).sum(0) for make in scene.forces)
+    return sum(make()(scene, moment).sum(0) for make in scene.makers)
 
 
 def scene_of(model, run):
@@ -351,14 +351,14 @@ def test_catch_of_the_string_keeps_momentum():
     model, run = held_beam(), held_run(0.05)
     fixed, fall = model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2)
     scene = CAUSES["slack_string"].apply(fixed, fall, run)
-    load = scene.parameter("attached_mass")
-    own = scene.parameter("density") * scene.body.nodal_volume
+    load = scene.number("attached_mass")
+    own = scene.number("density") * scene.body.nodal_volume
     falling = scene.falling(scene.last_fall_step())
     fall = falling.motion(falling.num_steps())
     x, v = scene._interpolate_catch(fall, scene.last_fall_step())
     caught = scene.swinging(fall, scene.last_fall_step())
     after = caught.start_velocity
-    down = scene.parameter("gravity") / 9.81
+    down = scene.number("gravity") / 9.81
     before = (own[:, None] * v).sum(0) @ down + load.sum() * 9.81 * 0.03
     torch.testing.assert_close(caught.start_position, x)
     torch.testing.assert_close(((own + load)[:, None] * after).sum(0) @ down, before)

@@ -298,7 +298,7 @@ def test_derivatives_that_leave_the_range_of_numbers_are_a_step_too_far():
     """A fit shortens its step then: a diagnosis ended with an error about an argument."""
 
     def apply(scene, size, run):
-        return scene.changed(forces=(*scene.forces, _Endless)) if bool(size.any()) else scene
+        return scene.changed(forces=(*scene.makers, _Endless)) if bool(size.any()) else scene
 
     endless = replace(AIR[0], name="endless", components=("size",), apply=apply)
     problem = problem_of(beam(), FREE, endless)

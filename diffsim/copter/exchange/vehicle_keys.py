@@ -16,6 +16,7 @@ from diffsim.core.schema_numbers import (
     RadiansPerSecond,
     Seconds,
 )
+from diffsim.core.schema_paths import PathInside
 
 Point = tuple[Meters, Meters, Meters]
 
@@ -102,7 +103,7 @@ class VehicleFile(FinitePart):
     center_of_mass: Point | None = Field(
         None, description="In the frame that rotors are placed in; default: its origin [m]"
     )
-    body_file: str | None = Field(
+    body_file: PathInside | None = Field(
         None,
         description="URDF, MJCF or SDF beside this file: mass, inertia and center of mass (FLU)",
     )

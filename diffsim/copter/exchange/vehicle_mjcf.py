@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.copter.exchange.mjcf_text import whole_mjcf
+from diffsim.copter.exchange.mjcf_text import refuse_too_much, whole_mjcf
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.copter.vehicle.battery import LIPO_NOMINAL
 from diffsim.copter.vehicle.multicopter import GRAVITY
@@ -218,6 +218,9 @@ def _urdf(path: Path) -> str:
     for link in robot.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
+    for further in [*robot.findall("mujoco"), *robot.findall("include")]:
+        robot.remove(further)  # MuJoCo would follow these, too
+    refuse_too_much(robot)
     compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")  # links that are welded on keep their names
     return ElementTree.tostring(robot, encoding="unicode")

@@ -105,12 +105,17 @@ def read_nodes(path: Path) -> Node:
     """
     if (size := path.stat().st_size) > MAX_BYTES:
         raise ValueError(f"{path}: must have at most {MAX_BYTES:,} bytes, got {size:,}")
-    stack: list[Node] = [Node("", {}, str(path))]
+    return parse_nodes(path.read_bytes(), path.name)
+
+
+def parse_nodes(content: bytes, source: str) -> Node:
+    """``read_nodes`` of a text that messages call ``source``."""
+    stack: list[tuple[Node, list[str]]] = [(Node("", {}, source), [])]
     parser = expat.ParserCreate()
     count = 0
 
     def here() -> str:
-        return f"{path.name}, line {parser.CurrentLineNumber}"
+        return f"{source}, line {parser.CurrentLineNumber}"
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal count
@@ -119,24 +124,25 @@ def read_nodes(path: Path) -> Node:
             bound = f"{MAX_NODES:,} elements" if count > MAX_NODES else f"{MAX_DEPTH} levels"
             raise ValueError(f"{here()}: more than {bound}")
         node = Node(tag, attributes, here())
-        stack[-1].children.append(node)
-        stack.append(node)
+        stack[-1][0].children.append(node)
+        stack.append((node, []))
+
+    def end(tag: str) -> None:
+        node, texts = stack.pop()
+        node.content = "".join(texts)
 
     def refuse(*_: object) -> None:
         raise ValueError(f"{here()}: a document type (<!DOCTYPE ...>) is not read; take it out")
 
-    def text(data: str) -> None:
-        stack[-1].content += data
-
     parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: stack.pop()
+    parser.EndElementHandler = end
     parser.StartDoctypeDeclHandler = refuse
-    parser.CharacterDataHandler = text
+    parser.CharacterDataHandler = lambda data: stack[-1][1].append(data)
     parser.buffer_text = True
     try:
-        parser.Parse(path.read_bytes(), True)
+        parser.Parse(content, True)
     except expat.ExpatError as error:
         raise ValueError(
-            f"{path.name}, line {error.lineno}: not XML: {expat.ErrorString(error.code)}"
+            f"{source}, line {error.lineno}: not XML: {expat.ErrorString(error.code)}"
         ) from error
-    return stack[0].children[0]
+    return stack[0][0].children[0]

@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from functools import partial
 from typing import Literal
 
+import numpy as np
 from pydantic import Field
+from torch import Tensor
 
-from diffsim.causes.commands import CommandGroup
+from diffsim.causes.catalogue import rows
 from diffsim.causes.plant import Plant
+from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
-from diffsim.data.study import Study
+from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.bench.run_zeros import run_zeros
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.ode.applying import LABELS
+from diffsim.systems.ode.applying import LABELS, labels_of_blocks
 from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
-from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
-from diffsim.systems.ode.law_effects import (
-    check_laws,
-    labels_of_laws,
-    law_effects,
-    law_scales,
-    unknown_laws,
-)
+from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs
+from diffsim.systems.ode.law_effects import law_effects, unknown_laws
 from diffsim.systems.ode.law_port import OdeLaws
+from diffsim.systems.ode.library import library_of
 from diffsim.systems.ode.names import Reader
+from diffsim.systems.ode.reading import read_system
+from diffsim.systems.ode.scene import OdeScene
 
+FEWEST = 3  # runs to fit: of two, one zero for both and their difference are alike
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
 
 
@@ -38,9 +40,6 @@ class BenchDescription(FormulaKeys):
     system: Literal["bench"] = Field("bench", description="Kind of system: `bench`")
     inputs: Inputs = Field(
         (), description="What formulas may use: commands, or formulas of them; none: all commands"
-    )
-    laws: tuple[Law, ...] = Field(
-        (), description="Definitions that are laws; opens exponents, zeros, limits, drifts of them"
     )
 
     def problems(self, study: Study) -> list[Problem]:
@@ -52,26 +51,22 @@ class BenchDescription(FormulaKeys):
     def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
         inputs = self.inputs or tuple(Input(name=c) for c in commands if c.isidentifier())
-        read = FormulaSystem(self, inputs, DescribedMotion(), study, reader)
-        check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
-        return read
+        return read_system(self, inputs, DescribedMotion(), study, reader)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
-        model = read.model()
-        scales = Scales.kept_in(study) or Scales.of_runs(study)
-        bends = law_scales(self.laws, study, model, read.network, read.known)
-        scales = replace(scales, plain={**scales.plain, **bends})
+        library = library_of(read)
+        model, scales = library.model, library.scales
         model.frame = {
-            LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
+            LABELS: labels_of_blocks((*self.effects.formulas, *self.laws), study),
             SCALES: scales.saved(),
         }
-        laws = law_effects(self.laws, study, scales, read.network, read.known)
         # what differs between groups of a search for faults is their stated scatter, and no fault
-        zeros = run_zeros(study, scales) if study.faults is None else ()
+        channels = enumerate(study.channels if study.faults is None else ())
+        zeros = (_run_zero(study, i, channel, scales) for i, channel in channels)
         advised = DiagnosisSettings(
             search=SearchSettings(
                 max_effects=MAX_EFFECTS,
@@ -85,17 +80,53 @@ class BenchDescription(FormulaKeys):
             kind="bench",
             scales=scales,
             channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}) for name in read.input_held),
-            numbers=tuple(read.quantities),
+            commands=dict.fromkeys(read.held, "straight"),
+            numbers=tuple(read.base.quantities),
         )
-        effects = chosen_effects((*laws, *zeros, *read.own), self.effects, study, plant)
+        found = (*law_effects(library), *zeros, *read.own)
         return DiagnosisSetup(
             model,
-            effects,
-            unknowns=unknown_laws(self.laws, study, model, read.network, read.known),
+            chosen_effects(found, self.effects, study, plant),
+            unknowns=unknown_laws(library),
             settings=settings_with(advised, self.effort),
-            laws=OdeLaws(read, None, study, model, self.setup),
+            laws=OdeLaws(library, self.setup),
         )
+
+
+def _run_zero(study: Study, at: int, channel: Channel, scales: Scales) -> Effect:
+    """A zero that is another one in each run: scales are tared by hand, amplifiers warm up.
+
+    Its components are called after the runs, as nuisances are ("...@run"). So a run that no fit has
+    seen tells its own, and nothing else is fitted to it.
+    """
+    names = [r.name for r in study.runs if np.isfinite(r.measured[:, at]).any()]
+    places = {name: k for k, name in enumerate(names)}
+    row = rows("ode")["zero_per_run"]
+    return row.effect(
+        partial(_shift_run, channel=at, places=places),
+        scales.of_channels((channel.name,)),
+        ending=f"_of_{spell_plainly(channel.name)}",
+        form=row.form.format(channel=channel.name),
+        family=f"{row.family}_of_{channel.name}",
+        unit=channel.unit,
+        shown_unit=None if channel.shown_formula else channel.shown_unit,
+        components=tuple(f"@{name}" for name in names) or ("size",),
+        needs=partial(_need_runs, at=at),
+    )
+
+
+def _need_runs(study: Study, *, at: int) -> str | None:
+    found = [r for r in study.fit_runs if np.isfinite(r.measured[:, at]).any()]
+    return None if len(found) >= FEWEST else f"{FEWEST} runs to fit"
+
+
+def _shift_run(
+    scene: OdeScene, size: Tensor, run: Run, *, channel: int, places: Mapping[str, int]
+) -> OdeScene:
+    if run.name not in places:
+        return scene
+    zero = size[..., places[run.name], None, None]
+    return scene.with_reading((channel,), lambda y, grid: y + zero)
 
 
 __all__ = ["BenchDescription"]

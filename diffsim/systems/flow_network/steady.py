@@ -41,10 +41,6 @@ class SteadyScene(Scene):
     rtol: float
     is_in_time: bool = False
 
-    def number(self, name: str) -> Tensor:
-        """A number of the scene; zero, where nothing has changed it."""
-        return self.numbers.get(name, _ZERO)
-
     def several(self, name: str, count: int) -> Tensor:
         """Numbers that are counted from one, such as ``meter_1``, (count,)."""
         each = [self.number(f"{name}_{i + 1}") for i in range(count)]
@@ -153,7 +149,8 @@ def plant_of(
         kind=kind,
         scales=scales,
         channels=study.channels,
-        commands=tuple(groups),
+        commands={name: group.between for group in groups for name in group.names},
+        ways=tuple(groups),
         numbers=tuple(numbers),
         facts={
             IN_TIME: is_in_time,

@@ -11,10 +11,10 @@ import torch
 from diffsim.causes.channel_groups import channels_of, clock_of
 from diffsim.causes.scales import Scales
 from diffsim.copter import Multicopter
+from diffsim.copter._shipped import beside_or_shipped
 from diffsim.copter.design.design_file import load_design
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.copter.vehicle.rotor import RotorModel, rotor_model
-from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.multicopter.candidates import Vehicle
@@ -322,8 +322,7 @@ def _load_vehicle(of: MulticopterKeys, study: Study) -> Multicopter | None:
     """The vehicle of the design file, beside study.yaml or shipped."""
     if of.design is None:
         return None
-    path = inside(study.folder or Path(), of.design, "model.design")
-    design = load_design(path if path.is_file() else of.design)
+    design = load_design(beside_or_shipped(study.folder or Path(), of.design, "model.design"))
     vehicle = design.multicopter().detach()
     if vehicle.num_rotors != len(of.commands.columns):
         raise ValueError(

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.causes.channel_groups import WHOLE, channels_of, clock_problems
-from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.copter.vehicle.multicopter import GRAVITY
@@ -107,7 +106,7 @@ class MulticopterDescription(MulticopterKeys):
             kind="multicopter",
             scales=scales,
             channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}, "held") for name in rotors),
+            commands=dict.fromkeys(rotors, "held"),
             numbers=NUMBERS,
             places={axis: Place(scales.plain[axis]) for axis in AXES},
             facts={IN_TIME: True},

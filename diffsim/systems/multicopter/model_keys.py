@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS
 from diffsim.core.schema_numbers import Hertz, Meters, Newtons
+from diffsim.core.schema_paths import PathInside
 from diffsim.systems.description import Description
 from diffsim.systems.multicopter.keys import (
     CommandKeys,
@@ -29,7 +30,7 @@ class MulticopterKeys(Description):
 
     system: Literal["multicopter"] = Field(description="multicopter")
     frames: FrameKeys = Field(description="Frames of the recordings and of all places")
-    design: str | None = Field(
+    design: PathInside | None = Field(
         None,
         description="Name of a shipped design, or a design file beside study.yaml; gives mass, "
         "inertia, rotors and propellers",

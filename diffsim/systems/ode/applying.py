@@ -1,22 +1,52 @@
-"""How effects reach a scene: by formulas with their sizes."""
+"""How effects reach a scene: where terms enter its formulas, with which sizes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from torch import Tensor
 
+from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
-from diffsim.systems.ode.network import Change
+from diffsim.systems.ode.described import FormulaSystem
+from diffsim.systems.ode.keys import Law, OwnEffect
+from diffsim.systems.ode.network import READING, Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
 
 def symbol(effect: str) -> str:
     """What the size of an effect is called in formulas that users cannot write."""
     return f"size of {effect}"
+
+
+def entering(system: FormulaSystem, kind: str, target: str, term: Expression) -> Change:
+    """A term where it enters a system.
+
+    A force is added to what is the force at its place, or to the rate of the velocity.
+
+    Args:
+        system: The description with its formulas parsed.
+        kind: What the target is: force (at a place), rate (of a state), reading (of a channel),
+            number (whose share the term is), input, or any other value.
+        target: Name of the place, state, channel, number or value.
+        term: What enters, in the unit of the target.
+    """
+    if kind == "force":
+        place = next(p for p in system.motion.places if p.name == target)
+        if place.force is None:
+            parts = {"force": term, "inertia": parse_expression(place.inertia, system.known)}
+            share = filled(parse_expression("force/inertia"), parts)
+            return Change(rates={place.velocity: share})
+        target = place.force
+    if kind == "rate":
+        return Change(rates={target: term})
+    before = named(READING if kind == "reading" else target)
+    text = "before*(1 + term)" if kind == "number" else "before + term"
+    new = {target: filled(parse_expression(text), {"before": before, "term": term})}
+    return Change(readings=new) if kind == "reading" else Change(names=new)
 
 
 def by_formulas(change: Change, *symbols: str) -> Apply:
@@ -81,6 +111,12 @@ def labels_of(per: str, study: Study) -> tuple[str, ...]:
     """Values of a fact in the runs of a study, or in those that its ``frame`` is from."""
     kept = study.frame.get(LABELS, {}).get(per)
     return tuple(kept or dict.fromkeys(_label_run(per, run) for run in study.runs))
+
+
+def labels_of_blocks(blocks: Iterable[OwnEffect | Law], study: Study) -> dict[str, list[str]]:
+    """Values of the facts that own causes and laws are sized by, as a ``frame`` keeps them."""
+    pers = {block.per for block in blocks if block.per is not None}
+    return {per: list(labels_of(per, study)) for per in sorted(pers)}
 
 
 def _label_run(per: str, run: Run) -> str:

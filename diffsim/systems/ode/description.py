@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -10,38 +9,33 @@ from pydantic import Field, field_validator, model_validator
 from diffsim.causes.channel_groups import CLOCKS
 from diffsim.causes.scales import SCALES
 from diffsim.core.schema_numbers import Seconds
+from diffsim.core.schema_paths import NAMED_CODE, PathWords
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import HELD, LONGEST, PARTS, DescribedMotion, FormulaSystem
+from diffsim.systems.ode.applying import LABELS, labels_of_blocks
+from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.effects import ode_effects, plant_of
-from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
     AnyQuantity,
     Events,
     Formula,
     FormulaKeys,
     Inputs,
-    Law,
     Place,
     States,
     Store,
     Swing,
     read_names_as_text,
 )
-from diffsim.systems.ode.law_effects import (
-    check_laws,
-    labels_of_laws,
-    law_effects,
-    law_scales,
-)
 from diffsim.systems.ode.law_port import OdeLaws
-from diffsim.systems.ode.library import Library, PlaceScale, StoreScale, scales_of
+from diffsim.systems.ode.library import library_of
+from diffsim.systems.ode.mends import PARTS
 from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
-from diffsim.systems.ode.refresh_effects import REFRESH, refresh_effects, refresh_periods
+from diffsim.systems.ode.reading import HELD, LONGEST, read_system
+from diffsim.systems.ode.refresh_effects import REFRESH, refresh_periods
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
@@ -58,7 +52,7 @@ class OdeDescription(FormulaKeys):
         "first_CHANNEL, or a quantity with a prior"
     )
     rates: dict[str, Formula] = Field({}, description="Rate of every state, its derivative in time")
-    function: str | None = Field(
+    function: Annotated[str, PathWords("text", NAMED_CODE)] | None = Field(
         None,
         description="FILE.py:NAME instead of rates: a Python function of states, inputs and "
         "parameters, by the names of its arguments, that returns the rates by state. It is run, "
@@ -75,9 +69,6 @@ class OdeDescription(FormulaKeys):
     )
     places: tuple[Place, ...] = Field((), description="Where forces may act; opens their effects")
     stores: tuple[Store, ...] = Field((), description="What fills and empties; opens leaks")
-    laws: tuple[Law, ...] = Field(
-        (), description="Definitions that are laws; opens exponents, zeros, limits of them"
-    )
     events: tuple[Events, ...] = Field(
         (), description="What may have acted for a limited time; opens its forms at each place"
     )
@@ -119,21 +110,7 @@ class OdeDescription(FormulaKeys):
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
     def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
-        motion = DescribedMotion(
-            states=self.states,
-            rates=self.rates,
-            limits=self.limits,
-            places=self.places,
-            stores=self.stores,
-            events=self.events,
-            swings=self.swings,
-            time_step=self.time_step,
-            slow_time=self.slow_time,
-            clocks=self.clocks,
-        )
-        read = FormulaSystem(self, self.inputs, motion, study, reader)
-        check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
-        return read
+        return read_system(self, self.inputs, DescribedMotion.of(self), study, reader)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
@@ -142,46 +119,25 @@ class OdeDescription(FormulaKeys):
         reader = Reader(study)
         read = self._read_model(study, reader)
         reader.finish()
-        model = read.model()
-        scales = scales_of(study, model, read.network, read.known, self.places, self.stores)
-        bends = law_scales(self.laws, study, model, read.network, read.known)
-        scales = replace(scales, plain={**scales.plain, **bends})
-        library = Library(
-            study=study,
-            known=read.known,
-            held=read.input_held,
-            unsure=read.unsure,
-            assumed=read.assumed,
-            clocks=frozenset(read.clocks.values()),
-            step=read.step,
-            places=tuple((p, PlaceScale(**scales.plain[p.name])) for p in self.places),
-            stores=tuple((s, StoreScale(**scales.plain[s.name])) for s in self.stores),
-            scales=scales,
-        )
-        labels = {**read.labels, **labels_of_laws(self.laws, study)}
-        choice = self.effects
-        periods = refresh_periods(study, choice.only)
-        spoken_of = {*choice.only, *choice.without, *choice.typical}
+        library = library_of(read)
+        model = library.model
+        periods = refresh_periods(study, self.effects.only)
         model.frame = {
-            LABELS: labels,
-            HELD: dict(read.input_held),
+            LABELS: labels_of_blocks((*self.effects.formulas, *self.laws), study),
+            HELD: dict(read.held),
             PARTS: read.parts,
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
-            SCALES: scales.saved(),
+            SCALES: library.scales.saved(),
             RESTS: rests_of(study, self.rest),
             REFRESH: periods,
         }
-        timed = (*ode_effects(library), *refresh_effects(study, periods, spoken_of))
-        found = (*timed, *event_effects(library, model, self.events))
-        laws = law_effects(self.laws, study, scales, read.network, read.known)
-        plant = plant_of(library, tuple(read.quantities))
-        effects = chosen_effects((*found, *laws, *read.own), self.effects, study, plant)
+        found = ode_effects(library, periods)
         return DiagnosisSetup(
             model,
-            effects,
+            chosen_effects(found, self.effects, study, plant_of(library)),
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
-            laws=OdeLaws(read, library, study, model, self.setup),
+            laws=OdeLaws(library, self.setup),
         )
 
 

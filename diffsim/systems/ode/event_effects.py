@@ -15,17 +15,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.expression import parse_expression
 from diffsim.core.units import after_number
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.locate import Course, Proposal
 from diffsim.identify.model import SimModel
 from diffsim.systems.description import Quantity
+from diffsim.systems.ode.applying import entering
 from diffsim.systems.ode.event_forms import ONSET, PERIOD, SAID, TIMINGS, WIDTH, placed, shape_of
 from diffsim.systems.ode.keys import Events
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
-from diffsim.systems.ode.network import Change, filled, named
+from diffsim.systems.ode.network import named
 from diffsim.systems.ode.scene import OdeScene
 
 Array = np.ndarray
@@ -105,23 +105,19 @@ def timings(events: Events, study: Study) -> dict[str, Quantity]:
     }
 
 
-def event_effects(
-    library: Library, model: SimModel, events: Sequence[Events]
-) -> tuple[Effect, ...]:
+def event_effects(library: Library) -> tuple[Effect, ...]:
     """Every form at every place where it is looked for; places that no record tells apart are one.
 
     Args:
         library: Names and magnitudes of the system.
-        model: Plain model, whose scenes are :class:`OdeScene`.
-        events: Blocks of the description.
     """
-    return tuple(e for one in events for e in _list_of_one(library, model, one))
+    return tuple(e for one in library.system.motion.events for e in _list_of_one(library, one))
 
 
-def _list_of_one(library: Library, model: SimModel, events: Events) -> Iterator[Effect]:
+def _list_of_one(library: Library, events: Events) -> Iterator[Effect]:
     knots = knots_of(events, library.study)
     ways = [_find_way(library, events, name) for name in events.at]
-    for way in _drop_alike(ways, model, library.study.runs[0]):
+    for way in _drop_alike(ways, library.model, library.study.runs[0]):
         course = _make_curve(events, way, knots)
         for form in events.forms:
             yield _make_effect(events, way, form, course, knots)
@@ -159,22 +155,11 @@ def _find_way(library: Library, events: Events, name: str) -> _Way:
     """Where an event may enter, by the name of a place, input, definition or channel."""
     place = next(((p, s) for p, s in library.places if p.name == name), None)
     if place is not None:
-        inertia = parse_expression(place[0].inertia, library.known)
-
-        def pushed(own: str) -> Entry:
-            term = filled(parse_expression("u/inertia"), {"u": named(own), "inertia": inertia})
-            return _enter_as_input(own, Change(rates={place[0].velocity: term}, inputs=(own,)))
-
-        typical = SHARE_OF_USUAL * place[1].force
-        return _Way(name, "force", place[0].unit, typical, pushed)
+        size = SHARE_OF_USUAL * place[1].force
+        return _Way(name, "force", place[0].unit, size, partial(_enter, library, "force", name))
     if name in library.usual:
-
-        def changed(own: str) -> Entry:
-            total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
-            return _enter_as_input(own, Change(names={name: total}, inputs=(own,)))
-
-        typical = SHARE_OF_USUAL * library.usual[name]
-        return _Way(name, "actuator", "command", typical, changed)
+        size = SHARE_OF_USUAL * library.usual[name]
+        return _Way(name, "actuator", "command", size, partial(_enter, library, "input", name))
     index = [c.name for c in library.study.channels].index(name)
     unit, spread = library.study.channels[index].unit, library.scales.of_channels((name,))["spread"]
 
@@ -186,8 +171,9 @@ def _find_way(library: Library, events: Events, name: str) -> _Way:
     return _Way(name, "sensor", unit, SENSOR_SHARE * spread, read)
 
 
-def _enter_as_input(own: str, change: Change) -> Entry:
+def _enter(library: Library, kind: str, target: str, own: str) -> Entry:
     # each cause has an input of its own: of one name, the last would stand for all
+    change = replace(entering(library.system, kind, target, named(own)), inputs=(own,))
     return lambda scene, values: scene.with_further_input(own, values, change)
 
 

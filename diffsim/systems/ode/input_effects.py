@@ -26,8 +26,8 @@ _INSTANT = 1e-12  # s: shorter than any step
 def input_effects(library: Library) -> tuple[Effect, ...]:
     """Causes on the way of every input, each for itself where there are several."""
     out: list[Effect] = []
-    for name in library.held:
-        ending = "" if len(library.held) == 1 else f"_of_{name}"
+    for name in library.system.held:
+        ending = "" if len(library.system.held) == 1 else f"_of_{name}"
         out += _list_causes(library, name, ending)
         out.append(_make_gain_drift(name, ending, len({r.order for r in library.study.fit_runs})))
     return tuple(out)
@@ -46,7 +46,7 @@ def group_of(library: Library, name: str, ending: str = "") -> CommandGroup:
     return CommandGroup(
         (name,),
         library.scales.of_commands((name,)),
-        "held" if library.held[name] else "straight",
+        "held" if library.system.held[name] else "straight",
         library.scales.is_one_sided((name,)),
         ending,
         unit,
@@ -62,9 +62,9 @@ def _list_causes(library: Library, name: str, ending: str) -> list[Effect]:
     ]
     found.append(_make_slow_share(name, ending))
     # after all that changes the input on its way, which it is a copy of
-    if name in library.unsure:
+    if name in library.system.unsure:
         return [*found, _make_between(f"held_between_samples{ending}", name, held=True)]
-    if name in library.assumed:
+    if name in library.system.assumed:
         return [*found, _make_between(f"straight_between_samples{ending}", name, held=False)]
     return found
 

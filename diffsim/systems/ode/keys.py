@@ -327,6 +327,9 @@ class FormulaKeys(Description):
         description="Least and largest value that the sensor of a channel can show, in SI units; "
         "readings end there, after all causes",
     )
+    laws: tuple[Law, ...] = Field(
+        (), description="Definitions that are laws; opens exponents, zeros, limits, drifts of them"
+    )
     effects: OwnEffects = Field(OwnEffects(), description="Which candidate causes are judged")
     rest: Rest | None = Field(
         None,

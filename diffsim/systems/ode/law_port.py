@@ -31,15 +31,14 @@ from diffsim.identify.law import (
     put_variable,
     reading_entries,
 )
-from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
 from diffsim.identify.setup import DiagnosisSetup, law_effect
 from diffsim.identify.whitening import WhiteNoise
-from diffsim.systems.ode.applying import symbol
+from diffsim.systems.ode.applying import entering, symbol
 from diffsim.systems.ode.described import FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Place
 from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.network import READING, TIME, Change, filled, named, product
+from diffsim.systems.ode.network import TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
 
 Array = NDArray[np.float64]
@@ -62,24 +61,28 @@ class OdeLaws:
     """Entries and variables of a described system (``identify.law.LawPort``).
 
     Attributes:
-        system: The description with its formulas parsed.
-        library: Names and usual magnitudes; None on a bench, where nothing moves.
-        study: Study with the recordings.
-        model: Plain model.
+        library: Names and usual magnitudes of the described system.
         make: Function (study) -> setup, of a study whose frame holds laws.
-        whole: Study with runs to test by; None: ``study`` has all.
+        whole: Study with runs to test by; None: the library's has all.
     """
 
-    system: FormulaSystem
-    library: Library | None
-    study: Study
-    model: SimModel
+    library: Library
     make: Callable[[Study], DiagnosisSetup]
     whole: Study | None = None
 
     def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> OdeLaws:
         """The same for a study of more runs, whose setup another function makes."""
         return replace(self, make=make, whole=study)
+
+    @property
+    def system(self) -> FormulaSystem:
+        """The description with its formulas parsed."""
+        return self.library.system
+
+    @property
+    def study(self) -> Study:
+        """Study with the recordings."""
+        return self.library.study
 
     @property
     def keys(self) -> FormulaKeys:
@@ -93,7 +96,7 @@ class OdeLaws:
 
     def _list_entries(self) -> Iterator[Entry]:
         motion, library = self.system.motion, self.library
-        places = () if library is None else library.places
+        places = library.places
         for place, scale in places:
             yield Entry("force", place.name, place.unit, scale.force)
         mechanical = {n for p, _ in places for n in (p.position, p.velocity)}
@@ -110,8 +113,7 @@ class OdeLaws:
                 yield Entry("value", name, q.unit, q.sd)
             elif q.value != 0.0:
                 yield Entry("number", name, "-", 1.0)
-        for name in self.system.input_held if motion.states else ():
-            assert library is not None
+        for name in self.system.held if motion.states else ():
             reach = library.scales.of_commands((name,))["reach"]
             unit = next((c.unit for c in self.study.commands if c.name == name), None)
             yield Entry("input", name, unit or "-", reach)
@@ -124,13 +126,12 @@ class OdeLaws:
         return {n for e in (*formulas, *network.readings.values()) for n in e.names}
 
     def _usual_rate(self, state: str) -> float:
-        stores = () if self.library is None else self.library.stores
-        for store, scale in stores:
+        for store, scale in self.library.stores:
             if store.level == state:
                 return scale.rate
         runs = self.study.fit_runs
         channels = [replace(c, sd=1.0) for c in self.study.channels]
-        problem = Problem(self.model, runs, WhiteNoise(channels))
+        problem = Problem(self.library.model, runs, WhiteNoise(channels))
         found = self.courses(problem, np.zeros(problem.num_base), [Variable(state, state)])
         steps = [np.diff(c[:, 0]) / np.diff(r.time_s) for c, r in zip(found, runs, strict=True)]
         usual = float(np.sqrt(np.mean(np.concatenate(steps) ** 2)))
@@ -142,7 +143,7 @@ class OdeLaws:
 
     def _list_plain(self) -> Iterator[Variable]:
         motion, runs = self.system.motion, self.study.fit_runs
-        names = dict.fromkeys((*motion.states, *self.system.input_held, *self.keys.define))
+        names = dict.fromkeys((*motion.states, *self.system.held, *self.keys.define))
         units = self._units()
         for name in names:
             yield Variable(name, name, units.get(name, "-"), is_turn=True)
@@ -171,10 +172,10 @@ class OdeLaws:
 
     def _list_memories(self) -> Iterator[Variable]:
         library = self.library
-        if library is None or not self.system.motion.states:
+        if not self.system.motion.states:
             return
         longest = library.scales.longest_s
-        signals = dict.fromkeys((*self.system.motion.states, *self.system.input_held))
+        signals = dict.fromkeys((*self.system.motion.states, *self.system.held))
         for name in signals:
             for share in LASTING:
                 time = {_LASTING: share * longest}
@@ -368,23 +369,10 @@ class OdeLaws:
 
     def _enter(self, entry: Entry, total: Expression, change: Change) -> Change:
         """The term added where it enters."""
-        target = entry.target
-        if entry.kind == "force":
-            from diffsim.systems.ode.place_effects import pushed  # of no use on a bench
-
-            made = pushed(self._place(target), total, self.system.known)
-            return replace(change, rates=made.rates, names=made.names)
-        if entry.kind == "rate":
-            return replace(change, rates={target: total})
-        before = named(READING) if entry.kind == "reading" else named(target)
-        text = "before*(1 + law)" if entry.kind == "number" else "before + law"
-        new = filled(parse_expression(text), {"before": before, "law": total})
-        if entry.kind == "reading":
-            return replace(change, readings={target: new})
-        return replace(change, names={target: new})
+        made = entering(self.system, entry.kind, entry.target, total)
+        return replace(change, rates=made.rates, names=made.names, readings=made.readings)
 
     def _place(self, name: str) -> Place:
-        assert self.library is not None
         return next(place for place, _ in self.library.places if place.name == name)
 
     def block(self, law: Law) -> Mapping[str, Any]:
@@ -418,7 +406,7 @@ class OdeLaws:
     def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
         """The system with laws among its candidate causes."""
         study = self.whole or self.study
-        frame = {**study.frame, **self.model.frame, LAWS: [dict(b) for b in blocks]}
+        frame = {**study.frame, **self.library.model.frame, LAWS: [dict(b) for b in blocks]}
         return self.make(replace(study, frame=frame))
 
 

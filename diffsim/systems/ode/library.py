@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 import torch
@@ -18,8 +19,9 @@ from diffsim.causes.scales import CommandScale, Scales
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
-from diffsim.systems.ode.keys import Place, Store
-from diffsim.systems.ode.network import Network, product
+from diffsim.systems.ode.described import FormulaSystem, model_of
+from diffsim.systems.ode.keys import Law, Place, Store
+from diffsim.systems.ode.network import product
 from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
@@ -67,33 +69,36 @@ class StoreScale:
     high: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Library:
-    """Names and magnitudes of a described system.
+    """A described system with its usual magnitudes: what its causes are made from.
 
     Attributes:
-        study: Study with the recordings.
-        known: Names that formulas may use.
-        held: Inputs, with whether they are held between samples.
-        places: Where forces may act, each with its usual magnitudes.
-        stores: What fills and empties, each with its usual magnitudes.
-        scales: Usual magnitudes of inputs, channels, places, stores and definitions.
-        step: Longest step of the integrator [s].
-        unsure: Inputs of which nobody knows whether they are held between samples.
-        assumed: Inputs that are taken to be held though some run does not show it.
-        clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
+        system: The description with its formulas parsed.
+        model: Its plain model.
+        scales: Usual magnitudes of inputs, channels, places, stores, definitions and laws.
     """
 
-    study: Study
-    known: tuple[str, ...]
-    held: Mapping[str, bool]
-    places: tuple[tuple[Place, PlaceScale], ...]
-    stores: tuple[tuple[Store, StoreScale], ...]
+    system: FormulaSystem
+    model: SimModel
     scales: Scales
-    unsure: frozenset[str] = frozenset()
-    assumed: frozenset[str] = frozenset()
-    clocks: frozenset[tuple[str, ...]] = frozenset()
-    step: float = math.inf
+
+    @property
+    def study(self) -> Study:
+        """Study with the recordings."""
+        return self.system.study
+
+    @cached_property
+    def places(self) -> tuple[tuple[Place, PlaceScale], ...]:
+        """Where forces may act, each with its usual magnitudes."""
+        plain = self.scales.plain
+        return tuple((p, PlaceScale(**plain[p.name])) for p in self.system.motion.places)
+
+    @cached_property
+    def stores(self) -> tuple[tuple[Store, StoreScale], ...]:
+        """What fills and empties, each with its usual magnitudes."""
+        plain = self.scales.plain
+        return tuple((s, StoreScale(**plain[s.name])) for s in self.system.motion.stores)
 
     @property
     def usual(self) -> Mapping[str, float]:
@@ -101,36 +106,42 @@ class Library:
         return self.scales.plain[USUAL]
 
 
-def scales_of(
-    study: Study,
-    model: SimModel,
-    network: Network,
-    known: Sequence[str],
-    places: Sequence[Place],
-    stores: Sequence[Store],
-) -> Scales:
-    """From one simulation of each run to fit, with the best guess of everything.
+def library_of(system: FormulaSystem) -> Library:
+    """A system with magnitudes from one simulation of each run to fit, with the best guess of all.
 
     A study with a ``frame`` has them from there.
 
     Args:
-        study: Study with the recordings.
-        model: Model whose scenes are :class:`OdeScene`.
-        network: Its formulas.
-        known: Names that formulas may use.
-        places: Where forces may act.
-        stores: What fills and empties.
+        system: Description without mistakes.
     """
+    model = model_of(system)
+    return Library(system, model, _find_scales(system, model))
+
+
+def law_key(law: Law) -> str:
+    """What the magnitudes of a law are called among those of the plain model."""
+    return f"law {law.name}"
+
+
+def _find_scales(system: FormulaSystem, model: SimModel) -> Scales:
+    study, motion, laws = system.study, system.motion, system.keys.laws
     if (kept := Scales.kept_in(study)) is not None:
-        kept.require_plain("place", [place.name for place in places])
-        kept.require_plain("store", [store.name for store in stores])
+        kept.require_plain("place", [place.name for place in motion.places])
+        kept.require_plain("store", [store.name for store in motion.stores])
+        kept.require_plain("magnitudes of", [law_key(law) for law in laws])
         return kept
-    between = {n: parse_expression(n, known) for n in (*network.inputs, *network.definitions)}
-    inside = _read_inside(network, known, places, stores)
-    read = network.with_readings({**inside, **{f"usual {n}": e for n, e in between.items()}})
+    recorded = Scales.of_runs(study)
+    if not (motion.states or laws):
+        return recorded
+    between = (*system.network.inputs, *system.network.definitions) if motion.states else ()
+    read = system.network.with_readings(
+        {
+            **_read_inside(system),
+            **{f"usual {n}": parse_expression(n, system.known) for n in between},
+        }
+    )
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, CommandScale] = {}
-    recorded = Scales.of_runs(study)
     begins_moving = False
     for run in study.fit_runs or study.runs:
         scene = model.scene(run, model.at_prior())
@@ -139,13 +150,18 @@ def scales_of(
             readings, _ = scene.solved(read)
         for name, column in zip(read.readings, readings.unbind(-1), strict=True):
             columns.setdefault(name, []).append(column.numpy())
-        inputs |= {name: _widen_scale(inputs.get(name), scene, name) for name in scene.inputs}
-        begins_moving = begins_moving or _moves_at_first(scene, recorded.channels)
+        if motion.states:
+            inputs |= {name: _widen_scale(inputs.get(name), scene, name) for name in scene.inputs}
+            begins_moving = begins_moving or _moves_at_first(scene, recorded.channels)
+    usual = {USUAL: {name: _compute_rms(columns[f"usual {name}"]) for name in between}}
     plain: dict[str, dict[str, float]] = {
-        **{p.name: asdict(_measure_place(p, columns)) for p in places},
-        **{s.name: asdict(_measure_store(s, columns)) for s in stores},
-        USUAL: {name: _compute_rms(columns[f"usual {name}"]) for name in between},
+        **{p.name: asdict(_measure_place(p, columns)) for p in motion.places},
+        **{s.name: asdict(_measure_store(s, columns)) for s in motion.stores},
+        **(usual if motion.states else {}),
+        **{law_key(law): _measure_law(law, columns) for law in laws},
     }
+    if not motion.states:
+        return replace(recorded, plain=plain)
     return replace(recorded, commands=inputs, plain=plain, facts={"begins_moving": begins_moving})
 
 
@@ -172,20 +188,21 @@ def _moves_at_first(scene: OdeScene, ranges: Mapping[str, tuple[float, float]]) 
     )
 
 
-def _read_inside(
-    network: Network, known: Sequence[str], places: Sequence[Place], stores: Sequence[Store]
-) -> dict[str, Expression]:
-    """Readings of the magnitudes inside: forces, inertias, positions, velocities, levels."""
-    out = {}
-    for place in places:
-        inertia = parse_expression(place.inertia, known)
-        out[f"{place.name} force"] = product(network.rates[place.velocity], inertia)
+def _read_inside(system: FormulaSystem) -> dict[str, Expression]:
+    """Readings of the magnitudes inside: of places, stores and laws."""
+    out, rates = dict[str, Expression](), system.network.rates
+    read = partial(parse_expression, known=system.known)
+    for place in system.motion.places:
+        inertia = read(place.inertia)
+        out[f"{place.name} force"] = product(rates[place.velocity], inertia)
         out[f"{place.name} inertia"] = inertia
-        out[f"{place.name} position"] = parse_expression(place.position, known)
-        out[f"{place.name} velocity"] = parse_expression(place.velocity, known)
-    for store in stores:
-        out[f"{store.name} level"] = parse_expression(store.level, known)
-        out[f"{store.name} rate"] = network.rates[store.level]
+        out[f"{place.name} position"] = read(place.position)
+        out[f"{place.name} velocity"] = read(place.velocity)
+    for store in system.motion.stores:
+        out[f"{store.name} level"] = read(store.level)
+        out[f"{store.name} rate"] = rates[store.level]
+    for law in system.keys.laws:
+        out[f"{law_key(law)} x"], out[f"{law_key(law)} y"] = read(law.of), read(law.name)
     return out
 
 
@@ -225,3 +242,10 @@ def _measure_store(store: Store, columns: Mapping[str, list[Array]]) -> StoreSca
         _compute_rms(columns[f"{store.name} rate"]),
         float(_join_finite(levels).max(initial=0.0)),
     )
+
+
+def _measure_law(law: Law, columns: Mapping[str, list[Array]]) -> dict[str, float]:
+    """Rms of x and y, greatest y."""
+    x, y = columns[f"{law_key(law)} x"], columns[f"{law_key(law)} y"]
+    most = float(_join_finite(y).max(initial=-math.inf))
+    return {"x": _compute_rms(x), "y": _compute_rms(y), "most": most}

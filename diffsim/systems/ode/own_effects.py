@@ -12,29 +12,7 @@ from diffsim.systems.ode.network import READING, Change, filled, named
 from diffsim.systems.ode.scene import at_start
 
 
-def own_effects(
-    own: tuple[OwnEffect, ...],
-    study: Study,
-    known: tuple[str, ...],
-    states: tuple[str, ...],
-    reader: Reader,
-) -> tuple[Effect, ...]:
-    """Effects from the blocks ``effects.own``.
-
-    Args:
-        own: The blocks.
-        study: Study with the recordings.
-        known: Names that formulas may use.
-        states: Those of them that are states.
-        reader: Receives the mistakes.
-    """
-    return tuple(
-        _make_effect(f"effects.own[{i}]", block, study, known, states, reader)
-        for i, block in enumerate(own)
-    )
-
-
-def _make_effect(
+def own_effect(
     where: str,
     block: OwnEffect,
     study: Study,
@@ -42,6 +20,16 @@ def _make_effect(
     states: tuple[str, ...],
     reader: Reader,
 ) -> Effect:
+    """The effect of a block of ``effects.own``.
+
+    Args:
+        where: Key of the block.
+        block: The block.
+        study: Study with the recordings.
+        known: Names that formulas may use.
+        states: Those of them that are states.
+        reader: Receives the mistakes.
+    """
     reader.require_per(where, block.per)
     groups = RunGroups.of(block.per, study)
     return Effect(

@@ -12,21 +12,20 @@ record shows: states fitted to the samples that follow, as far as these tell of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
-#: (start states (K, n), first and last sample) -> readings (K, samples, channels) and states
-Path = Callable[[Array, int, int], tuple[Array, Array]]
 
 GROWTH = 5.0  # times that two starts part, beyond which a piece must not go on
 NEAR = 0.01  # of a state's usual motion: how far starts are moved
@@ -39,8 +38,6 @@ MOST = 64  # pieces of a run
 WIDE = 10.0  # times that a start may differ from what the samples say of it
 _STEPS = 4  # of the fit of a start state
 _TINY = 1e-9
-_MOST_RUNS = 256  # whose pieces are remembered
-_KNOWN: Memo[tuple[Piece, ...]] = Memo(_MOST_RUNS)
 
 
 @dataclass(frozen=True)
@@ -60,123 +57,45 @@ class Piece:
     parting: str
 
 
-def pieces_of(run: Run, model: SimModel, formulas: str) -> tuple[Piece, ...]:
+def start_name(state: str, piece: Piece, run: Run) -> str:
+    """Name of the base parameter that a state begins a piece with."""
+    return f"{state}_from_{1e3 * piece.time:.6g}_ms@{run.name}"
+
+
+def cut_run(run: Run, model: SimModel) -> tuple[Piece, ...]:
     """Pieces of a run after the first one; none where two starts stay an image of each other.
 
     Args:
         run: Recorded run.
         model: Plain model, whose scenes are :class:`OdeScene`.
-        formulas: What the model is made of, in text: a check and the set-ups of one command ask
-            for the same runs.
     """
-    return _KNOWN((run, formulas), lambda: _cut_run(run, model))
-
-
-def _cut_run(run: Run, model: SimModel) -> tuple[Piece, ...]:
     scene = model.scene(run, model.at_prior())
     assert isinstance(scene, OdeScene)
     with torch.no_grad():
-        states, start = scene.begin()
-        return find_pieces(run, states, scene.channels, start.numpy(), _PathOf(scene))
+        names, begun = scene.begin()
+        start, last = begun.numpy(), len(run.time_s) - 1
+        readings, states = _simulate(scene, start[None], 0, last)
+        if not names or not (np.isfinite(readings).all() and np.isfinite(states).all()):
+            return ()
+        with np.errstate(over="ignore"):
+            usual = _Usual(_usual_motion(states[0]), _usual_motion(readings[0]))
+        if not all(np.isfinite(motion).all() for motion in usual):
+            return ()  # so far away that its squares leave the range of numbers
+        return _Cutter(run, scene, names, usual).cut(start)
 
 
-class _PathOf:
-    """Simulates a scene from other starts, and parts of it.
-
-    Args:
-        scene: The run in the plain model.
-    """
-
-    def __init__(self, scene: OdeScene):
-        self._scene, self._places = scene, scene.grid.samples.numpy()
-
-    def __call__(self, starts: Array, first: int, last: int) -> tuple[Array, Array]:
-        places = self._places[first : last + 1]
-        given = torch.from_numpy(np.ascontiguousarray(starts))
-        readings, states = self._scene.solved_from(given, int(places[0]), int(places[-1]))
-        kept = places - places[0]
-        return readings.numpy()[:, kept], states.numpy()[:, kept]
-
-
-def find_pieces(
-    run: Run, states: Sequence[str], channels: Sequence[str], start: Array, path: Path
-) -> tuple[Piece, ...]:
-    """Pieces after the first one.
-
-    Args:
-        run: Recorded run.
-        states, channels: Names of the states and of what is read.
-        start: Start state of the run, (n,).
-        path: Simulates the plain model.
-    """
-    last = len(run.time_s) - 1
-    readings, moved = path(start[None], 0, last)
-    if not len(states) or not (np.isfinite(readings).all() and np.isfinite(moved).all()):
-        return ()
-    with np.errstate(over="ignore"):
-        usual = Usual(_usual_motion(moved[0]), _usual_motion(readings[0]))
-    if not (np.isfinite(usual.states).all() and np.isfinite(usual.channels).all()):
-        return ()  # so far away that its squares leave the range of numbers
-    if _is_straight(path, start, usual, last):
-        return ()
-    out: list[Piece] = []
-    first = 0
-    while len(out) < MOST:
-        found = _find_first_end(path, run, start, usual, first)
-        if found is None or found.end + FEWEST > last:
-            break
-        if not np.isfinite(found.state_at_end).all():  # nowhere to begin the next piece
-            break
-        first = found.end
-        start, sd = _fit_start(path, run, found.state_at_end, usual.states, first)
-        apart = 2.0 * NEAR * usual.states[found.along]
-        out.append(
-            Piece(
-                float(run.time_s[first]),
-                dict(zip(states, start.tolist(), strict=True)),
-                dict(zip(states, sd.tolist(), strict=True)),
-                f"two starts {apart:.2g} apart in {states[found.along]} are {found.apart:.2g} "
-                f"apart in {channels[found.shown]} at {run.time_s[found.lost]:.4g} s",
-            )
-        )
-    return tuple(out)
-
-
-@dataclass(frozen=True)
-class Usual:
+class _Usual(NamedTuple):
     """Usual motion of each state and each channel, (n,) and (num_channels,)."""
 
     states: Array
     channels: Array
 
 
-@dataclass(frozen=True)
-class _End:
-    """Where a piece must end.
+class _Parting(NamedTuple):
+    """Paths of moved starts beside a path, in usual motions.
 
     Attributes:
-        end: Its last sample.
-        state_at_end: State of the plain model there.
-        along: State that two starts differ in.
-        lost: Sample at which their paths are no image of each other any more.
-        shown: Channel that shows it.
-        apart: How far apart they are there, in that channel's unit.
-    """
-
-    end: int
-    state_at_end: Array
-    along: int
-    lost: int
-    shown: int
-    apart: float
-
-
-@dataclass(frozen=True)
-class _Parting:
-    """Paths beside a path, in usual motions.
-
-    Attributes:
-        states: Of the path between, (samples, n).
+        states: Of the path between, (samples, n) [unit of the state].
         apart: Distance of two starts moved along each state, in states, (n, samples).
         bend: Distance of their sum from twice the path between, likewise.
         seen: Distance in each channel, (n, samples, num_channels).
@@ -188,102 +107,147 @@ class _Parting:
     seen: Array
 
 
+class _End(NamedTuple):
+    """Last sample of a piece, the plain model's state there, and how far two starts part."""
+
+    sample: int
+    state: Array
+    parting: str
+
+
+@dataclass(frozen=True)
+class _Cutter:
+    """Cuts a run by what its scene in the plain model does from other starts."""
+
+    run: Run
+    scene: OdeScene
+    names: tuple[str, ...]
+    usual: _Usual
+
+    @property
+    def last(self) -> int:
+        """Last sample of the run."""
+        return len(self.run.time_s) - 1
+
+    def cut(self, start: Array) -> tuple[Piece, ...]:
+        """Pieces after the first one, which begins with ``start``."""
+        whole = self._part(start, 0)
+        if bool((whole.bend <= STRAIGHT * 2.0 * NEAR).all()):
+            return ()  # a straight image of its start, as runs of linear systems are
+        out: list[Piece] = []
+        first = 0
+        while len(out) < MOST:
+            end = self._find_first_end(start, first)
+            if end is None or end.sample + FEWEST > self.last:
+                break
+            if not np.isfinite(end.state).all():  # nowhere to begin the next piece
+                break
+            first = end.sample
+            start, sd = self._fit_start(end.state, first)
+            begun, wide = (dict(zip(self.names, v.tolist(), strict=True)) for v in (start, sd))
+            out.append(Piece(float(self.run.time_s[first]), begun, wide, end.parting))
+        return tuple(out)
+
+    def _part(self, start: Array, first: int) -> _Parting:
+        """Starts moved along each state, to either side, and what becomes of them."""
+        n = len(start)
+        points = _on_both_sides(start, self.usual.states)
+        readings, states = _simulate(self.scene, points, first, self.last)
+        scaled, shown = states / self.usual.states, readings / self.usual.channels
+        above, below = scaled[1 : n + 1], scaled[n + 1 :]
+        return _Parting(
+            states[0],
+            np.linalg.norm(above - below, axis=-1),
+            np.linalg.norm(above + below - 2.0 * scaled[0], axis=-1),
+            np.abs(shown[1 : n + 1] - shown[n + 1 :]),
+        )
+
+    def _find_first_end(self, start: Array, first: int) -> _End | None:
+        """Where the piece from ``first`` must end; None: it may go on to the end of the run.
+
+        The plain model may take another way than what was recorded. So it is asked from several
+        places on, at each of them from the state that the record shows there.
+        """
+        places = np.unique(np.linspace(first, self.last, PLACES + 1).astype(int))
+        ends = []
+        for here, following in pairwise(places):
+            if self.last - here < 2 * FEWEST:
+                break
+            if here > first:
+                start, _ = self._fit_start(start, here)
+            parted = self._part(start, here)
+            if (end := self._find_end(parted, here)) is not None:
+                ends.append(end)
+            if ends and min(e.sample for e in ends) <= following:
+                break
+            start = parted.states[following - here]
+            if not np.isfinite(start).all():  # the model runs away from here
+                break
+        return min(ends, key=lambda end: end.sample, default=None)
+
+    def _find_end(self, parted: _Parting, first: int) -> _End | None:
+        """Where a piece must end by one path; None: nowhere."""
+        is_far = parted.apart > GROWTH * 2.0 * NEAR
+        is_bent = parted.bend > BENT * parted.apart
+        # what a control loop answers at once, and forgets, is no parting
+        seen = np.linalg.norm(parted.seen, axis=-1)
+        is_seen = seen > np.maximum(seen[:, :FEWEST].max(1, keepdims=True), 2.0 * NEAR)
+        is_lost = ~np.isfinite(parted.apart) | (is_far & is_bent & is_seen)
+        if not is_lost.any():
+            return None
+        lost = int(np.argmax(is_lost.any(0)))
+        apart = np.nan_to_num(parted.apart[:, lost], nan=np.inf)
+        along = int(np.argmax(np.where(is_lost[:, lost], apart, 0)))
+        near = np.flatnonzero(~is_far[:, :lost].any(0))
+        end = max(FEWEST, int(near.max(initial=0)))
+        shown = int(np.argmax(parted.seen[along, lost]))
+        far = float(parted.seen[along, lost, shown] * self.usual.channels[shown])
+        moved = 2.0 * NEAR * self.usual.states[along]
+        parting = (
+            f"two starts {moved:.2g} apart in {self.names[along]} are {far:.2g} apart in "
+            f"{self.scene.channels[shown]} at {self.run.time_s[first + lost]:.4g} s"
+        )
+        return _End(first + end, parted.states[end], parting)
+
+    def _fit_start(self, guess: Array, first: int) -> tuple[Array, Array]:
+        """State at the beginning of a piece as the samples show that follow, and its width, (n,)
+        each: Gauss-Newton from a guess, with slopes by differences."""
+        n, start, scale = len(guess), guess.copy(), self.usual.states
+        sd, last = scale, first + min(SEEN, self.last - first)
+        measured = self.run.measured[first : last + 1]
+        for _ in range(_STEPS):
+            readings, _ = _simulate(self.scene, _on_both_sides(start, scale), first, last)
+            slopes = (readings[1 : n + 1] - readings[n + 1 :]) / (2.0 * NEAR)
+            seen = np.isfinite(measured) & np.isfinite(readings).all(0)
+            left, columns = (measured - readings[0])[seen], slopes[:, seen].T
+            noise = max(float(np.sqrt(np.mean(left**2))) if left.size else 0.0, _TINY)
+            columns, left = columns / noise, left / noise
+            # what no sample tells stays at the guess
+            normal = columns.T @ columns + np.eye(n)
+            pull = (start - guess) / scale
+            step = np.linalg.solve(normal, columns.T @ left - pull)
+            sd = np.sqrt(np.diag(np.linalg.inv(normal))) * scale
+            start = start + np.clip(step, -1.0, 1.0) * scale
+        return start, np.minimum(WIDE * sd, scale)
+
+
+def _simulate(scene: OdeScene, starts: Array, first: int, last: int) -> tuple[Array, Array]:
+    """Readings (K, samples, channels) and states of a part of a run from other starts (K, n)."""
+    places = scene.grid.samples.numpy()[first : last + 1]
+    given = torch.from_numpy(np.ascontiguousarray(starts))
+    readings, states = scene.solved_from(given, int(places[0]), int(places[-1]))
+    kept = places - places[0]
+    return readings.numpy()[:, kept], states.numpy()[:, kept]
+
+
+def _on_both_sides(start: Array, scale: Array) -> Array:
+    """A start, and starts moved along each state to either side, (2 n + 1, n)."""
+    nudge = NEAR * np.diag(scale)
+    return np.concatenate([start[None], start + nudge, start - nudge])
+
+
 def _usual_motion(path: Array) -> Array:
     """Rms of each state's motion about its middle, (n,); of a state at rest its own size, or 1."""
     moved, size = path.std(0), np.sqrt(np.mean(path**2, axis=0))
     usual = np.where(moved > _TINY * size, moved, size)
     return np.asarray(np.where(usual > _TINY, usual, 1.0))
-
-
-def _part(path: Path, start: Array, usual: Usual, first: int, last: int) -> _Parting:
-    """Starts moved along each state, to either side, and what becomes of them."""
-    n = len(start)
-    nudge = NEAR * np.diag(usual.states)
-    points = np.concatenate([start[None], start + nudge, start - nudge])
-    readings, states = path(points, first, last)
-    scaled, shown = states / usual.states, readings / usual.channels
-    above, below = scaled[1 : n + 1], scaled[n + 1 :]
-    return _Parting(
-        states[0],
-        np.linalg.norm(above - below, axis=-1),
-        np.linalg.norm(above + below - 2.0 * scaled[0], axis=-1),
-        np.abs(shown[1 : n + 1] - shown[n + 1 :]),
-    )
-
-
-def _is_straight(path: Path, start: Array, usual: Usual, last: int) -> bool:
-    """Whether a run is a straight image of its start, as those of linear systems are."""
-    parted = _part(path, start, usual, 0, last)
-    return bool((parted.bend <= STRAIGHT * 2.0 * NEAR).all())
-
-
-def _find_first_end(path: Path, run: Run, start: Array, usual: Usual, first: int) -> _End | None:
-    """Where the piece from ``first`` must end; None: it may go on to the end of the run.
-
-    The plain model may take another way than what was recorded. So it is asked from several places
-    on, at each of them from the state that the record shows there.
-    """
-    last = len(run.time_s) - 1
-    places = np.unique(np.linspace(first, last, PLACES + 1).astype(int))[:-1]
-    ends = []
-    for here, following in zip(places, [*places[1:], last], strict=True):
-        if last - here < 2 * FEWEST:
-            break
-        if here > first:
-            start, _ = _fit_start(path, run, start, usual.states, here)
-        parted = _part(path, start, usual, here, last)
-        if (end := _find_end(parted, usual, here)) is not None:
-            ends.append(end)
-        if ends and min(e.end for e in ends) <= following:
-            break
-        start = parted.states[following - here]
-        if not np.isfinite(start).all():  # the model runs away from here
-            break
-    return min(ends, key=lambda end: end.end, default=None)
-
-
-def _find_end(parted: _Parting, usual: Usual, first: int) -> _End | None:
-    """Where a piece must end by one path; None: nowhere."""
-    is_far = parted.apart > GROWTH * 2.0 * NEAR
-    is_bent = parted.bend > BENT * parted.apart
-    # what a control loop answers at once, and forgets, is no parting
-    seen = np.linalg.norm(parted.seen, axis=-1)
-    is_seen = seen > np.maximum(seen[:, :FEWEST].max(1, keepdims=True), 2.0 * NEAR)
-    is_lost = ~np.isfinite(parted.apart) | (is_far & is_bent & is_seen)
-    if not is_lost.any():
-        return None
-    lost = int(np.argmax(is_lost.any(0)))
-    along = int(
-        np.argmax(np.where(is_lost[:, lost], np.nan_to_num(parted.apart[:, lost], nan=np.inf), 0))
-    )
-    near = np.flatnonzero(~is_far[:, :lost].any(0))
-    end = max(FEWEST, int(near.max(initial=0)))
-    shown = int(np.argmax(parted.seen[along, lost]))
-    far = float(parted.seen[along, lost, shown] * usual.channels[shown])
-    return _End(first + end, parted.states[end], along, first + lost, shown, far)
-
-
-def _fit_start(path: Path, run: Run, guess: Array, scale: Array, first: int) -> tuple[Array, Array]:
-    """State at the beginning of a piece as the samples show that follow, and its width, (n,) each.
-
-    Gauss-Newton from a guess, with slopes by differences.
-    """
-    n, start = len(guess), guess.copy()
-    nudge = NEAR * np.diag(scale)
-    count, sd = min(SEEN, len(run.time_s) - 1 - first), scale
-    for _ in range(_STEPS):
-        points = np.concatenate([start[None], start + nudge, start - nudge])
-        readings, _ = path(points, first, first + count)
-        slopes = (readings[1 : n + 1] - readings[n + 1 :]) / (2.0 * NEAR)
-        measured = run.measured[first : first + count + 1]
-        seen = np.isfinite(measured) & np.isfinite(readings).all(0)
-        left, columns = (measured - readings[0])[seen], slopes[:, seen].T
-        noise = max(float(np.sqrt(np.mean(left**2))) if left.size else 0.0, _TINY)
-        columns, left = columns / noise, left / noise
-        # what no sample tells stays at the guess
-        normal = columns.T @ columns + np.eye(n)
-        pull = (start - guess) / scale
-        step = np.linalg.solve(normal, columns.T @ left - pull)
-        sd = np.sqrt(np.diag(np.linalg.inv(normal))) * scale
-        start = start + np.clip(step, -1.0, 1.0) * scale
-    return start, np.minimum(WIDE * sd, scale)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from diffsim.causes.catalogue import rows
@@ -10,15 +9,14 @@ from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.description import Quantity
-from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.applying import by_formulas, entering, symbol
 from diffsim.systems.ode.keys import Place
-from diffsim.systems.ode.library import Library, PlaceScale
+from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, PlaceScale
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import at_start
 
 STICK = 0.01  # of the usual velocity: below it dry friction fades
 STRIBECK = 0.2  # of the usual velocity: where friction has fallen to that of sliding
-SHARE = 0.1  # of the usual force that a cause may be without surprise
 STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
 STOP_LIMIT = 2.0  # inertias per square of a step: what an explicit step follows on a stiffer stop
 
@@ -44,7 +42,7 @@ def magnitudes_at(scale: PlaceScale) -> dict[str, float]:
         scale: Usual magnitudes in the plain model.
     """
     return {
-        "push": SHARE * scale.force,
+        "push": SHARE_OF_USUAL * scale.force,
         "distance": scale.position,
         "speed": scale.velocity,
         "inertia": scale.inertia,
@@ -104,13 +102,13 @@ def _list_letters(
         "slow": named(f"slow state of {name}"),
         "tau": named("slow_time"),
         "size": named(symbol(name)),
-        "inertia": parse_expression(place.inertia, library.known),
+        "inertia": parse_expression(place.inertia, library.system.known),
         "bend": named(f"stiffening_bend_at_{place.name}"),
         "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
     }
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
-    stop = f"min(hard, {STOP_LIMIT / library.step**2!r}*inertia)"
+    stop = f"min(hard, {STOP_LIMIT / library.system.step**2!r}*inertia)"
     return out | {
         "w": filled(parse_expression(width), out),
         "stop": filled(parse_expression(stop), out),
@@ -142,28 +140,11 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row, name: s
     letters = parse_expression(row.said("law", "ode"), parts)
     creeps = "slow" in letters.names
     change = replace(
-        pushed(place, filled(letters, parts), library.known),
+        entering(library.system, "force", place.name, filled(letters, parts)),
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
     return by_formulas(change, symbol(name))
-
-
-def pushed(place: Place, force: Expression, known: Iterable[str]) -> Change:
-    """A force at a place: added to what is the force there, or to the rate of the velocity.
-
-    Args:
-        place: Where it acts.
-        force: The force [unit of the place].
-        known: Names that formulas may use.
-    """
-    if place.force is not None:
-        total = parse_expression("before + force", ("before", "force"))
-        both = {"before": named(place.force), "force": force}
-        return Change(names={place.force: filled(total, both)})
-    share = parse_expression("force/inertia", ("force", "inertia"))
-    inertia = parse_expression(place.inertia, known)
-    return Change(rates={place.velocity: filled(share, {"force": force, "inertia": inertia})})
 
 
 def _add_inertia(
@@ -173,7 +154,7 @@ def _add_inertia(
     factor = filled(
         parse_expression("inertia/max(inertia + size, 0.05*inertia)"),
         {
-            "inertia": parse_expression(place.inertia, library.known),
+            "inertia": parse_expression(place.inertia, library.system.known),
             "size": named(symbol(name)),
         },
     )

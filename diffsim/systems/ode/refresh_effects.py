@@ -15,6 +15,7 @@ from diffsim.causes.signals import Grid
 from diffsim.data.refresh import age, phase_of, refresh_period
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect, needs_nothing
+from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.scene import OdeScene
 
 REFRESH = "refresh"  # place in a study's frame: periods by channel [s], 0 where there is none
@@ -43,18 +44,17 @@ def refresh_periods(study: Study, only: Collection[str] = ()) -> Mapping[str, fl
     return periods
 
 
-def refresh_effects(
-    study: Study, periods: Mapping[str, float], asked: Collection[str]
-) -> tuple[Effect, ...]:
+def refresh_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect, ...]:
     """A clock of its own for each channel whose records show one.
 
     Args:
-        study: Study with the recordings.
-        periods: Period of each channel's clock [s]; 0 where there is none.
-        asked: Names of causes that the study speaks of: without a clock these are not judged.
+        library: Names and magnitudes of the system.
+        periods: Period of each channel's clock [s]; 0 where there is none: the causes of which the
+            study speaks are not judged there.
     """
-    out = []
-    for place, channel in enumerate(study.channels):
+    choice, out = library.system.keys.effects, []
+    asked = {*choice.only, *choice.without, *choice.typical}
+    for place, channel in enumerate(library.study.channels):
         name, period = _name_of(channel.name), periods.get(channel.name, 0.0)
         if not period and name not in asked:
             continue

@@ -13,8 +13,8 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
         instrument_causes(
             library.study.channels,
             library.scales,
-            late_record=library.scales.facts["begins_moving"] or not library.held,
-            clocks=library.clocks,
+            late_record=library.scales.facts["begins_moving"] or not library.system.held,
+            clocks=frozenset(library.system.clocks.values()),
             system="ode",
         )
     )

@@ -10,10 +10,9 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.applying import by_formulas, symbol
 from diffsim.systems.ode.keys import Store
-from diffsim.systems.ode.library import Library, StoreScale
+from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, StoreScale
 from diffsim.systems.ode.network import Change, filled, named
 
-SHARE = 0.1  # of the usual rate that a cause may be without surprise
 SPILL_TIME_SHARE = 0.01  # of the time in which the usual rate fills the usual level
 ROUND = 1e-3  # of the usual level: where the root is straightened
 FLOWS_ON = ("root_outflow", "overflow")  # what the next store gains
@@ -38,7 +37,7 @@ def _add_flow(library: Library, store: Store, scale: StoreScale, row: Row, endin
     unit = row.unit.replace("X", store.unit)
     if store.unit == "-":
         unit = {"X/s": "1/s", "(X)^0.5/s": "1/s"}.get(row.unit, unit)
-    scales = {"flow": SHARE * scale.rate, "level": scale.level}
+    scales = {"flow": SHARE_OF_USUAL * scale.rate, "level": scale.level}
     apply = by_formulas(Change(rates=rates), symbol(name))
     return row.effect(apply, scales, ending=ending, unit=unit, masks=row.said("masks"))
 
@@ -77,11 +76,11 @@ def _move_content(
 ) -> dict[str, Expression]:
     """Terms of rates from what a store gains; the store it flows into gets what this one loses, or
     a share of it."""
-    areas = {"gain": gain, "own": parse_expression(store.area, library.known)}
+    areas = {"gain": gain, "own": parse_expression(store.area, library.system.known)}
     rates = {store.level: filled(parse_expression("gain/own"), areas)}
     into = next((s for s, _ in library.stores if s.name == store.into), None)
     if flows_on and into is not None:
-        areas["other"] = parse_expression(into.area, library.known)
+        areas["other"] = parse_expression(into.area, library.system.known)
         passed = (
             parse_expression("-gain/other") if share is None else parse_expression("-k*gain/other")
         )

@@ -9,16 +9,14 @@ plain model is asked first which frequency takes most off what it leaves.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.core.memo import Memo
 from diffsim.data.study import Run
-from diffsim.identify.model import Parameter, SimModel
+from diffsim.identify.model import SimModel
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.keys import Swing
 
@@ -29,8 +27,6 @@ SPREAD = 0.25  # of the inverse length of a run: how far off the best frequency 
 UNSEEN_HZ = 1.0  # of a run in which no frequency was looked for
 _STEP = 0.1  # of a prior standard deviation, in difference quotients
 _TOGETHER = 32  # frequencies that are simulated at once
-_MOST_RUNS = 256  # whose frequencies are remembered
-_KNOWN: Memo[float] = Memo(_MOST_RUNS)
 
 Array = NDArray[np.float64]
 
@@ -57,38 +53,12 @@ def with_swings(define: Mapping[str, str], swings: Sequence[Swing]) -> dict[str,
     """Definitions with what swings in them."""
     out = dict(define)
     for swing in swings:
+        if swing.of not in out:  # a mistake, which is reported
+            continue
         sine, cosine, frequency = swing_names(swing)
         angle = f"2*pi*{frequency}*t"
         out[swing.of] = f"({out[swing.of]}) + {sine}*sin({angle}) + {cosine}*cos({angle})"
     return out
-
-
-def with_frequencies_seen(
-    model: SimModel, swings: Sequence[Swing], runs: Sequence[Run], formulas: str
-) -> tuple[Parameter, ...]:
-    """Base parameters, in which the frequency in each run is the one that its record suggests.
-
-    Args:
-        model: Plain model, with swings of amplitude zero.
-        swings: What may swing.
-        runs: All runs.
-        formulas: What the model is made of, in text: of one set-up the next asks again.
-    """
-    seen = {f"{swing_names(swing)[2]}@{run.name}": (run, swing) for run in runs for swing in swings}
-
-    def told(p: Parameter) -> Parameter:
-        if p.name not in seen:
-            return p
-        run, swing = seen[p.name]
-        tried = frequencies_to_try(run)
-        if not len(tried) or not np.isfinite(run.measured).any():
-            return p
-        value = _KNOWN(
-            (run, swing.name, formulas), lambda: strongest_frequency(model, swing, run, tried)
-        )
-        return replace(p, value=value, sd=SPREAD / float(np.ptp(run.time_s)))
-
-    return tuple(told(p) for p in model.base)
 
 
 def frequencies_to_try(run: Run) -> Array:

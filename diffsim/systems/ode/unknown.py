@@ -9,13 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
-from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.network import Change, filled, named
-from diffsim.systems.ode.place_effects import pushed
+from diffsim.systems.ode.applying import entering
+from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
+from diffsim.systems.ode.network import Change, named
 from diffsim.systems.ode.scene import OdeScene
 
 KNOTS, LEAST_KNOTS = 40, 4  # over the longest run, before anything is fitted
@@ -25,40 +24,33 @@ MOST_KNOTS = 200  # each costs about a simulation of every command; 4 Hz over 6 
 
 def unknown_forces(library: Library) -> tuple[Unknown, ...]:
     """One for each place; for each input where there is no place; else for each state's rate."""
-    out: list[Unknown] = []
+    system, out = library.system, list[Unknown]()
     for place, scale in library.places:
         name = f"unknown_force_at_{place.name}"
-        change = replace(pushed(place, named(name), library.known), inputs=(name,))
         said = "unknown force" if len(library.places) == 1 else f"unknown force at {place.name}"
-        size, knots = 0.1 * scale.force, place.unknown_knots_per_s
+        change = _change(library, name, "force", place.name)
+        size, knots = SHARE_OF_USUAL * scale.force, place.unknown_knots_per_s
         out.append(_make_smooth(library, name, said, change, place.unit, size, knots))
     for store, usual in library.stores:
-        name = f"unknown_flow_of_{store.name}"
-        change = Change(rates={store.level: named(name)}, inputs=(name,))
-        said, typical = f"unknown flow of {store.name}", 0.1 * usual.rate
+        name, said = f"unknown_flow_of_{store.name}", f"unknown flow of {store.name}"
+        change = _change(library, name, "rate", store.level)
         unit = "1/s" if store.unit == "-" else f"{store.unit}/s"
-        out.append(_make_smooth(library, name, said, change, unit, typical))
+        out.append(_make_smooth(library, name, said, change, unit, SHARE_OF_USUAL * usual.rate))
     if out:
         return tuple(out)
     groups = len({run.group for run in library.study.runs})
-    knots = MOST_OF_INPUTS // max(groups * len(library.held), 1)
-    for name in library.held:
-        most = library.scales.of_commands((name,))["reach"]
-        own = f"unknown_change_of_{name}"
-        total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
-        change = Change(names={name: total}, inputs=(own,))
-        out.append(
-            _make_smooth(
-                library,
-                own,
-                f"unknown change of {name}",
-                change,
-                "command",
-                0.05 * most,
-                most_knots=knots,
-            )
-        )
+    most = MOST_OF_INPUTS // max(groups * len(system.held), 1)
+    for of in system.held:
+        name, said = f"unknown_change_of_{of}", f"unknown change of {of}"
+        change = _change(library, name, "input", of)
+        size = 0.05 * library.scales.of_commands((of,))["reach"]
+        out.append(_make_smooth(library, name, said, change, "command", size, most_knots=most))
     return tuple(out)
+
+
+def _change(library: Library, name: str, kind: str, target: str) -> Change:
+    """What a further input of a name does where it enters."""
+    return replace(entering(library.system, kind, target, named(name)), inputs=(name,))
 
 
 def _make_smooth(

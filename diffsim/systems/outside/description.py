@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,10 +11,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
-from diffsim.causes.commands import CommandGroup
-from diffsim.causes.plant import IN_TIME, Place, Plant
-from diffsim.causes.scales import Scales
-from diffsim.causes.signals import Between
+from diffsim.causes.plant import Plant
+from diffsim.core.inside import inside
+from diffsim.core.schema_paths import CODE, INSIDE, PathWords
 from diffsim.core.units import in_si, in_unit
 from diffsim.data.steps import looks_held
 from diffsim.data.study import Study
@@ -29,11 +29,11 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.environment import Environment
-from diffsim.systems.outside.hooks import PER_DISTANCE
-from diffsim.systems.outside.setup import outside_setup
+from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
 
+_MAX_NAME = 255  # letters; what is longer is a text, and no file
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
 
@@ -72,14 +72,6 @@ class PlaceKeys(Part):
         None, gt=0, description="Usual speed, m/s or rad/s; none: no friction or drag is tried"
     )
 
-    @property
-    def place(self) -> Place:
-        """The place as causes see it."""
-        stated = {"distance": self.distance, "speed": self.speed}
-        usual = {"push": self.typical, **{name: value or 1.0 for name, value in stated.items()}}
-        known = tuple(name for name, value in stated.items() if value is not None)
-        return Place(usual, known, self.unit, PER_DISTANCE[self.unit])
-
 
 class HookKeys(Part):
     """What causes may act on."""
@@ -117,11 +109,11 @@ class OutsideDescription(Description):
     """A simulator of the user's own: any function, class or Gymnasium environment."""
 
     system: Literal["outside"] = Field(description="outside")
-    simulator: str = Field(
+    simulator: Annotated[str, PathWords("text", CODE)] = Field(
         description="FILE.py:NAME beside study.yaml, MODULE:NAME, or gym:ID. NAME is a function "
         "predict(parameters, run), or a class with such a method, or with reset and step"
     )
-    options: dict[str, Any] = Field(
+    options: Annotated[dict[str, Any], PathWords("mapping of names to anything", INSIDE)] = Field(
         {}, description="Keyword arguments that the class is made with, such as a model file"
     )
     parameters: dict[str, AnyQuantity] = Field(
@@ -159,7 +151,11 @@ class OutsideDescription(Description):
     def problems(self, study: Study) -> list[Problem]:
         """A simulator that is not there, hooks that no column has; nothing is run."""
         out = []
-        if problem := self.source(study).problem():
+        try:
+            problem = self.source(study).problem()
+        except ValueError as error:  # a path that leaves its folder
+            problem = str(error)
+        if problem:
             out.append(Problem("error", "model", problem))
         checks: list[Callable[[], object]] = [
             partial(hooks_of.command_groups, study, self.hooks.command),
@@ -191,36 +187,36 @@ class OutsideDescription(Description):
             study,
             self.source(study),
             {**self.parameters, **self.start},
-            places=[
-                hooks_of.Place(name, p.unit, p.typical, p.distance, p.speed)
-                for name, p in self.hooks.force.items()
-            ],
+            places=self._list_places(),
             commands=self.hooks.command,
             outputs=self.hooks.output,
             held=self._are_commands_held(study),
             clocks=self.clocks,
             workers=self.workers,
         )
-        return DiagnosisSetup(
-            model=made.model,
+        return replace(
+            made,
             effects=chosen_effects(made.effects, self.effects, study, self.plant(study)),
-            unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
         )
 
     def plant(self, study: Study) -> Plant:
         """What the simulator offers to causes of a user."""
-        between: Between = "held" if self._are_commands_held(study) else "smooth"
-        names = dict.fromkeys(name for run in study.runs for name in run.command)
-        return Plant(
-            kind="outside",
-            scales=Scales.kept_in(study) or Scales.of_runs(study),
-            channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}, between) for name in names),
-            numbers=(*self.parameters, *self.start),
-            places={name: place.place for name, place in self.hooks.force.items()},
-            facts={IN_TIME: True},
+        return outside_plant(
+            study,
+            (*self.parameters, *self.start),
+            self._list_places(),
+            command_groups=self.hooks.command,
+            outputs=self.hooks.output,
+            held=self._are_commands_held(study),
+            clocks=self.clocks,
         )
+
+    def _list_places(self) -> list[hooks_of.Place]:
+        return [
+            hooks_of.Place(name, p.unit, p.typical, p.distance, p.speed)
+            for name, p in self.hooks.force.items()
+        ]
 
     def _are_commands_held(self, study: Study) -> bool:
         if self.commands_are is not None:
@@ -231,7 +227,13 @@ class OutsideDescription(Description):
         """Options; those that name a file beside the study get its folder."""
         if folder is None:
             return self.options
-        return {
-            k: str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v
-            for k, v in self.options.items()
-        }
+        opened = ("model",) if self.simulator == MJCF else ()
+        return {k: _file_or_value(folder, k, v, k in opened) for k, v in self.options.items()}
+
+
+def _file_or_value(folder: Path, key: str, given: Any, is_opened: bool) -> Any:
+    """The path of a file that a text names; any other text, which may be no path, as it is."""
+    if not isinstance(given, str) or not 0 < len(given) <= _MAX_NAME or given[:1] in "<\n ":
+        return given
+    is_file = is_opened or (folder / given).is_file()
+    return str(inside(folder, given, f"options.{key}")) if is_file else given

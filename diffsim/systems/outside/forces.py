@@ -24,14 +24,14 @@ class Term:
     """One force at one place.
 
     Attributes:
-        place: Index of the place.
+        place: Name of the place.
         law: Formula of ``OF_FORCES``: size, position x, speed v, and w, below which dry friction
             fades.
         size: Size of the law, in the effect's unit.
         scale: Usual speed of the place, of which w is a hundredth.
     """
 
-    place: int
+    place: str
     law: LawFormula
     size: float
     scale: float = 1.0
@@ -42,13 +42,13 @@ class ForceKnots:
     """A force at one place that follows straight lines between knots in time.
 
     Attributes:
-        place: Index of the place.
+        place: Name of the place.
         start: Time of the first knot [s].
         spacing: Time between two knots [s].
         values: Force at the knots, (num_knots,).
     """
 
-    place: int
+    place: str
     start: float
     spacing: float
     values: tuple[float, ...]
@@ -101,8 +101,8 @@ class PlaceForces:
         """
         out = np.zeros(len(self.places))
         for t, law in zip(self._terms, self._laws, strict=True):
-            i = t.place
+            i = self.places.index(t.place)
             out[i] += law(t.size, float(positions[i]), float(velocities[i]), SHARP * t.scale)
         for k in self._knots:
-            out[k.place] += k.at(time)
+            out[self.places.index(k.place)] += k.at(time)
         return out

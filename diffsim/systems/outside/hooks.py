@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from diffsim.causes import plant
 from diffsim.causes.channel_groups import CLOCK, WHOLE, channel_groups
 from diffsim.causes.commands import CommandGroup
-from diffsim.causes.readings import Instrument
+from diffsim.causes.readings import Instrument, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
 from diffsim.data.study import Study
 
-PER_DISTANCE = {"N": "m", "N m": "rad"}
+_PER_DISTANCE = {"N": "m", "N m": "rad"}
 
 
 @dataclass(frozen=True)
@@ -35,24 +36,12 @@ class Place:
     speed: float | None = None
 
     @property
-    def length(self) -> str:
-        """Unit of the displacement."""
-        return PER_DISTANCE[self.unit]
-
-
-@dataclass(frozen=True)
-class Hooks:
-    """What causes may act on.
-
-    Attributes:
-        commands: Groups of commands on their way to the actuators.
-        places: Places of forces.
-        instruments: Channels by instrument.
-    """
-
-    commands: tuple[CommandGroup, ...] = ()
-    places: tuple[Place, ...] = ()
-    instruments: tuple[Instrument, ...] = ()
+    def of_plant(self) -> plant.Place:
+        """The place as causes see it."""
+        stated = {"distance": self.distance, "speed": self.speed}
+        usual = {"push": self.typical, **{name: value or 1.0 for name, value in stated.items()}}
+        known = tuple(name for name, value in stated.items() if value is not None)
+        return plant.Place(usual, known, self.unit, _PER_DISTANCE[self.unit])
 
 
 def command_groups(
@@ -84,6 +73,7 @@ def command_groups(
             between,
             scales.is_one_sided(columns),
             f"_of_{spell_plainly(name)}" if name else "",
+            sample_s=usual_sample(study.runs),
         )
         for name, columns in given.items()
         if columns

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
@@ -45,7 +45,7 @@ class Mjcf:
     ``actuator.NAME.gain``; ``gravity`` (downwards), ``density`` and ``viscosity`` of the medium.
 
     Args:
-        model: File of the model, or its text.
+        model: File of the model, whose files stay in its folder, or its text, which names none.
         channels: Sensor of the MJCF for each channel, "tip[0]" for one entry of a vector; None:
             sensors are named as channels are.
         commands: Actuator of the MJCF for each command; None: actuators are named as commands are,
@@ -63,9 +63,9 @@ class Mjcf:
         import mujoco
 
         self.mujoco = mujoco
-        text = model if model.lstrip().startswith("<") else Path(model).read_text(encoding="utf-8")
-        self.model: Any = mujoco.MjModel.from_xml_string(text)
-        self.plain: Any = mujoco.MjModel.from_xml_string(text)
+        text, files = whole_scene(model)
+        self.model: Any = mujoco.MjModel.from_xml_string(text, files)
+        self.plain: Any = mujoco.MjModel.from_xml_string(text, files)
         self.channels, self.commands, self.held = channels, commands, held
 
     def predict(

@@ -6,7 +6,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from multiprocessing import get_context
 from threading import Lock
 from typing import Any
@@ -16,10 +15,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.causes.instruments import Instruments
 from diffsim.causes.ports import SignalChange
-from diffsim.causes.readings import PLAY_START
-from diffsim.causes.scene import ForceLaw
-from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
+from diffsim.causes.scene import PLAY_START, Commands, Scene
+from diffsim.causes.signals import Grid, SignalMap
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
@@ -130,85 +129,21 @@ class Records:
         return record
 
 
-@dataclass(frozen=True, eq=False)
-class OutsideScene:
-    """One run of an outside simulator; effects change commands, forces and channels.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OutsideScene(Scene):
+    """One run of an outside simulator.
 
     Attributes:
         model: Model that the scene belongs to.
-        values: Value of each parameter in this run, () each.
         run: Run as recorded.
         numerics: Factors on the simulator's own settings.
-        command_maps: Names of commands, and what happens to them on their way.
-        terms: Forces by law.
         knots: Forces over time.
-        output_maps: Indices of channels, and what happens to them.
     """
 
     model: OutsideModel
-    values: Mapping[str, Tensor]
     run: Run
     numerics: Numerics
-    command_maps: tuple[tuple[tuple[str, ...], SignalMap], ...] = ()
-    terms: tuple[Term, ...] = ()
     knots: tuple[ForceKnots, ...] = ()
-    output_maps: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
-
-    def with_command(self, names: tuple[str, ...], change: SignalMap) -> OutsideScene:
-        """A copy with one more map f(commands (width, num_samples), grid) of some commands.
-
-        Args:
-            names: Names of the commands; empty: all.
-            change: The function; one that leaves all as it is is left out.
-        """
-        if isinstance(change, SignalChange) and change.is_none:
-            return self
-        names = names or tuple(self.run.command)
-        return replace(self, command_maps=(*self.command_maps, (names, change)))
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> OutsideScene:
-        """A copy with one more map f(channels (width, num_samples), grid) of some channels.
-
-        Args:
-            channels: Their indices.
-            change: The function; one that leaves all as it is is left out.
-        """
-        if isinstance(change, SignalChange) and change.is_none:
-            return self
-        return replace(self, output_maps=(*self.output_maps, (channels, change)))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> OutsideScene:
-        """A copy in which channels show what was ``delay`` ago [s]."""
-        if not bool(delay.detach().any()):
-            return self
-        return self.with_reading(channels, lambda y, grid: smoothly_delayed(y, grid, delay))
-
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> OutsideScene:
-        """A copy in which a parameter of the simulator is f(parameter)."""
-        return replace(self, values={**self.values, name: change(self.values[name])})
-
-    def with_force(self, place: str, law: ForceLaw) -> OutsideScene:
-        """A copy with one more force at a place.
-
-        Args:
-            place: Name of the place.
-            law: Formula and size.
-        """
-        size = float(law.size.detach())
-        if size == 0.0:
-            return self
-        at = self.model.places.index(place)
-        term = Term(at, law.formula, size, self.model.speeds[at])
-        return replace(self, terms=(*self.terms, term))
-
-    def with_knots(self, knots: ForceKnots) -> OutsideScene:
-        """A copy with one more force over time."""
-        return replace(self, knots=(*self.knots, knots))
-
-    @property
-    def play_start(self) -> Tensor | None:
-        """Where in a play the run starts, -1 to 1; None: not known to the model."""
-        return self.values.get(PLAY_START)
 
     def simulate(self) -> Tensor:
         """(num_samples, num_channels) predicted channels."""
@@ -222,10 +157,16 @@ class OutsideScene:
     def job(self) -> Job:
         """The call of the simulator that this scene asks for."""
         model = self.model
-        forces = PlaceForces(model.places, self.terms, self.knots) if model.places else None
-        own = (PLAY_START, *self.model.clocks)  # what happens behind the simulator
-        values = {name: float(v.detach()) for name, v in self.values.items() if name not in own}
-        run = replace(self.run, command=self._map_commands())
+        terms = [
+            Term(place, law.formula, float(law.size.detach()), model.places[place])
+            for place, law in self.forces
+        ]
+        forces = PlaceForces(tuple(model.places), terms, self.knots) if model.places else None
+        own = (PLAY_START, *model.clocks)  # what happens behind the simulator
+        values = {name: float(v.detach()) for name, v in self.numbers.items() if name not in own}
+        acting = replace(self.commands, changes=_list_acting(self.commands.changes))
+        heard = acting.heard(self.grid).detach().numpy()
+        run = replace(self.run, command=dict(zip(self.run.command, heard, strict=True)))
         return Job(run, values, forces, self.numerics, model.channels)
 
     def read(self, predicted: Array) -> Tensor:
@@ -234,28 +175,20 @@ class OutsideScene:
         Args:
             predicted: What the simulator returned, (num_samples, num_channels).
         """
-        out, grid = torch.from_numpy(predicted), self._make_grid()
-        for name, idx in self.model.clocks.items():
-            late = partial(smoothly_delayed, delay=self.values[name].detach())
-            out = change_rows(out.mT, idx, late, grid).mT
-        for channels, change in self.output_maps:
-            out = change_rows(out.mT, channels, change, grid).mT
-        return out.detach().contiguous()
+        clocks = tuple((idx, self.numbers[name]) for name, idx in self.model.clocks.items())
+        shown = Instruments((*clocks, *_list_acting(self.instruments.acts)))
+        return shown.read_in_order(torch.from_numpy(predicted), self.grid).detach().contiguous()
 
-    def _make_grid(self) -> Grid:
-        return Grid.of(np.asarray(self.run.time_s, dtype=np.float64), np.inf)
 
-    def _map_commands(self) -> dict[str, Array]:
-        """Commands as the actuators hear them, at the run's times."""
-        commands = {name: np.asarray(v, dtype=np.float64) for name, v in self.run.command.items()}
-        for names, change in self.command_maps:
-            held = [n for n in names if n in commands]
-            if not held:
-                continue
-            rows = torch.from_numpy(np.stack([commands[n] for n in held]))
-            changed = change(rows, self._make_grid()).detach().numpy()
-            commands |= dict(zip(held, changed, strict=True))
-        return commands
+def _list_acting(acts: Sequence[tuple[Any, Any]]) -> tuple[tuple[Any, Any], ...]:
+    """What does something at its size: for nothing else the simulator is asked again."""
+    return tuple((where, act) for where, act in acts if not _is_nothing(act))
+
+
+def _is_nothing(act: SignalMap | Tensor) -> bool:
+    if isinstance(act, Tensor):
+        return not bool(act.detach().any())
+    return isinstance(act, SignalChange) and act.is_none
 
 
 SAMPLE = 20.0  # weighted steps of a sample: simulators take some of their own
@@ -269,8 +202,8 @@ class OutsideModel(SimModel):
         base: Base parameters.
         in_run: Function (values of the base parameters, run) -> values that the simulator gets.
         channels: Names of the channels.
-        places: Names of the places where the simulator can add forces.
-        speeds: Usual speed of each place.
+        commands: Names of the commands; a run need not have all of them.
+        places: Usual speed of each place where the simulator can add forces, by name.
         clocks: Indices of the channels that are late by a base parameter of that name.
         workers: Processes that simulate side by side; each makes a simulator of its own.
     """
@@ -282,8 +215,8 @@ class OutsideModel(SimModel):
         in_run: Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]],
         *,
         channels: Sequence[str],
-        places: Sequence[str] = (),
-        speeds: Sequence[float] = (),
+        commands: Sequence[str] = (),
+        places: Mapping[str, float] | None = None,
         clocks: Mapping[str, tuple[int, ...]] | None = None,
         workers: int = 1,
     ):
@@ -291,8 +224,8 @@ class OutsideModel(SimModel):
         self.step_cost = SAMPLE
         self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run
-        self.channels, self.places, self.workers = tuple(channels), tuple(places), workers
-        self.speeds = tuple(speeds)
+        self.channels, self.commands, self.workers = tuple(channels), tuple(commands), workers
+        self.places = dict(places or {})
         self.predict_run, self.one_at_a_time = source.make(), Lock()
         if places and "force" not in offers_of(self.predict_run):
             raise ValueError(
@@ -329,7 +262,18 @@ class OutsideModel(SimModel):
     def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics
     ) -> OutsideScene:
-        return OutsideScene(self, self.in_run(values, run), run, numerics)
+        rows: dict[str, tuple[int, ...]] = dict.fromkeys(self.commands, ())
+        rows |= {name: (i,) for i, name in enumerate(run.command)}
+        columns = [np.asarray(v, dtype=np.float64) for v in run.command.values()]
+        stacked = np.stack(columns) if columns else np.zeros((0, len(run.time_s)))
+        return OutsideScene(
+            grid=Grid.of(np.asarray(run.time_s, dtype=np.float64), np.inf),
+            numbers=self.in_run(values, run),
+            commands=Commands(torch.from_numpy(stacked), rows),
+            model=self,
+            run=run,
+            numerics=numerics,
+        )
 
 
 _OWN: dict[str, Any] = {}

@@ -8,26 +8,27 @@ from typing import Any
 from torch import Tensor
 
 from diffsim.causes.channel_groups import channels_of, clock_of
-from diffsim.causes.readings import PLAY_START, pace, usual_sample, with_play_start
+from diffsim.causes.listing import list_causes
+from diffsim.causes.plant import IN_TIME, Plant
+from diffsim.causes.readings import usual_sample, with_play_start
 from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.scene import PLAY_START
+from diffsim.causes.signals import Between
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.outside.effects import outside_library, unknown_forces
+from diffsim.systems.outside.effects import unknown_forces
 from diffsim.systems.outside.environment import Environment
-from diffsim.systems.outside.hooks import (
-    Hooks,
-    Place,
-    command_groups,
-    instruments,
-)
+from diffsim.systems.outside.hooks import Place, instruments
+from diffsim.systems.outside.hooks import command_groups as group_commands
 from diffsim.systems.outside.model import OutsideModel
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import START_IN_PLAY
 
+OUTSIDE = "outside"  # the kind of system, and its table
 InRun = Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]]
 
 
@@ -68,6 +69,9 @@ def outside_setup(
         ValueError: the simulator cannot be used; the message says what it lacks.
     """
     clocks = clocks or {}
+    plant = outside_plant(
+        study, (), places, command_groups=commands, outputs=outputs, held=held, clocks=clocks
+    )
     late = {clock_of(name): channels_of(study.channels, name) for name in clocks}
     source = simulator
     if not isinstance(simulator, Source):
@@ -75,32 +79,65 @@ def outside_setup(
         source = Source(label, given=simulator, environment=environment or Environment())
     behind = {PLAY_START: START_IN_PLAY, **{clock_of(n): q for n, q in clocks.items()}}
     base, in_run = _list_parameters(parameters, behind, study)
-    names = tuple(c.name for c in study.channels)
-    scales = Scales.kept_in(study) or Scales.of_runs(study)
-    hooks = Hooks(
-        command_groups(study, commands, scales, "held" if held else "smooth"),
-        tuple(places),
-        instruments(study, outputs, scales, tuple(late.values())),
-    )
+    names = plant.channel_names
     model = OutsideModel(
         source,
         base,
         in_run,
         channels=names,
-        places=[p.name for p in places],
-        speeds=[1.0 if p.speed is None else p.speed for p in places],
+        commands=tuple(plant.commands),
+        places={p.name: 1.0 if p.speed is None else p.speed for p in places},
         clocks={key: tuple(names.index(c) for c in own) for key, own in late.items()},
         workers=workers,
     )
-    model.frame = {SCALES: scales.saved()}
+    model.frame = {SCALES: plant.scales.saved()}
     return DiagnosisSetup(
         model=model,
-        effects=(
-            *pace(outside_library(hooks), usual_sample(study.runs)),
-            *more_effects,
-        ),
-        unknowns=unknown_forces(hooks, study.runs),
+        effects=(*list_causes(plant), *more_effects),
+        unknowns=unknown_forces(plant.places, study.runs),
         settings=settings or DiagnosisSettings(),
+    )
+
+
+def outside_plant(
+    study: Study,
+    numbers: Sequence[str],
+    places: Sequence[Place],
+    *,
+    command_groups: Mapping[str, Sequence[str]] | None,
+    outputs: Mapping[str, Sequence[str]] | None,
+    held: bool,
+    clocks: Mapping[str, Quantity],
+) -> Plant:
+    """What a simulator from outside tells of itself.
+
+    Args:
+        study: Recorded runs.
+        numbers: Names of the parameters that causes may change.
+        places: Places where the simulator adds forces.
+        command_groups: Commands of each group that goes one way; None: all commands as one group.
+        outputs: Channels of each instrument; None: those of one sensor, kind, or each alone.
+        held: Commands are held from sample to sample; else straight lines join the samples.
+        clocks: How late sensors, kinds or single channels are, by their name.
+
+    Raises:
+        ValueError: a group or instrument that names what the study does not have.
+    """
+    scales = Scales.of(study)
+    between: Between = "held" if held else "smooth"
+    late = tuple(channels_of(study.channels, name) for name in clocks)
+    commands = dict.fromkeys(name for run in study.runs for name in run.command)
+    return Plant(
+        kind=OUTSIDE,
+        scales=scales,
+        channels=study.channels,
+        commands=dict.fromkeys(commands, between),
+        ways=group_commands(study, command_groups, scales, between),
+        numbers=tuple(numbers),
+        places={place.name: place.of_plant for place in places},
+        facts={IN_TIME: True},
+        instruments=instruments(study, outputs, scales, late),
+        sample_s=usual_sample(study.runs),
     )
 
 

@@ -16,8 +16,8 @@ from diffsim.causes.instruments import grid_at
 from diffsim.causes.scales import Scales
 from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
-from diffsim.data.importers.common import read_columns
 from diffsim.data.study import TIMELESS, Channel, Run, Study
+from diffsim.data.table import read_numbers
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
@@ -280,7 +280,7 @@ class Balls:
         path = inside(study.folder or Path(), given.file, "model.camera.points.file")
         if self.camera.is_stated and not path.is_file():
             return None  # as where a saved model is judged, which knows its camera
-        data, _ = read_columns(path, list(given.columns))
+        data = read_numbers(path, list(given.columns))
         table = np.column_stack([data[c] for c in given.columns])
         return Points(table[:, :2], table[:, 2:])
 

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.schema_numbers import Kilograms, KilogramSquareMeters, Meters, Radians, Seconds
+from diffsim.core.schema_paths import PathInside
 from diffsim.systems.description import Part, Quantity
 from diffsim.systems.quantities import Length, Pixels, Plain, PositiveLength, Speed
 
@@ -171,7 +172,7 @@ ANGLES = ("roll", "pitch", "yaw")
 class Points(Part):
     """Points whose places are known, clicked in a picture of the camera."""
 
-    file: str = Field(description="CSV beside the recordings")
+    file: PathInside = Field(description="CSV beside the recordings")
     columns: tuple[str, str, str, str, str] = Field(
         ("u_px", "v_px", "x_m", "y_m", "z_m"), description="Columns of u, v [px] and x, y, z [m]"
     )

@@ -8,8 +8,9 @@ import numpy as np
 
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.listing import numbers_added
-from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant, Sessions
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
 from diffsim.causes.scales import Scales
+from diffsim.causes.sessions import Sessions
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -93,7 +94,8 @@ class RodDescription(RodKeys):
             kind=ROD,
             scales=scales,
             channels=study.channels,
-            commands=(group,) if commands else (),
+            commands=dict.fromkeys(commands, self.between_samples),
+            ways=(group,) if commands else (),
             numbers=tuple(dict.fromkeys([*quantities, *self.zeros()])),
             fitted=tuple(name for name, q in quantities.items() if q.is_fitted),
             facts={

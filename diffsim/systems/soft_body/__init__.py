@@ -1,6 +1,5 @@
 """Soft bodies as a study describes them, and what real ones add to it."""
 
-from diffsim.systems.soft_body.causes import soft_body_library
 from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.unknown import unknown_force
@@ -8,6 +7,5 @@ from diffsim.systems.soft_body.unknown import unknown_force
 __all__ = [
     "SoftModel",
     "SoftScene",
-    "soft_body_library",
     "unknown_force",
 ]

@@ -1,60 +1,46 @@
-"""Candidate causes of a described soft body: the rows that its parts allow, and their functions."""
+"""What a described soft body tells of itself to causes, and what its own functions do."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.causes.catalogue import rows
+from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups, channels_of
-from diffsim.causes.commands import CommandGroup, command_causes
-from diffsim.causes.ports import on_clock, on_numbers, on_readings
-from diffsim.causes.readings import (
-    SENSOR,
-    instrument_of,
-    pace,
-    reading_cause,
-    reading_causes,
-    usual_sample,
-)
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.plant import IN_TIME, Place, Plant
+from diffsim.causes.ports import on_numbers
+from diffsim.causes.readings import Instrument, instrument_of, usual_sample
 from diffsim.causes.row import spell_plainly
-from diffsim.causes.scales import SCALES, Scales
-from diffsim.identify.effect import Apply, Effect, needs_nothing
+from diffsim.causes.scales import Scales
+from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import forces, loads, material, sensor
 from diffsim.systems.soft_body.hanging import hang_slack
 from diffsim.systems.soft_body.pulling import unknown_pull
 from diffsim.systems.soft_body.readings import main_axis
-from diffsim.systems.soft_body.support import needs_record, support_of
+from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS
+from diffsim.systems.soft_body.support import support_of
 from diffsim.systems.soft_body.unknown import unknown_force
 
 if TYPE_CHECKING:
     from diffsim.data.study import Study
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 
-SYSTEM = "soft_body"
-SUPPORT = ("support_x_m", "support_z_m")  # places of a support that nobody names otherwise
+SOFT_BODY = "soft_body"  # the kind of system, and its table
 BODY, TIMED = "body", "is_timed"  # of the scales: magnitudes of the body; whether time matters
+G = 9.81  # [m/s^2]
 MOST_KNOTS = 16
 KNOTS_PER_S = 6.0
 SLIP_SPEED = 1e-2  # below which dry friction grows linearly [m/s]
 PULL_SHARE = 0.1  # of the command's range: a pull that nothing explains and is no surprise
-# from the motor to the body: the slack of a tendon lies behind what limits the motor
-ON_THE_WAY = (
-    *("quantization", "lag", "dead_band", "backlash", "saturation", "command_gain", "rate_limit"),
-    *("slack", "delay", "gain_slope", "command_offset"),
-)
-# of commands and of readings: what poses without a past do not show
-OVER_TIME = ("lag", "delay", "rate_limit", "backlash")
-READ_OVER_TIME = ("sensor_delay", "sensor_lag", "sensor_drift", "sensor_backlash")
 
 #: What causes do that no port says, by the names of their rows.
-ACTS: Mapping[str, Apply] = MappingProxyType(
+FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
     {
         "loss_factor": material.lose_in_motion,
         "creep": material.creep,
@@ -77,52 +63,180 @@ ACTS: Mapping[str, Apply] = MappingProxyType(
         "lens": sensor.distort,
     }
 )
-_UNITS = {"dry_friction": "N"}
-_TABLES = ("material", "surroundings", "force", "load", "camera")
 
 
 def body_cause(
     name: str, scales: Mapping[str, float] | None = None, apply: Apply | None = None, **own: Any
 ) -> Effect:
-    """A cause in a soft body, around it or in the cameras.
+    """A cause in a soft body, around it or in the cameras, for models that no study describes.
 
     Args:
         name: Name of its row.
         scales: Usual magnitudes that the row may use.
-        apply: How it acts where that depends on the description; None: as ``ACTS`` or the row says.
+        apply: How it acts; None: as ``FUNCTIONS`` or the row says.
         **own: Fields of the effect that differ, as for :meth:`diffsim.causes.Row.effect`.
     """
-    row = next(rows(table)[name] for table in _TABLES if name in rows(table))
-    acts = apply or ACTS.get(name) or on_numbers(row)
-    unit = {"unit": _UNITS[name]} if name in _UNITS else {}
-    return row.effect(acts, scales, system=SYSTEM, **{**unit, **own})
+    row = next(row for _, row in rows_in_order(SOFT_BODY) if row.name == name)
+    acts = apply or FUNCTIONS.get(name) or on_numbers(row)
+    return row.effect(acts, scales, system=SOFT_BODY, **{"unit": row.unit.replace("F", "N"), **own})
 
 
-def library(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Effect, ...]:
-    """Causes that the description leaves room for.
-
-    What is a base parameter already is no cause beside it: the two could not be told apart.
+def plant_of(given: SoftBodyKeys, study: Study, scales: Scales, places: Collection[str]) -> Plant:
+    """What a described soft body tells of itself.
 
     Args:
         given: Description of the body.
         study: Study with the recordings.
         scales: Usual magnitudes, see ``scales_of``.
+        places: Names of the places where forces may act.
     """
-    still = given.numerics.motion == "quasi_static"
-    # stiffening goes by iteration, which large poses leave
-    found = [] if still else ["loss_factor", "creep", "stiffness_damping", "stiffening"]
-    if given.material.rayleigh_beta.is_fitted and not still:
-        found.remove("stiffness_damping")
-    found += ["stiffness_loss", "temperature_drift", *_list_surroundings(given, still)]
-    causes = [body_cause(name) for name in found]
-    if given.water is not None and not still:
-        causes.append(body_cause("current", needs=needs_nothing))
-        if not given.water.added_mass.is_fitted:
-            causes.append(body_cause("added_mass"))
-    causes.append(body_cause("body_scale"))
-    causes += _list_loads(given, scales, still)
-    causes += _list_commands(given, study, scales)
-    return (*causes, *_list_cameras(given, study, scales), *_list_instruments(given, study, scales))
+    moves = given.numerics.motion != "quasi_static"
+    weight = scales.plain[BODY]["mass"]
+    usual = {"push": PULL_SHARE * G * weight, **usual_motion(given, scales)}
+    quantities = {name for name, q in given.quantities().items() if q.is_fitted}
+    has_gravity = any(given.gravity.vector)
+    return Plant(
+        kind=SOFT_BODY,
+        scales=scales,
+        channels=study.channels,
+        commands=dict.fromkeys(given.commands, "straight"),
+        ways=_list_ways(given, study, scales),
+        numbers=_list_numbers(given, scales, moves=moves),
+        fitted=quantities,
+        places=dict.fromkeys(places, Place(usual)) if moves else {},
+        facts={
+            IN_TIME: bool(scales.facts[TIMED]),
+            "moves": moves,
+            "speed": moves,
+            "gravity": has_gravity,
+            "weighs": has_gravity or moves,
+            "water": given.water is not None,
+            "hung_weights": any(load.acts_as == "weight" for load in given.masses),
+            "catches": given.slack_string is not None,
+            "added_mass_is_fitted": "water_added_mass" in quantities,
+            "tilt_is_fitted": bool(quantities & {"gravity_roll", "gravity_pitch"}),
+            "zeros_are_fitted": given.camera.relative_to == "first"
+            or all(r.zero.is_fitted for r in given.channels.values()),
+            "camera_is_fitted": bool(quantities & {f"camera_{a}" for a in _TURNS}),
+        },
+        parts=_list_parts(given),
+        functions={**FUNCTIONS, **_list_functions(given, moves=moves)},
+        magnitudes=_list_magnitudes(given, weight),
+        instruments=_list_instruments(given, study, scales),
+        record=_make_record(given, study, scales),
+        sample_s=usual_sample(study.runs),
+    )
+
+
+_TURNS = ("roll", "pitch", "yaw")
+
+
+def _list_numbers(given: SoftBodyKeys, scales: Scales, *, moves: bool) -> tuple[str, ...]:
+    absent = set() if scales.facts[TIMED] else {CLOCK_RATE}
+    absent |= set() if moves else {"rayleigh_alpha", "rayleigh_beta"}
+    absent |= set() if given.tendons or given.muscles else {"fiber_stiffness"}
+    return tuple(name for name in NUMBERS if name not in absent)
+
+
+def _list_ways(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[CommandGroup, ...]:
+    """All commands together."""
+    if not given.commands:
+        return ()
+    # of a command that only pulls, slack and dead band are one
+    pulls_only = bool(given.tendons) and scales.is_one_sided(given.commands)
+    units = {c.name: c.unit for c in study.commands}
+    unit = (units.get(given.commands[0]) if len(given.commands) == 1 else None) or "-"
+    drives = (*given.tendons, *given.muscles, *given.chambers)
+    facts = {
+        "pushes": not pulls_only,
+        "gain_is_fitted": all(d.gain.is_fitted for d in drives),
+        "clock_is_fitted": given.clock.offset.is_fitted,
+    }
+    group = CommandGroup(
+        given.commands,
+        scales.of_commands(given.commands),
+        is_one_sided=pulls_only,
+        unit=unit,
+        shown="mm" if unit == "m" else None,
+        facts=tuple(name for name, holds in facts.items() if holds),
+    )
+    return (group,)
+
+
+def _list_parts(given: SoftBodyKeys) -> dict[str, dict[str, str]]:
+    """Cosine and sine of each axis along which the base shakes."""
+    if given.vibration is None:
+        return {}
+    names = [f"{a}_{s}" for a in given.vibration.axes for s in ("cos", "sin")]
+    return {"shaking": {name: name for name in names}}
+
+
+def _list_functions(given: SoftBodyKeys, *, moves: bool) -> dict[str, Apply]:
+    """What is in the way of the body, what holds it, and what shakes it."""
+    found: dict[str, Apply] = {}
+    if given.support is not None:
+        at = given.support
+        found["support_motion"] = support_of((at.x, at.z), at.faster_than)
+    if given.vibration is not None and moves:
+        shaken = given.vibration
+        found["base_vibration"] = loads.shaking_of(shaken.frequency, shaken.axes)
+    if len(given.stops) > 1:
+        raise ValueError(f"stops: one stop can be judged, got {len(given.stops)}; name one")
+    for stop in given.stops:
+        found["one_sided_stop"] = loads.stop_of(stop.where, stop.direction, stop.gap)
+    return found
+
+
+def _list_magnitudes(given: SoftBodyKeys, mass: float) -> dict[str, float]:
+    found = {"mass": mass}
+    if given.slack_string is not None:
+        found["fall"] = given.slack_string
+    if given.vibration is not None:
+        found["frequency"] = given.vibration.frequency
+    if given.stops:
+        found["gap"] = 1e3 * given.stops[0].gap
+    return found
+
+
+def _make_record(given: SoftBodyKeys, study: Study, scales: Scales) -> Instrument:
+    """All channels as one instrument, whose clock and scale may be off."""
+    every = ChannelGroup("", tuple(c.name for c in study.channels))
+    causes = []
+    if not given.clock.offset.is_fitted and not _begins_with_command(given):
+        causes.append("sensor_delay")
+    if not given.camera.scale.is_fitted and not all(
+        r.scale.is_fitted for r in given.channels.values()
+    ):
+        causes.append("sensor_scale")
+    return replace(instrument_of(every, study.channels, scales), causes=tuple(causes))
+
+
+def _begins_with_command(given: SoftBodyKeys) -> bool:
+    """Whether all motion comes from commands, so that a late record is a late command."""
+    is_still = given.numerics.motion == "quasi_static" or given.start.shape == "equilibrium"
+    return bool(given.commands) and is_still and given.support is None
+
+
+def _list_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Instrument, ...]:
+    """Each stated sensor, but what is a base parameter of its channels already."""
+    if all(c.sensor is None for c in study.channels):
+        return ()
+    readings = given.channels.items()
+    fitted = {
+        "sensor_offset": {name for name, r in readings if r.zero.is_fitted},
+        "sensor_scale": {name for name, r in readings if r.scale.is_fitted},
+    }
+    clocks = [channels_of(study.channels, name) for name in given.clocks]
+    found = []
+    for group in channel_groups(study.channels, late_record=False):
+        if len(group.channels) == len(study.channels):
+            continue  # of all channels: causes of the whole record
+        left_out = {name for name, own in fitted.items() if set(group.channels) <= own}
+        left_out |= {"sensor_delay"} if group.channels in clocks else set()
+        tried = tuple(name for name in group.causes if name not in left_out)
+        instrument = instrument_of(replace(group, causes=tried), study.channels, scales)
+        found.append(replace(instrument, ending=f"_of_{spell_plainly(group.name)}"))
+    return tuple(found)
 
 
 def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
@@ -136,13 +250,8 @@ def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
     Raises:
         ValueError: the frame has none.
     """
-    if not study.frame:
-        facts = {TIMED: is_timed(given, study)}
-        return replace(Scales.of_runs(study), plain={BODY: {"mass": mass_kg}}, facts=facts)
-    kept = Scales.kept_in(study)
-    if kept is None:
-        raise ValueError(f"the saved model has no {SCALES}, as older ones have none; fit it again")
-    return kept
+    measured = Scales.of(study, {BODY: {"mass": mass_kg}})
+    return measured if study.frame else replace(measured, facts={TIMED: is_timed(given, study)})
 
 
 def usual_motion(given: SoftBodyKeys, scales: Scales) -> dict[str, float]:
@@ -162,144 +271,6 @@ def is_timed(given: SoftBodyKeys, study: Study) -> bool:
     is_still = given.numerics.motion == "quasi_static"
     is_long = any(len(r.time_s) > 2 for r in study.runs)
     return not is_still or (bool(given.commands) and is_long)
-
-
-def _list_surroundings(given: SoftBodyKeys, still: bool) -> list[str]:
-    found = [] if still else ["linear_drag", "quadratic_drag", "dry_friction"]
-    if any(given.gravity.vector):
-        found.append("weight")
-        if not given.gravity.roll.is_fitted and not given.gravity.pitch.is_fitted:
-            found.append("tilt")
-    return found
-
-
-def _list_loads(given: SoftBodyKeys, scales: Scales, still: bool) -> list[Effect]:
-    weighs = any(given.gravity.vector) or not still
-    found = [body_cause("tip_mass", scales.plain[BODY])] if weighs else []
-    if any(load.acts_as == "weight" for load in given.masses) and not still:
-        found.append(body_cause("load_inertia"))
-    if given.slack_string is not None:
-        found.append(replace(body_cause("slack_string"), typical=given.slack_string))
-    if given.support is not None:
-        found.append(support_motion(given.support.x, given.support.z, given.support.faster_than))
-    if given.vibration is not None and not still:
-        hertz, axes = given.vibration.frequency, given.vibration.axes
-        parts = tuple(f"{a}_{s}" for a in axes for s in ("cos", "sin"))
-        acts = loads.shaking_of(hertz, axes)
-        found.append(body_cause("base_vibration", {"frequency": hertz}, acts, components=parts))
-    for stop in given.stops:
-        acts = loads.stop_of(stop.where, stop.direction, stop.gap)
-        found.append(body_cause("one_sided_stop", {"gap": 1e3 * stop.gap}, acts))
-    return found
-
-
-def _list_commands(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
-    if not given.commands:
-        return []
-    # of a command that only pulls, slack and dead band are one
-    pulls_only = bool(given.tendons) and scales.is_one_sided(given.commands)
-    units = {c.name: c.unit for c in study.commands}
-    unit = (units.get(given.commands[0]) if len(given.commands) == 1 else None) or "-"
-    group = CommandGroup(
-        given.commands,
-        scales.of_commands(given.commands),
-        is_one_sided=pulls_only,
-        unit=unit,
-        shown="mm" if unit == "m" else None,
-    )
-    without = [] if pulls_only else ["slack"]
-    drives = (*given.tendons, *given.muscles, *given.chambers)
-    if all(d.gain.is_fitted for d in drives):
-        without.append("command_gain")
-    if given.clock.offset.is_fitted:
-        without.append("delay")
-    if not scales.facts[TIMED]:
-        without += OVER_TIME
-    found = command_causes(group, system=SYSTEM, without=without)
-    return sorted(found, key=lambda cause: ON_THE_WAY.index(cause.name))
-
-
-def _list_cameras(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
-    """Causes in what all channels share."""
-    readings = given.channels.values()
-    turns = (given.camera.roll, given.camera.pitch, given.camera.yaw)
-    every = ChannelGroup("", tuple(c.name for c in study.channels))
-    whole = instrument_of(every, study.channels, scales)
-    found = []
-    if scales.facts[TIMED]:
-        if not given.clock.offset.is_fitted and not _begins_with_command(given):
-            found.append(reading_cause("sensor_delay", whole, system=SYSTEM))
-        found += [] if given.clock.rate.is_fitted else [body_cause("clock_rate")]
-    if not given.camera.scale.is_fitted and not all(r.scale.is_fitted for r in readings):
-        found.append(reading_cause("sensor_scale", whole, system=SYSTEM))
-    if not all(r.zero.is_fitted for r in readings) and given.camera.relative_to != "first":
-        found.append(body_cause("placement"))
-    if not any(q.is_fitted for q in turns):
-        found.append(body_cause("sensor_tilt"))
-    return [*found, body_cause("lens")]
-
-
-def _begins_with_command(given: SoftBodyKeys) -> bool:
-    """Whether all motion comes from commands, so that a late record is a late command."""
-    is_still = given.numerics.motion == "quasi_static" or given.start.shape == "equilibrium"
-    return bool(given.commands) and is_still and given.support is None
-
-
-def _list_instruments(given: SoftBodyKeys, study: Study, scales: Scales) -> list[Effect]:
-    """Causes in each stated sensor, but what is a base parameter of theirs already."""
-    if all(c.sensor is None for c in study.channels):
-        return []
-    readings = given.channels.items()
-    fitted = {
-        "sensor_offset": {name for name, r in readings if r.zero.is_fitted},
-        "sensor_scale": {name for name, r in readings if r.scale.is_fitted},
-    }
-    clocks = [channels_of(study.channels, name) for name in given.clocks]
-    found: list[Effect] = []
-    for group in channel_groups(study.channels, late_record=False):
-        if len(group.channels) == len(study.channels):
-            continue  # of all channels: causes of the whole record
-        left_out = {name for name, own in fitted.items() if set(group.channels) <= own}
-        left_out |= {"sensor_delay"} if group.channels in clocks else set()
-        left_out |= set() if scales.facts[TIMED] else set(READ_OVER_TIME)
-        tried = tuple(name for name in group.causes if name not in left_out)
-        instrument = instrument_of(replace(group, causes=tried), study.channels, scales)
-        ending = f"_of_{spell_plainly(group.name)}"
-        found += reading_causes(replace(instrument, ending=ending), system=SYSTEM)
-    return list(pace(found, usual_sample(study.runs)))
-
-
-def soft_body_library(reach: float = 0.1) -> tuple[Effect, ...]:
-    """Causes in soft bodies, around them, in their actuators and in the cameras, of any body.
-
-    Args:
-        reach: Greatest magnitude of the command, in its unit.
-    """
-    named = (
-        *("stiffness_damping", "loss_factor", "creep", "stiffening", "stiffness_loss"),
-        *("temperature_drift", "linear_drag", "quadratic_drag", "added_mass", "weight", "tilt"),
-        *("current", "dry_friction"),
-    )
-    sensors = rows(SENSOR)
-    return (
-        *(body_cause(name) for name in named),
-        support_motion(*SUPPORT),
-        *command_causes(CommandGroup((), dict.fromkeys(("reach", "width", "rate"), reach))),
-        sensors["sensor_delay"].effect(on_clock(())),
-        sensors["sensor_scale"].effect(on_readings(sensors["sensor_scale"], ())),
-        *(body_cause(name) for name in ("clock_rate", "placement", "sensor_tilt", "lens")),
-    )
-
-
-def support_motion(x: str, z: str, faster_hz: float | None = None) -> Effect:
-    """The effect of a support that moves as its markers show.
-
-    Args:
-        x, z: Commands with its places along the body and up [m].
-        faster_hz: What is faster is noise [Hz]; None: nothing is.
-    """
-    acts = support_of((x, z), faster_hz)
-    return body_cause("support_motion", apply=acts, needs=partial(needs_record, names=(x, z)))
 
 
 def command_reach(scales: Scales, names: Sequence[str]) -> tuple[float, float]:
@@ -335,12 +306,11 @@ def seen_axes(given: SoftBodyKeys, study: Study) -> set[int]:
 
 
 __all__ = [
+    "FUNCTIONS",
     "body_cause",
     "command_reach",
-    "library",
+    "plant_of",
     "scales_of",
-    "soft_body_library",
-    "support_motion",
     "unknowns",
     "usual_motion",
 ]

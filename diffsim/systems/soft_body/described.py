@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 
 from diffsim import contact
+from diffsim.causes.instruments import Instruments, grid_at
+from diffsim.causes.scene import Commands
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.identify.numerics import Numerics
 from diffsim.soft.materials import CONSTANTS
@@ -22,7 +24,7 @@ from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.quasi_static import posed
 from diffsim.systems.soft_body.readings import main_axis, seen
 from diffsim.systems.soft_body.rig import SOFT_CABLE_N, BodyRig, mesh_softness
-from diffsim.systems.soft_body.scene import ForcePlace, SoftScene
+from diffsim.systems.soft_body.scene import ANYWHERE, CLOCK_RATE, ForcePlace, SoftScene
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -105,18 +107,17 @@ class DescribedModel:
         start -= given.start.lead_in
         scene: dict[str, Any] = {
             "body": rig.body,
-            "sample_times": torch.from_numpy(times - start),
+            "grid": grid_at(torch.from_numpy(times - start)),
             "observe": rig.observe,
             "rest_places": rig.look.rest,
             "axes": tuple(main_axis(given.channels[c]) for c in self.channels),
-            "parameters": physical,
-            "forces": () if hung is None else (HungWeight,),
+            "numbers": {**physical, CLOCK_RATE: own["clock_rate"]},
+            "forces": () if hung is None else ((ANYWHERE, HungWeight),),
             "hung_mass": hung,
             "places": {name: ForcePlace(own, self._speed) for name, own in rig.places.items()},
             "friction_shares": rig.sliding,
-            "time_scale": own["clock_rate"],
             "clock_offset": own["clock_offset"],
-            "late": tuple((channels, own[key]) for key, channels in self._clocks.items()),
+            "instruments": Instruments(tuple((c, own[key]) for key, c in self._clocks.items())),
             "output_maps": (seen(rig.look, given.camera, own, self.channels),),
             "obstacles": tuple(
                 contact.plane(w.normal, w.offset, friction=w.friction) for w in given.walls
@@ -222,8 +223,7 @@ class DescribedModel:
             columns.append(column)
         actuate, pressurize = self._make_drives(rig, own)
         return {
-            "command": torch.stack(columns, 1),
-            "command_names": self.commands,
+            "commands": Commands.named(self.commands, torch.stack(columns)),
             "command_dt": dt,
             "actuate": actuate,
             "pressurize": pressurize if self.given.chambers else None,

@@ -8,8 +8,8 @@ import numpy as np
 
 from diffsim.causes import Scales
 from diffsim.causes.channel_groups import channels_of, clock_of, clock_problems
-from diffsim.causes.commands import CommandGroup
-from diffsim.causes.plant import IN_TIME, Place, Plant
+from diffsim.causes.listing import list_causes
+from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run, Study
@@ -26,20 +26,15 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.causes import (
-    BODY,
-    PULL_SHARE,
-    TIMED,
     command_reach,
-    library,
+    plant_of,
     scales_of,
     unknowns,
     usual_motion,
 )
 from diffsim.systems.soft_body.described import DescribedModel
 from diffsim.systems.soft_body.quasi_static import pose_commands
-from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS
 
-G = 9.81  # [m/s^2]
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
 
 
@@ -102,44 +97,28 @@ class SoftBodyDescription(SoftBodyKeys):
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model of the body, causes that its parts allow, and options."""
         self.require_possible(study)
-        described = self._build_model(study)
-        model, scales = described.model(), self._measure_scales(study, described)
-        model.frame = {SCALES: scales.saved()}
+        described = self._build_model(study)  # once: its mesh is costly
+        plant, model = self._make_plant(study, described), described.model()
+        model.frame = {SCALES: plant.scales.saved()}
         advised = DiagnosisSettings(
             search=SearchSettings(max_effects=3, num_refits=2, max_rounds=4),
             jacobian=Jacobian(step=DIFFERENCE) if self.tendons else Jacobian(),
             noise_rounds=1,
         )
-        plant = self.plant(study) if self.effects.own else None
         return DiagnosisSetup(
             model,
-            chosen_effects(library(self, study, scales), self.effects, study, plant),
-            unknowns=unknowns(self, study, scales),
+            chosen_effects(list_causes(plant), self.effects, study, plant),
+            unknowns=unknowns(self, study, plant.scales),
             settings=settings_with(advised, self.effort),
         )
 
     def plant(self, study: Study) -> Plant:
-        """What the body offers to causes of a user.
+        """What the body tells of itself."""
+        return self._make_plant(study, self._build_model(study))
 
-        Args:
-            study: Study with this description as its ``model``.
-        """
-        described = self._build_model(study)
+    def _make_plant(self, study: Study, described: DescribedModel) -> Plant:
         scales = self._measure_scales(study, described)
-        is_still = self.numerics.motion == "quasi_static"
-        usual = {"push": PULL_SHARE * G * scales.plain[BODY]["mass"], **usual_motion(self, scales)}
-        absent = {CLOCK_RATE} if not scales.facts[TIMED] else set()
-        absent |= {"rayleigh_alpha", "rayleigh_beta"} if is_still else set()
-        absent |= set() if self.tendons or self.muscles else {"fiber_stiffness"}
-        return Plant(
-            kind="soft_body",
-            scales=scales,
-            channels=study.channels,
-            commands=tuple(CommandGroup((name,), {}) for name in self.commands),
-            numbers=tuple(name for name in NUMBERS if name not in absent),
-            places={} if is_still else dict.fromkeys(described.rig().places, Place(usual)),
-            facts={IN_TIME: bool(scales.facts[TIMED])},
-        )
+        return plant_of(self, study, scales, described.rig().places)
 
     def _measure_scales(self, study: Study, described: DescribedModel) -> Scales:
         mass_kg = float(described.rig().volume.sum()) * self.material.density.value

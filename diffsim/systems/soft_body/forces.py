@@ -78,19 +78,19 @@ def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
 def add_fluid_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Inertia of ``size`` times the displaced fluid."""
     mass = added_mass(scene.body.mesh, size[0], scene.fluid_density)
-    return scene.with_parameter("added_mass", scene.parameter("added_mass") + mass)
+    return scene.with_parameter("added_mass", scene.number("added_mass") + mass)
 
 
 def change_weight(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """More gravity along gravity, by ``size`` [m/s^2]."""
-    gravity = scene.parameter("gravity")
+    gravity = scene.number("gravity")
     down, _, _ = _find_gravity_axes(gravity)
     return scene.with_parameter("gravity", gravity + size[0] * down)
 
 
 def tilt_gravity(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Gravity across its direction, (2,) [m/s^2]."""
-    gravity = scene.parameter("gravity")
+    gravity = scene.number("gravity")
     _, first, second = _find_gravity_axes(gravity)
     return scene.with_parameter("gravity", gravity + size[0] * first + size[1] * second)
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.instruments import Instruments, grid_at
 from diffsim.causes.interpolation import sample
 from diffsim.data.study import Run
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
@@ -27,11 +28,11 @@ def hang_slack(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
     Not smooth: the time of the fall, sqrt(2 size / g), has no derivative at 0.
     """
-    carries = bool((scene.parameter("attached_mass") > 0.0).any())
+    carries = bool((scene.number("attached_mass") > 0.0).any())
     if not carries or not float(size[0].detach()) > 0.0:
         return scene
     kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
-    g = scene.parameter("gravity").norm()
+    g = scene.number("gravity").norm()
     return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
 
 
@@ -60,20 +61,19 @@ class SlackScene(SoftScene):
 
     def falling(self, last: int) -> SoftScene:
         """The body without the weight; places of all nodes are observed."""
-        load = self.parameter("attached_mass")
+        load = self.number("attached_mass")
         return self._make_plain(
-            sample_times=torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64),
-            time_scale=torch.ones((), dtype=torch.float64),
+            grid=grid_at(torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64)),
             clock_offset=torch.zeros((), dtype=torch.float64),
-            late=(),
-            parameters={**self.parameters, "attached_mass": torch.zeros_like(load)},
+            instruments=Instruments(),
+            numbers={**self.parameters, "attached_mass": torch.zeros_like(load)},
             observe=_flatten_places,
         )
 
     def swinging(self, fall: Tensor, last: int) -> SoftScene:
         """From the catch on: plastic along gravity, every loaded node shares the momentum."""
         x, v = self._interpolate_catch(fall, last)
-        load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
+        load, gravity = self.number("attached_mass"), self.number("gravity")
         down = gravity / gravity.norm()
         own = self.solid_mass
         gap = (gravity * self.slack_s - v) @ down

@@ -23,7 +23,7 @@ class OwnedScene:
 
     Attributes:
         scene: Scene of one run, with the effects built in.
-        owners: One per entry of ``scene.forces``; None: it was there before all effects.
+        owners: One per entry of ``scene.makers``; None: it was there before all effects.
     """
 
     scene: SoftScene
@@ -33,7 +33,7 @@ class OwnedScene:
         """Functions that make the forces, by owner and place among the owner's."""
         count: Counter[Effect | None] = Counter()
         out = {}
-        for owner, make in zip(self.owners, self.scene.forces, strict=True):
+        for owner, make in zip(self.owners, self.scene.makers, strict=True):
             out[owner, count[owner]] = make
             count[owner] += 1
         return out
@@ -110,7 +110,7 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
             (a.start_velocity, b.start_velocity),
         ]
     names = {*a.parameters, *b.parameters} if reads is None else reads
-    values += [(a.parameter(n), b.parameter(n)) for n in names]
+    values += [(a.number(n), b.number(n)) for n in names]
     same = all(x is y or (x is not None and y is not None and torch.equal(x, y)) for x, y in values)
     same = same and a.fluid_density == b.fluid_density and a.start_time == b.start_time
     return same and a.water is b.water

@@ -31,7 +31,7 @@ class HungWeight(Force):
 def _weigh_hung(scene: SoftScene) -> Tensor:
     """(num_nodes, 3) [N]."""
     assert scene.hung_mass is not None
-    return scene.hung_mass[:, None] * scene.parameter("gravity")
+    return scene.hung_mass[:, None] * scene.number("gravity")
 
 
 def attach_load(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -39,13 +39,13 @@ def attach_load(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     if scene.hung_mass is None:
         return scene
     moved = size[0] * scene.hung_mass.clamp(min=0.0)
-    heavier = scene.with_parameter("attached_mass", scene.parameter("attached_mass") + moved)
+    heavier = scene.with_parameter("attached_mass", scene.number("attached_mass") + moved)
     return heavier.changed(hung_mass=scene.hung_mass - moved)
 
 
 def load_free_end(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """A mass of ``size`` at the free end [kg]."""
-    mass = scene.parameter("attached_mass") + size[0] * free_end(scene)
+    mass = scene.number("attached_mass") + size[0] * free_end(scene)
     return scene.with_parameter("attached_mass", mass.clamp(min=0.0))
 
 
@@ -150,7 +150,7 @@ def enlarge_body(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     for name, power in (
         ("youngs_modulus", 2), ("gravity", 1), ("attached_mass", 3), ("fiber_stiffness", 4)
     ):  # fmt: skip
-        small = small.with_parameter(name, small.parameter(name) / k**power)
+        small = small.with_parameter(name, small.number(name) / k**power)
     if small.hung_mass is not None:
         small = small.changed(hung_mass=small.hung_mass / k**3)
     rest = small.observe(small.body.x_rest)

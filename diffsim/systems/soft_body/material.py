@@ -44,7 +44,7 @@ def creep(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 def _relax_branches(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
     """Maxwell branches of equal strength beside the solid."""
     # the branches' instantaneous part is stiffness, which the implicit step takes
-    young = scene.parameter("youngs_modulus")
+    young = scene.number("youngs_modulus")
     stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(branch_hz) * strength))
     relaxed = {"youngs_modulus": young, **scene.relaxed}
     return stiff.changed(relaxed=relaxed).with_hook(lambda: _Relaxation(scene, branch_hz, strength))
@@ -86,9 +86,9 @@ class _Relaxation(Force):
         a, b = self._plain, other._plain
         if a.body is not b.body:
             return None
-        if not torch.equal(a.parameter("poissons_ratio"), b.parameter("poissons_ratio")):
+        if not torch.equal(a.number("poissons_ratio"), b.number("poissons_ratio")):
             return None
-        modulus, others = a.parameter("youngs_modulus"), b.parameter("youngs_modulus")
+        modulus, others = a.number("youngs_modulus"), b.number("youngs_modulus")
         mean = self._strength * modulus.mean()
         if modulus.shape != others.shape or not bool(mean > 0.0):
             return None
@@ -145,4 +145,4 @@ def _scale_stiffness(scene: SoftScene, factor: Tensor) -> SoftScene:
     """
     if not bool((factor > 0.0).all()):
         raise DiffsimError(f"no stiffness: E times {float(factor.min()):.3g}; the size is too far")
-    return scene.with_parameter("youngs_modulus", scene.parameter("youngs_modulus") * factor)
+    return scene.with_parameter("youngs_modulus", scene.number("youngs_modulus") * factor)

@@ -158,9 +158,9 @@ def _build_owned_scene(
     scene = plain(at.q)
     if not isinstance(scene, SoftScene):
         return None
-    owners: list[Effect | None] = [None] * len(scene.forces)
+    owners: list[Effect | None] = [None] * len(scene.makers)
     for effect, size in at.sizes.items():
         if effect in present and not isinstance(effect, NumericalEffect):
             scene = effect.act(scene, size, plain.run, plain.values.at(at.q))
-            owners += [effect] * (len(scene.forces) - len(owners))
+            owners += [effect] * (len(scene.makers) - len(owners))
     return OwnedScene(scene, tuple(owners))

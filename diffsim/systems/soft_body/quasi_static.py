@@ -42,10 +42,10 @@ class PosedScene(SoftScene):
 
     def _observe_at(self, times: Tensor) -> Tensor:
         """What is observed in equilibrium at times (num_samples,) [s], (num_samples, width)."""
-        if self.command is None:
+        if not self.is_commanded:
             still = self._observe_poses(torch.zeros(1, 0, dtype=torch.float64))
             return still.expand(len(times), -1)
-        wanted = straight(self.changed_command(), self.command_dt, times)
+        wanted = straight(self.command_heard(), self.command_dt, times)
         if self.pose_commands is None:
             return self._observe_poses(wanted)
         knots = self.pose_commands
@@ -76,7 +76,7 @@ class PosedScene(SoftScene):
 
     def _make_key(self, drives: list[Tensor]) -> Key | None:
         """All that poses depend on; None where it is not known, or gradients are wanted."""
-        if any(make is not HungWeight for make in self.forces) or self.water is not None:
+        if any(make is not HungWeight for make in self.makers) or self.water is not None:
             return None
         given = [*self.parameters.values(), *drives]
         given += [] if self.hung_mass is None else [self.hung_mass]

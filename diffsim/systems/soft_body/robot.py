@@ -7,7 +7,7 @@ those of ``model: {system: soft_body}``; a command is held over a step in place 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ class DescribedRobot:
     @property
     def is_pushed(self) -> bool:
         """Whether a force is evaluated in every step: of the fluid, of what hangs."""
-        return bool(self.scene.forces) or self.scene.water is not None
+        return bool(self.scene.makers) or self.scene.water is not None
 
     def start(self, command: Tensor) -> soft.State:
         """State in which the body starts under a command, (num_nodes, 3).
@@ -119,7 +119,8 @@ class DescribedRobot:
             ValueError: it has no equilibrium.
         """
         physics = self.physics({})
-        held = self.scene.changed(command=command.expand(2, -1), command_dt=self.body.dt)
+        commands = replace(self.scene.commands, values=command.expand(2, -1).mT)
+        held = self.scene.changed(commands=commands, command_dt=self.body.dt)
         activations = held.activations(1)
         first = None if activations is None else activations[0]
         try:
@@ -162,7 +163,7 @@ class DescribedRobot:
             assert x is not None and v is not None
             moment = Moment(x, v, 0.0, self.body.dt)
             total = torch.zeros_like(x)
-            for make in scene.forces:
+            for make in scene.makers:
                 total = total + make()(scene, moment)
             if scene.water is None:
                 return total

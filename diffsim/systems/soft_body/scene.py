@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -14,8 +14,8 @@ from torch import Tensor
 from diffsim import soft
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.interpolation import sample, straight
-from diffsim.causes.scene import ForceLaw
-from diffsim.causes.signals import Grid, SignalMap
+from diffsim.causes.scene import ForceLaw, Scene
+from diffsim.causes.signals import Grid
 from diffsim.contact import Obstacle
 from diffsim.core.check import require
 from diffsim.core.errors import ConvergenceError
@@ -24,15 +24,20 @@ from diffsim.soft.inputs import check_loads
 from diffsim.soft.physics import LumpedVolume
 from diffsim.soft.prepared import PreparedBody
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
 _STATIC_ITERATIONS = 60
 _STATIC_RTOL = 1e-9  # of the largest displacement
 CLOCK_RATE = "clock_rate"
-#: Numbers that causes may change, beside those of other names in ``SoftScene.parameters``.
+#: Numbers that causes may change, beside those of other names in ``SoftScene.numbers``.
 NUMBERS = (
     *("youngs_modulus", "poissons_ratio", "density", "rayleigh_alpha", "rayleigh_beta"),
     *("fiber_stiffness", CLOCK_RATE),
 )
+ANYWHERE = ""  # place of a force on all nodes
+_ONE = torch.ones((), dtype=torch.float64)
 _NO_FIBERS = 1e-12  # share of the fibers' stiffness that is left in the solid's own force
 
 OutputMap = Callable[[Tensor, Tensor], Tensor]
@@ -124,21 +129,22 @@ class PointForce(Force):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SoftScene:
+class SoftScene(Scene):
     """One run of a soft body; effects return changed copies.
+
+    Its grid has the times when channels were recorded, since the start of the simulation; before 0
+    the body rests as it starts. Its numbers are physical parameters for ``body.physics``, scalars
+    or fields, and the rate of the clock. Its commands are evenly spaced by ``command_dt``.
 
     Forces of hooks are evaluated at the start of steps and extrapolated from the last two to where
     the integrator wants them, which keeps its second order; stiff ones need small steps.
 
     Attributes:
         body: The body, with its time step and solver.
-        sample_times: When channels were recorded, since the start of the simulation, (num_samples,)
-            [s]. Before 0 the body rests as it starts.
         observe: Positions (num_nodes, 3) [m] -> channels (num_channels,). Derivatives are
             quicker where it is one function for all scenes and takes leading axes.
         axes: Axis of space of every channel, 0, 1 or 2 for x, y or z, so that maps of space find
             their components.
-        parameters: Physical parameters for ``body.physics`` by name; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
             command, or "given": ``start_position``.
         start_position: (num_nodes, 3) for the start "given" [m].
@@ -146,25 +152,19 @@ class SoftScene:
         relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
             first guess of the equilibrium, which is iterated all the same.
         start_time: Time that the hooks' clock shows at 0 [s].
-        command: (num_commands, width) evenly spaced, or None.
-        command_names: Names of the commands; empty: none is called by its name.
         command_dt: Time between two commands [s].
         actuate: Commands (n, width) -> activations (n, num_muscles); None: the commands themselves.
-        command_changes: Columns of the command and maps that change them, in order.
-        forces: Functions that make the extra forces of a rollout.
         water: Drag and thrust of a fluid, explicit; None: there is none.
         current: Velocity of the fluid, which every drag force is relative to, (3,) [m/s].
         fluid_density: Density of the fluid for added mass [kg/m^3].
         friction_shares: (num_nodes,) of dry friction, summing to 1; None: evenly by volume.
-        time_scale: True seconds per second of the record.
         clock_offset: The record's clock is late by this [s].
-        late: Channels of an instrument by their indices, and how late it is [s]; added up.
         place_maps: Functions of what is observed (num_samples, width) and sample times that change
             it before the output maps, in order.
         rest_places: (width,) what is observed of the body at rest, where that is places of markers,
             x, y and z of each; None: something else is observed.
         output_maps: Functions of channels (num_samples, num_channels) and sample times that change
-            the channels, in order.
+            the channels before the instruments do, in order.
         pressurize: Commands (n, width) -> pressures (n, num_chambers) [Pa]; None: no chambers.
         places: Places at which causes may put a force, by name.
         hung_mass: (num_nodes,) what hangs from each node as a force only [kg]; None: nothing.
@@ -172,28 +172,21 @@ class SoftScene:
     """
 
     body: soft.SoftBody
-    sample_times: Tensor
     observe: Callable[[Tensor], Tensor]
     axes: tuple[int, ...]
-    parameters: Mapping[str, Tensor] = field(default_factory=dict)
+    numbers: Mapping[str, Tensor] = field(default_factory=dict)
     start: str = "rest"
     start_position: Tensor | None = None
     start_velocity: Tensor | None = None
     relaxed: Mapping[str, Tensor] = field(default_factory=dict)
     start_time: float = 0.0
-    command: Tensor | None = None
-    command_names: tuple[str, ...] = ()
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
-    command_changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
-    forces: tuple[Callable[[], Force], ...] = ()
     water: soft.Hydrodynamics | None = None
     current: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
     fluid_density: float = 1000.0
     friction_shares: Tensor | None = None
-    time_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
     clock_offset: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
-    late: tuple[tuple[tuple[int, ...], Tensor], ...] = ()
     place_maps: tuple[OutputMap, ...] = ()
     rest_places: Tensor | None = None
     output_maps: tuple[OutputMap, ...] = ()
@@ -202,62 +195,53 @@ class SoftScene:
     hung_mass: Tensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
 
-    def changed(self, **changes: Any) -> SoftScene:
-        """A copy with some entries replaced."""
-        return replace(self, **changes)
-
-    def parameter(self, name: str) -> Tensor:
-        """A physical parameter as it is in this run; 0 where the body has none."""
-        value = self.parameters.get(name, getattr(self.body, name))
+    def number(self, name: str) -> Tensor:
+        """A physical parameter as it is in this run, 0 where the body has none; or the rate of the
+        clock."""
+        if name in self.numbers:
+            return self.numbers[name]
+        value: Tensor | None = _ONE if name == CLOCK_RATE else getattr(self.body, name)
         return torch.zeros((), dtype=torch.float64) if value is None else value
 
-    def with_parameter(self, name: str, value: Tensor) -> SoftScene:
+    @cached_property
+    def parameters(self) -> Mapping[str, Tensor]:
+        """Physical parameters for ``body.physics`` by name."""
+        return {name: v for name, v in self.numbers.items() if name != CLOCK_RATE}
+
+    def with_parameter(self, name: str, value: Tensor) -> Self:
         """A copy with one physical parameter replaced."""
-        return self.changed(parameters={**self.parameters, name: value})
+        return self.changed(numbers={**self.numbers, name: value})
 
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> SoftScene:
-        """A copy in which a number is f(number): a physical parameter, or the rate of the clock."""
-        if name == CLOCK_RATE:
-            return self.changed(time_scale=change(self.time_scale))
-        return self.with_parameter(name, change(self.parameter(name)))
-
-    def with_hook(self, make: Callable[[], Force]) -> SoftScene:
+    def with_hook(self, make: Callable[[], Force]) -> Self:
         """A copy with one more force on the nodes."""
-        return self.changed(forces=(*self.forces, make))
+        return self.changed(forces=(*self.forces, (ANYWHERE, make)))
 
-    def with_force(self, place: str, law: ForceLaw) -> SoftScene:
-        """A copy with one more force at a place."""
-        return self.with_hook(partial(PointForce, self.places[place], law))
-
-    def with_command(self, names: tuple[str, ...], change: SignalMap) -> SoftScene:
-        """A copy in which some commands are f(commands (width, num_commands), grid)."""
-        columns = tuple(self.command_names.index(name) for name in names)
-        return self.changed(command_changes=(*self.command_changes, (columns, change)))
-
-    def with_places(self, change: OutputMap) -> SoftScene:
+    def with_places(self, change: OutputMap) -> Self:
         """A copy whose observed places are changed: f(places, times) -> places."""
         return self.changed(place_maps=(*self.place_maps, change))
 
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> SoftScene:
-        """A copy in which some channels show what was ``delay`` ago [s]."""
-        if len(channels) in (0, len(self.axes)):
-            return self.changed(clock_offset=self.clock_offset + delay)
-        return self.changed(late=(*self.late, (channels, delay)))
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> SoftScene:
-        """A copy in which some channels are f(channels (width, num_samples), grid)."""
-        return self.changed(
-            output_maps=(*self.output_maps, partial(_change_channels, channels, change))
+    @property
+    def makers(self) -> tuple[Callable[[], Force], ...]:
+        """Functions that make the extra forces of a rollout, in order."""
+        return tuple(
+            law if place == ANYWHERE else partial(PointForce, self.places[place], law)
+            for place, law in self.forces
         )
 
     @property
-    def play_start(self) -> None:
-        """Where in a play of an instrument a run starts: nobody knows, so in its middle."""
+    def sample_times(self) -> Tensor:
+        """When channels were recorded, since the start of the simulation, (num_samples,) [s]."""
+        return self.grid.times
+
+    @property
+    def is_commanded(self) -> bool:
+        """Whether there is any command."""
+        return len(self.commands.values) > 0
 
     @property
     def solid_mass(self) -> Tensor:
         """Mass of the solid at each node, (num_nodes,) [kg]."""
-        body, density = self.body, self.parameter("density")
+        body, density = self.body, self.number("density")
         volume = LumpedVolume(
             elements=body.mesh.elements, shares=body.nodal_shares, nodal=body.nodal_volume
         )
@@ -266,7 +250,7 @@ class SoftScene:
     @property
     def inert_mass(self) -> Tensor:
         """Mass at each node that a moving frame acts on, (num_nodes,) [kg]."""
-        return self.solid_mass + self.parameter("attached_mass") + self.parameter("added_mass")
+        return self.solid_mass + self.number("attached_mass") + self.number("added_mass")
 
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
         """Force of the solid without fibers, as a function of x (..., num_nodes, 3) [m].
@@ -276,10 +260,10 @@ class SoftScene:
         """
         body = self.body
         values: dict[str, Any] = dict(self.parameters)
-        values["fiber_stiffness"] = _NO_FIBERS * self.parameter("fiber_stiffness")
+        values["fiber_stiffness"] = _NO_FIBERS * self.number("fiber_stiffness")
         physics = body.physics(**values)
         # a field of moduli weighs the strain; the energy carries gradients in x alone
-        scale = 0.5 * self.parameter("youngs_modulus").detach().mean() * body.nodal_volume.sum()
+        scale = 0.5 * self.number("youngs_modulus").detach().mean() * body.nodal_volume.sum()
         return SolidForce(PreparedBody(body, physics), scale)
 
     def simulate(self) -> Tensor:
@@ -304,10 +288,8 @@ class SoftScene:
 
     def num_steps(self) -> int:
         """Steps that the record needs."""
-        last = max(
-            float(self._compute_times(d).detach().max())
-            for d in (None, *delays_of(self.late).values())
-        )
+        delays = (None, *delays_of(self._split_clocks()[1]).values())
+        last = max(float(self._compute_times(d).detach().max()) for d in delays)
         # two more than asked for: the interpolation looks that far ahead
         return max(5, math.ceil(last / self.body.dt - 1e-9) + 2)
 
@@ -322,7 +304,7 @@ class SoftScene:
             observed_at: What is observed at times (num_samples,) [s], since the start.
         """
         out = self.shown(observed_at(self._compute_times()))
-        for channels, delay in delays_of(self.late).items():
+        for channels, delay in delays_of(self._split_clocks()[1]).items():
             own = torch.zeros(out.shape[-1], dtype=torch.bool)
             own[list(channels)] = True
             out = torch.where(own, self.shown(observed_at(self._compute_times(delay))), out)
@@ -332,12 +314,21 @@ class SoftScene:
         """Recorded channels from what is observed at the sample times."""
         for change in (*self.place_maps, *self.output_maps):
             observed = change(observed, self.sample_times)
-        return observed
+        return self.instruments.read(observed, self.grid)
 
     def _compute_times(self, delay: Tensor | None = None) -> Tensor:
         """Times that are shown, since the start [s]."""
-        since = self.sample_times - self.clock_offset
-        return (since if delay is None else since - delay) * self.time_scale
+        late = self.clock_offset
+        for of_all in self._split_clocks()[0]:
+            late = late + of_all
+        since = self.sample_times - late
+        return (since if delay is None else since - delay) * self.number(CLOCK_RATE)
+
+    def _split_clocks(self) -> tuple[list[Tensor], list[tuple[tuple[int, ...], Tensor]]]:
+        """How late the whole record is, and instruments of some channels [s]."""
+        clocks, every = self.instruments.clocks, (0, len(self.axes))
+        whole = [delay for channels, delay in clocks if len(channels) in every]
+        return whole, [(c, delay) for c, delay in clocks if len(c) not in every]
 
     def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
         """State in which the body starts, under the first activation."""
@@ -382,7 +373,7 @@ class SoftScene:
             return state
         change, before = math.inf, state.x.detach()
         for _ in range(_STATIC_ITERATIONS):
-            force = self.force_at(0, state, [make() for make in self.forces])
+            force = self.force_at(0, state, [make() for make in self.makers])
             if not bool(torch.isfinite(force).all()):
                 break  # it runs away
             before = state.x.detach()
@@ -405,28 +396,26 @@ class SoftScene:
 
     def activations(self, num_steps: int) -> Tensor | None:
         """Activation of every step: the command where the integrator wants it."""
-        if self.command is None or not self.body.muscles.num_muscles:
+        if not self.is_commanded or not self.body.muscles.num_muscles:
             return None
-        at_steps = self.commands(num_steps)
+        at_steps = self.commands_at_steps(num_steps)
         return at_steps if self.actuate is None else self.actuate(at_steps)
 
     def pressures(self, num_steps: int) -> Tensor | None:
         """Pressure of every chamber in every step, (num_steps, num_chambers) [Pa]."""
-        return None if self.pressurize is None else self.pressurize(self.commands(num_steps))
+        if self.pressurize is None:
+            return None
+        return self.pressurize(self.commands_at_steps(num_steps))
 
-    def changed_command(self) -> Tensor:
+    def command_heard(self) -> Tensor:
         """The command (num_commands, width) as it arrives."""
-        assert self.command is not None
-        command = self.command.mT
-        grid = Grid.even(command.shape[-1], self.command_dt)
-        for columns, change in self.command_changes:
-            command = _change_rows(command, columns, change, grid)
-        return command.mT
+        count = self.commands.values.shape[-1]
+        return self.commands.heard(Grid.even(count, self.command_dt)).mT
 
-    def commands(self, num_steps: int) -> Tensor:
+    def commands_at_steps(self, num_steps: int) -> Tensor:
         """The command as it arrives, in every step, (num_steps, width)."""
         times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
-        return straight(self.changed_command(), self.command_dt, times)
+        return straight(self.command_heard(), self.command_dt, times)
 
     @property
     def ahead(self) -> float:
@@ -437,7 +426,7 @@ class SoftScene:
         """All hooks' forces, extrapolated; remembers, so it serves one rollout."""
         if not self.forces and self.water is None:
             return None
-        forces = [make() for make in self.forces]
+        forces = [make() for make in self.makers]
         before: list[Tensor] = []
 
         def total(k: int, state: soft.State) -> Tensor:
@@ -460,22 +449,6 @@ class SoftScene:
         if self.water is not None:
             found.insert(0, self.water(state.x, state.v, water_velocity=self.current))
         return sum(found[1:], found[0]) if found else torch.zeros_like(state.x)
-
-
-def _change_channels(
-    channels: tuple[int, ...], change: SignalMap, y: Tensor, times: Tensor
-) -> Tensor:
-    """Channels (num_samples, num_channels) of which some are changed."""
-    grid = Grid(times, torch.arange(len(times)), times.detach().numpy())
-    return _change_rows(y.mT, channels, change, grid).mT
-
-
-def _change_rows(signals: Tensor, rows: tuple[int, ...], change: SignalMap, grid: Grid) -> Tensor:
-    """Signals (width, num_times) of which some are changed; of no row: all."""
-    if len(rows) in (0, len(signals)):
-        return change(signals, grid)
-    at = torch.tensor(rows)
-    return signals.index_copy(0, at, change(signals[at], grid))
 
 
 class SolidForce:

@@ -14,6 +14,7 @@ from diffsim import mesh as meshes
 from diffsim.core.inside import inside
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Meters, Radians
+from diffsim.core.schema_paths import PathInside
 from diffsim.core.units import factor
 from diffsim.mesh import HexMesh, RegionMesh, TetMesh
 from diffsim.systems.soft_body.places import Array, Point, Region
@@ -120,7 +121,7 @@ class Rod(Part):
 class MeshFile(Part):
     """A body from a file: a mesh of cells, or a closed surface that is filled with cells."""
 
-    path: str = Field(description="File, relative to the study: .msh, .vtk, .stl, .obj, ...")
+    path: PathInside = Field(description="File, relative to the study: .msh, .vtk, .stl, .obj, ...")
     unit: str = Field("m", description="Unit of its coordinates")
     spacing: Meters | None = Field(
         None, gt=0, description="Length of the cells that fill a surface [m]"

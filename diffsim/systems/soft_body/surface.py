@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.instruments import Instruments
 from diffsim.core.memo import Memo
 from diffsim.identify.shape import MovingShape
 from diffsim.mesh import surface_triangles
@@ -27,7 +28,10 @@ def surface_of(scene: SoftScene) -> MovingShape:
     def observe(x: Tensor) -> Tensor:
         return x[..., used, :].flatten(-2)
 
-    bare = replace(scene, observe=observe, place_maps=(), output_maps=(), rest_places=None)
+    clocks = Instruments(scene.instruments.clocks)
+    bare = scene.changed(
+        observe=observe, place_maps=(), output_maps=(), rest_places=None, instruments=clocks
+    )
     if isinstance(bare, PosedScene):
         bare = replace(bare, kept=Memo(1))  # what is kept shows markers
     places = bare.simulate().detach().numpy()

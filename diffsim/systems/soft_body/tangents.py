@@ -68,7 +68,7 @@ def _are_alike(scene: SoftScene, line: SceneLine) -> bool:
         and s.start == scene.start
         and not s.obstacles
         and (s.water is None) == (scene.water is None)
-        and (s.command is None) == (scene.command is None)
+        and s.is_commanded == scene.is_commanded
         for s in (p.scene for p in line.points)
     )
 
@@ -92,7 +92,7 @@ class _Motion:
         self._lines = [lines[k] for k in moving]
         self._activation_rates = self._stack_rates([rates[k] for k in moving])
         scenes = [scene, *(p.scene for n in self._lines for p in n.points)]
-        forced = any(s.forces or s.water is not None for s in scenes)
+        forced = any(s.makers or s.water is not None for s in scenes)
         self._forces = MovingForces(base, self._lines) if forced else None
         self._physics = scene.body.physics(**scene.parameters)
 
@@ -200,7 +200,7 @@ class _PhysicsRates:
 
     def __call__(self, line: SceneLine) -> soft.Physics:
         scenes = [p.scene for p in line.points]
-        key = (line.stencil, *(id(s.parameters) for s in scenes))
+        key = (line.stencil, *(id(s.numbers) for s in scenes))
         if key not in self._made:
             physics = [s.body.physics(**s.parameters) for s in scenes]
             self._made[key] = difference_physics(physics, line.stencil.weights)

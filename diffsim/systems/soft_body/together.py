@@ -40,9 +40,9 @@ def _are_alike(a: Any, b: Any) -> bool:
     """Whether two scenes differ by their commands and by what is read off them alone."""
     if type(a) is not SoftScene or type(b) is not SoftScene or a.body is not b.body:
         return False
-    if any(s.forces or s.water or s.obstacles or s.pressurize is not None for s in (a, b)):
+    if any(s.makers or s.water or s.obstacles or s.pressurize is not None for s in (a, b)):
         return False
-    if a.command is None or b.command is None or not a.body.muscles.num_muscles:
+    if not (a.is_commanded and b.is_commanded) or not a.body.muscles.num_muscles:
         return False
     settings = [(s.start, s.num_steps(), tuple(s.relaxed)) for s in (a, b)]
     return settings[0] == settings[1] and not a.relaxed and same_surroundings(a, b, None)

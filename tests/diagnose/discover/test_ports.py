@@ -118,7 +118,7 @@ def test_a_pump_that_warms_is_found_with_its_time():
 def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     """A brake that begins at 1 rad/s, one way only: position, speed and command are weighed."""
     brake = parse_expression("-size*max(v - 1.0, 0)", OF_FORCES)
-    study = scenes.recorded(Term(0, brake, 0.15, scale=3.0))
+    study = scenes.recorded(Term("hinge", brake, 0.15, scale=3.0))
     made = setup_of(study)
     problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
     start = linearization_at(problem, np.zeros(problem.num_base))

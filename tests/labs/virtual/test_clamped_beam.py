@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffsim.data import load_beam_study
-from diffsim.data.beam_motion import describe, moving_tip_mass
+from examples.data.beam import load_beam_study
+from examples.data.beam_motion import describe, moving_tip_mass
 from labs.virtual.clamped_beam import VirtualBeam, _Plane, bending_modes, write_beam_study
 
 VIRTUAL_BEAM = Path(__file__).parents[3] / "examples" / "demo" / "virtual_beam"

@@ -65,7 +65,10 @@ LAWS = [("viscous_friction", 0.1), ("square_drag", 0.05), ("added_spring", 0.5)]
 
 @pytest.mark.parametrize(("law", "size"), LAWS)
 def test_forces_at_a_joint_act_as_in_the_closed_equation(law, size):
-    run, forces = scenes.run_of("sine"), PlaceForces(["hinge"], [Term(0, scenes.law_of(law), size)])
+    run, forces = (
+        scenes.run_of("sine"),
+        PlaceForces(["hinge"], [Term("hinge", scenes.law_of(law), size)]),
+    )
     want = Pendulum(8).predict(OWN, run, forces)
     # asked for at every stage of the integrator: the error is that of the commands
     got = Mjcf(XML, CHANNELS).predict({}, run, forces, time_step=0.5)
@@ -102,3 +105,15 @@ def test_commands_go_to_actuators_by_name():
 def test_names_that_the_mjcf_lacks_are_said(settings, parameters, message):
     with pytest.raises(ValueError, match=message):
         Mjcf(XML, **settings).predict(parameters, scenes.run_of("sine"))
+
+
+def test_a_model_in_several_files_is_one_simulator(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "sensors.xml").write_text(f"<mujoco>{XML.partition('</actuator>')[2]}")
+    whole = XML.partition("<sensor>")[0] + '<include file="parts/sensors.xml"/></mujoco>'
+    (tmp_path / "rod.xml").write_text(whole)
+    run = scenes.run_of("sine")
+    found = Mjcf(str(tmp_path / "rod.xml"), CHANNELS).predict({}, run)
+    np.testing.assert_array_equal(found, Mjcf(XML, CHANNELS).predict({}, run))
+    with pytest.raises(ValueError, match=r"<include> names 'parts/sensors.xml'; give the model as"):
+        Mjcf(whole)

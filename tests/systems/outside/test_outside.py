@@ -43,7 +43,7 @@ def predicted(setup, run, name, *size):
 
 
 def test_friction_at_a_hinge_is_named_with_its_size():
-    study = scenes.recorded(Term(0, scenes.law_of("dry_friction"), 0.04, scale=3.0))
+    study = scenes.recorded(Term("hinge", scenes.law_of("dry_friction"), 0.04, scale=3.0))
     setup = setup_of(study)
     rivals = ("lag", "delay", "dead_band", "backlash", "slack")  # beside all that act at the hinge
     causes = [e for e in setup.effects if e.name.endswith("_at_hinge") or e.name in rivals]
@@ -62,7 +62,7 @@ def test_forces_that_the_simulator_adds_equal_those_of_its_own():
     added = Pendulum(4).predict(
         {**scenes.TRUTH, "damping": 0.0},
         run,
-        PlaceForces(["hinge"], [Term(0, scenes.law_of("viscous_friction"), 0.09)]),
+        PlaceForces(["hinge"], [Term("hinge", scenes.law_of("viscous_friction"), 0.09)]),
     )
     np.testing.assert_allclose(added, own, atol=1e-12)
 
@@ -77,7 +77,7 @@ def test_forces_that_the_simulator_adds_equal_those_of_its_own():
     ],
 )
 def test_laws_hold_back_both_ways(law, force):
-    at_hinge = PlaceForces(["hinge"], [Term(0, scenes.law_of(law), 0.5, scale=1.0)])
+    at_hinge = PlaceForces(["hinge"], [Term("hinge", scenes.law_of(law), 0.5, scale=1.0)])
     assert at_hinge(0.0, [2.0], [3.0])[0] == pytest.approx(force, rel=1e-12)
     assert at_hinge(0.0, [-2.0], [-3.0])[0] == pytest.approx(-force, rel=1e-12)
 
@@ -161,7 +161,7 @@ def test_a_start_value_of_each_run_reaches_the_simulator_by_its_plain_name():
 
 
 def test_unknown_forces_follow_their_knots():
-    knots = ForceKnots(0, 1.0, 0.5, (0.0, 2.0, 1.0))
+    knots = ForceKnots("hinge", 1.0, 0.5, (0.0, 2.0, 1.0))
     assert [knots.at(t) for t in (0.0, 1.25, 1.5, 1.75, 9.0)] == [0.0, 1.0, 2.0, 1.5, 1.0]
     (unknown,) = setup_of(scenes.recorded()).unknowns
     assert unknown.name == "unknown force at hinge"
@@ -369,7 +369,7 @@ def test_a_place_from_python():
     want = Pendulum().predict(
         {"inertia": 0.2, "damping": 0.05},
         run,
-        PlaceForces(["hinge"], [Term(0, scenes.law_of("added_spring"), 0.3)]),
+        PlaceForces(["hinge"], [Term("hinge", scenes.law_of("added_spring"), 0.3)]),
     )
     got = setup.model.predict(run, setup.model.at_prior(), sizes).numpy()
     np.testing.assert_array_equal(got, want)

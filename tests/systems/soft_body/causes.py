@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
-from diffsim.systems import library
-from diffsim.systems.soft_body.causes import body_cause
+from diffsim.causes.catalogue import rows
+from diffsim.causes.commands import CommandGroup, command_causes
+from diffsim.causes.ports import on_clock, on_readings
+from diffsim.systems.soft_body.causes import FUNCTIONS, body_cause
+from diffsim.systems.soft_body.support import support_of
 
 PULL_M = 0.03  # greatest command
-ANY_BODY = library("soft_body", reach=PULL_M)
-CAUSES = {e.name: e for e in (*ANY_BODY, body_cause("slack_string"))}
+_PULLED = CommandGroup((), dict.fromkeys(("reach", "width", "rate"), PULL_M))
+_SENSOR = rows("sensor")
+_OF_PARTS = ("tip_mass", "load_inertia", "slack_string", "body_scale")
+_OF_ANY = ("stiffness_damping", *(name for name in FUNCTIONS if name not in _OF_PARTS))
+ANY_BODY = (
+    *(body_cause(name) for name in _OF_ANY),
+    body_cause("support_motion", apply=support_of(("support_x_m", "support_z_m"), None)),
+    *command_causes(_PULLED),
+    _SENSOR["sensor_delay"].effect(on_clock(())),
+    _SENSOR["sensor_scale"].effect(on_readings(_SENSOR["sensor_scale"], ())),
+    body_cause("clock_rate"),
+)
+CAUSES = {e.name: e for e in (*ANY_BODY, body_cause("slack_string", {"fall": 0.01}))}

@@ -1,5 +1,0 @@
-"""Two balls on a table in one camera: closed-form rolling, sliding and impact; soft balls."""
-
-from diffsim.systems.balls.soft import MOTION, SoftBallModel
-
-__all__ = ["MOTION", "SoftBallModel"]

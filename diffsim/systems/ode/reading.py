@@ -1,0 +1,245 @@
+"""Reads a description: formulas are parsed against a study, mistakes reported, records asked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from diffsim.causes.channel_groups import channels_of, clock_of
+from diffsim.causes.readings import PLAY_START
+from diffsim.core.check import did_you_mean
+from diffsim.core.expression import Expression
+from diffsim.data.steps import looks_held, moves_on
+from diffsim.data.study import Study
+from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
+from diffsim.systems.ode.keys import FormulaKeys, Input
+from diffsim.systems.ode.names import RUN_ORDER, Reader, data_names, fact_names, longest
+from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
+from diffsim.systems.ode.own_effects import own_effect, shape_name
+from diffsim.systems.quantities import START_IN_PLAY
+
+HELD, LONGEST = "held", "longest"  # places in a study's frame
+_WORDS = re.compile(r"\w+")
+_SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
+
+
+def read_system(
+    keys: FormulaKeys,
+    given: tuple[Input, ...],
+    motion: DescribedMotion,
+    study: Study,
+    reader: Reader,
+) -> FormulaSystem:
+    """Parse a description's formulas against a study, and mend its model as the records ask.
+
+    Args:
+        keys: Keys that all systems of formulas share.
+        given: What drives the system.
+        motion: States and what goes with them.
+        study: Study with the recordings.
+        reader: Receives the mistakes.
+    """
+    open_ = {i.name: _list_commands_of(i, study) for i in given if i.held is None}
+    moving = {name for name, commands in open_.items() if moves_on(study.runs, commands)}
+    held = _find_held_inputs(given, moving, study, reader)
+    doubtful = {name for name, commands in open_.items() if commands}
+    assumed = {name for name in doubtful if held[name]}
+    clocks = _list_clocks(motion, study, reader)
+    quantities = _list_quantities(keys, given, motion, study)
+    facts = fact_names(study)
+    _check_names(keys, motion, held, quantities, facts, reader)
+    numbers = (*quantities, *facts, *data_names(study, keys.rest))
+    between = (*keys.define, *keys.tables)
+    known = (TIME, *motion.states, *held, *between, *numbers)
+    taken = {*(c.name for c in study.channels), *known}
+    columns = tuple(c.name for c in study.columns if c.name.isidentifier() and c.name not in taken)
+
+    def parsed(key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
+        return {n: reader.parse(f"{key}.{n}", f, known) for n, f in formulas.items()}
+
+    starts = {
+        state: named(f"{state}_start")
+        if isinstance(start, Quantity)
+        else reader.parse(f"states.{state}", start, (*numbers, *held))
+        for state, start in motion.states.items()
+    }
+    inputs = _parse_inputs(given, numbers, study, reader)
+    rates, readings = parsed("rates", motion.rates), parsed("readings", keys.readings)
+    define = dict(keys.define)
+    if motion.states:
+        from diffsim.systems.ode.moving import check_motion
+        from diffsim.systems.ode.swings import with_swings
+
+        check_motion(motion, keys, held, known, reader)
+        define = with_swings(define, motion.swings)
+    every = (*known, *columns)
+    own = tuple(
+        own_effect(f"effects.own[{i}]", block, study, every, tuple(motion.states), reader)
+        for i, block in enumerate(keys.effects.formulas)
+    )
+    definitions = parsed("define", define)
+    for name, table in keys.tables.items():
+        of = reader.parse(f"tables.{name}.of", table.of, known)
+        definitions[name] = piecewise(of, table.at, table.values)
+    try:
+        ordered(definitions)
+    except ValueError as error:
+        reader.report("define", str(error))
+        definitions = {}
+    for i, law in enumerate(keys.laws):
+        if law.name not in between:
+            reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
+        reader.parse(f"laws[{i}].of", law.of, known)
+        reader.require_per(f"laws[{i}]", law.per)
+    system = FormulaSystem(
+        keys=keys,
+        given=given,
+        motion=motion,
+        study=study,
+        held=held,
+        unsure=frozenset(doubtful - assumed),
+        assumed=frozenset(assumed & moving),
+        clocks=clocks,
+        known=known,
+        columns=columns,
+        starts=starts,
+        inputs=inputs,
+        network=Network(rates, readings, definitions, held, dict(motion.limits)),
+        own=own,
+        base=BaseParameters({} if reader.has_errors else quantities, study.runs),
+    )
+    if reader.has_errors or not motion.states:
+        return system
+    from diffsim.systems.ode.mends import mended
+
+    return mended(system, reader)
+
+
+def _list_commands_of(given: Input, study: Study) -> list[str]:
+    """Commands that an input is made of."""
+    words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
+    return sorted(words & {c for run in study.runs for c in run.command})
+
+
+def _find_held_inputs(
+    inputs: Sequence[Input], moving: Collection[str], study: Study, reader: Reader
+) -> dict[str, bool]:
+    """Inputs, with whether they keep their value until the next sample."""
+    out = {}
+    for i, given in enumerate(inputs):
+        commands = _list_commands_of(given, study)
+        out[given.name] = given.held or False
+        kept = study.frame.get(HELD, {}).get(given.name)
+        if given.held is None and kept is not None:
+            out[given.name] = bool(kept)
+        elif given.held is None and looks_held(study.runs, commands):
+            out[given.name] = True
+            cause = "; straight_between_samples is a cause, as some runs do not show it"
+            reader.note(
+                f"inputs[{i}].held",
+                f"{' and '.join(commands)} rests and jumps, so {given.name} is held between "
+                "samples; give `held: false` for straight lines"
+                + (cause if given.name in moving else ""),
+            )
+    return out
+
+
+def _parse_inputs(
+    inputs: Sequence[Input], numbers: tuple[str, ...], study: Study, reader: Reader
+) -> dict[str, Expression]:
+    """Formula of every input, in commands, facts and parameters."""
+    commands = tuple(dict.fromkeys(c for run in study.runs for c in run.command))
+    out = {}
+    for i, given in enumerate(inputs):
+        key, names = f"inputs[{i}]", (TIME, *commands, *numbers)
+        if given.formula is not None:
+            out[given.name] = reader.parse(f"{key}.formula", given.formula, names)
+            continue
+        out[given.name] = named(given.name)
+        if given.name not in commands:
+            known = ", ".join(commands) or "none"
+            hint = did_you_mean(given.name, commands)
+            reader.report(key, f"no command {given.name!r}{hint}; the study has {known}")
+    for run in study.runs:
+        for name in dict.fromkeys(n for e in out.values() for n in e.names):
+            if not np.isfinite(run.command.get(name, np.zeros(1))).all():
+                reader.report(
+                    "inputs",
+                    f"run {run.name}: command {name} has empty cells; say what they mean by "
+                    "`fill` under commands",
+                )
+    return out
+
+
+def _list_quantities(
+    keys: FormulaKeys, inputs: Sequence[Input], motion: DescribedMotion, study: Study
+) -> dict[str, Quantity]:
+    """Parameters, then what states, inputs and effects ask for beside them."""
+    given = dict(keys.parameters)
+    given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
+    given |= {f"{i.name}_delay": i.delay for i in inputs if i.delay is not None}
+    if motion.states:
+        from diffsim.systems.ode.moving import quantities_of_motion
+
+        given |= quantities_of_motion(motion, study)
+    given |= {clock_of(name): q for name, q in motion.clocks.items()}
+    for block in keys.effects.formulas:
+        given |= {shape_name(block, s): q for s, q in block.shapes.items()}
+    only = keys.effects.only  # whether a play is among the causes to be judged
+    may_have_play = not only or any(n.startswith(("backlash", "sensor_backlash")) for n in only)
+    if motion.states and may_have_play:
+        given[PLAY_START] = START_IN_PLAY
+    if motion.states and (inputs or motion.places):
+        value = _SLOW_SHARE * (study.frame.get(LONGEST) or longest(study.runs))
+        usual = Quantity(value=value, percent=100.0, unit="s")
+        given.setdefault("slow_time", motion.slow_time or usual)
+    return given
+
+
+def _list_clocks(
+    motion: DescribedMotion, study: Study, reader: Reader
+) -> dict[str, tuple[str, ...]]:
+    """Channels that are late together, by the parameter that says how much."""
+    out = {}
+    for name in motion.clocks:
+        try:
+            out[clock_of(name)] = channels_of(study.channels, name)
+        except ValueError as error:
+            reader.report(f"clocks.{name}", str(error))
+    return out
+
+
+def _check_names(
+    keys: FormulaKeys,
+    motion: DescribedMotion,
+    inputs: Iterable[str],
+    quantities: Mapping[str, Quantity],
+    facts: Iterable[str],
+    reader: Reader,
+) -> None:
+    states, rates = motion.states, motion.rates
+    reader.require_channels(keys)
+    reader.require_names(
+        {
+            "states": states,
+            "inputs": inputs,
+            "parameters": keys.parameters,
+            "define": keys.define,
+            "tables": keys.tables,
+            "setup of the runs": [f for f in facts if f != RUN_ORDER],
+        }
+    )
+    for name, q in quantities.items():
+        reader.require_per(f"parameters.{name}", q.per)
+    for name in rates:
+        if name not in states:
+            reader.report(f"rates.{name}", "no such state; give its start value in states")
+    for name in states:
+        if name not in rates:
+            reader.report("rates", f"state {name} has no rate; add `{name}: ...`")
+    for name in motion.limits:
+        if name not in states:
+            reader.report(f"limits.{name}", "no such state")
