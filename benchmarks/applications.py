@@ -15,10 +15,10 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.machine import machine
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from examples.applications import SOLVERS, table
+from labs.machine import machine
 
 
 def main() -> None:

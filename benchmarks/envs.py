@@ -26,10 +26,10 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 import diffsim.envs
 from benchmarks.harness import spread
-from benchmarks.machine import machine
 from diffsim.core import interruptible
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.envs import make_task, make_vector
+from labs.machine import machine
 
 BATCHES = (1, 8, 64)
 LARGE = 8192  # of vehicles, whose batches are cheap

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import torch
 
-from benchmarks.machine import code_fingerprint, machine
 from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.core.progress import show_progress
+from labs.machine import code_fingerprint, machine
 
 Result = Any
 T = TypeVar("T")

@@ -25,7 +25,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.machine import machine
 from diffsim import optim
 from diffsim.cli.arguments import add_executor
 from diffsim.copter.waypoints import WaypointTask
@@ -33,6 +32,7 @@ from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import ask_for
+from labs.machine import machine
 
 Array = NDArray[np.float64]
 FAILED = 1e4  # loss where a design does not hover or cannot be controlled

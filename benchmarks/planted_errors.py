@@ -55,9 +55,9 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from benchmarks.machine import machine
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
+from labs.machine import machine
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = Path(__file__).with_suffix(".yaml")

@@ -52,7 +52,7 @@ def header() -> Iterator[str]:
     """What numbers depend on besides the code, as comment lines."""
     import scipy
 
-    from benchmarks.machine import machine
+    from labs.machine import machine
 
     about = machine()
     for name in ("instruction_set", "cpu", "compiler", "python", "numpy", "torch"):

@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.machine import machine
 from diffsim import soft
 from diffsim.cli.catalog import FOLDER
 from diffsim.core import interruptible
@@ -34,6 +33,7 @@ from diffsim.core.files import write_json_atomic
 from examples.applications import Application, minimize, solver_options
 from examples.applications.table import OURS, load
 from examples.gallery import REFINED
+from labs.machine import machine
 
 LEGGED = "newton_cholesky"  # takes a third of the time of ours on these, to the same tolerance
 RTOL, FINER_RTOL = 1e-4, 1e-3  # of steps; the latter on the finer mesh

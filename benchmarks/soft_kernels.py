@@ -25,11 +25,11 @@ import numpy as np
 import torch
 
 from benchmarks.harness import repeat_for
-from benchmarks.machine import machine
 from benchmarks.soft_operations import node_graph
 from benchmarks.soft_scenes import cantilever, loss_weights, twisted
 from diffsim.core.compiled import INSTRUCTION_SET, core
 from diffsim.linalg.svd import polar3, svd3
+from labs.machine import machine
 
 # What OpenBLAS calls a processor with our instruction set.
 BLAS = {"avx2": "Haswell", "avx512": "SkylakeX", "baseline": "Prescott"}

@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks import soft_worker
 from benchmarks.harness import Part
-from benchmarks.machine import available_memory
 from benchmarks.processes import run_child
 from benchmarks.soft_operations import operations
+from labs.machine import available_memory
 
 # How time grows with size where no two smaller sizes say better: a sparse factor of a 3D mesh
 # costs n^2, its triangular solves n^(4/3), everything else is linear.

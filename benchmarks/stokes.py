@@ -25,12 +25,12 @@ from typing import Any
 
 from benchmarks import stokes_worker
 from benchmarks.harness import Benchmark, Part
-from benchmarks.machine import available_memory
 from benchmarks.processes import run_child
 from benchmarks.stokes_tables import draw_figures, report
 from diffsim.core import interruptible
 from diffsim.core.executors import num_processors
 from diffsim.stokes.devices import DEVICES
+from labs.machine import available_memory
 
 BYTES_PER_NODE = 40_000
 """Peak memory of the direct path per node at 64 x 64 x 32 cells, with a margin."""

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from benchmarks.harness import timed
-from benchmarks.machine import machine
 from benchmarks.plot_style import (
     Rows,
     legend_below,
@@ -36,6 +35,7 @@ from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.viz.figures import INK
+from labs.machine import machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,12 +18,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from benchmarks.machine import machine
 from benchmarks.thesis_stokes import ThesisFlow
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.shapes import BezierCurve2d, Intersection
+from labs.machine import machine
 
 CELLS = (32, 24)
 SCALES = (1, 2, 4, 8)

@@ -25,13 +25,13 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from benchmarks.harness import timed
-from benchmarks.machine import machine
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from diffsim.stokes import Grid, Inlet, Open, SolverOptions, StokesFlow
 from diffsim.stokes.devices import funnel, twister
 from diffsim.stokes.devices.device import Device, quiet
 from diffsim.stokes.options import METHODS
+from labs.machine import machine
 
 SCENES = ("box", "pipe", "twister", "twister_no_slip", "funnel")
 FINEST = 64  # cells of the finest level set that is evaluated; beyond, interpolated (it takes long)

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.machine import machine
 from benchmarks.plot_style import (
     Rows,
     legend_below,
@@ -36,6 +35,7 @@ from diffsim.stokes.devices.optimize import search_settings
 from diffsim.stokes.devices.sampling import draw
 from diffsim.stokes.devices.search import descend
 from diffsim.viz.figures import COLORS, INK
+from labs.machine import machine
 
 NAMES = ("amplifier", "averager", "gate")
 STUCK, PERFECT = 2.0, 1e-3  # stuck: ends above STUCK times the best end, and above PERFECT

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.machine import machine
 from benchmarks.mosaic import soft_dynamics, stokes_shape
 from benchmarks.mosaic.structural_mesh import cantilever
 from benchmarks.mosaic.structural_mesh.compliance import (
@@ -30,6 +29,7 @@ from benchmarks.mosaic.structural_mesh.compliance import (
     prepare,
     problem_of,
 )
+from labs.machine import machine
 
 SIZES = (4, 6, 8, 12, 16)
 RECORDS = {  # Mosaic's, N = 16: forward, gradient [wall s]

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.machine import machine
 from diffsim.core.files import write_json_atomic
+from labs.machine import machine
 from labs.rates.domains import DOMAINS, missing_package
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -16,11 +16,11 @@ from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.registry import library, setup_of
 from diffsim.systems.rigid_body import causes as rigid_causes
 from diffsim.systems.soft_body import unknown_force
-from diffsim.systems.soft_body.causes import body_cause
 from labs.systems import network
 from labs.systems.beam_causes import causes
 from labs.virtual import NetworkLab
 from tests.systems.rod.test_rod_description import study as rod_study
+from tests.systems.soft_body.causes import CAUSES
 from tests.systems.test_flow_device import DEVICES, causes_of
 from tests.systems.toy_cart import cart_study
 
@@ -49,7 +49,7 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         *(*rigid_causes.PAIR, *rigid_causes.CAMERA, "merged_regions", *rigid_causes.POSITIONS),
     )
     return {
-        "soft_body": (*library("soft_body"), body_cause("slack_string")),
+        "soft_body": tuple(CAUSES.values()),
         "multicopter": tuple(library("copter", num_rotors=6)),
         "described multicopter": candidate_causes(DESCRIBED),
         "flow_device": causes_of(DEVICES["pumps"]),

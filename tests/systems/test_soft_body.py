@@ -210,7 +210,7 @@ def test_stiffening_force_is_that_of_its_energy():
     x = scene.body.x_rest * 1.05 + torch.as_tensor(1e-3 * rng.standard_normal((63, 3)))
     way = torch.as_tensor(rng.standard_normal((63, 3)))
     stiff = CAUSES["stiffening"].apply(scene, size(20.0), RUN)
-    force = stiff.forces[0]()(stiff, Moment(x, 0 * x, 0.0, 1e-3))
+    force = stiff.makers[0]()(stiff, Moment(x, 0 * x, 0.0, 1e-3))
 
     def energy(at):
         plain = float(scene.body.elastic_energy(at, physics=scene.body.physics(**scene.parameters)))
@@ -369,7 +369,7 @@ def test_catch_of_the_string_keeps_momentum():
 def test_creep_takes_the_stiffness_of_motion_away_in_time():
     scene = scene_of(beam(), RUN)
     crept = CAUSES["creep"].apply(scene, size(0.04), RUN)
-    hook = crept.forces[0]()
+    hook = crept.makers[0]()
     rest = scene.body.x_rest
     bent = rest + torch.stack([0 * rest[:, 0], 0 * rest[:, 0], 0.05 * rest[:, 0]], 1)
     hook(crept, Moment(rest, 0 * rest, 0.0, 1e-6))

@@ -176,12 +176,12 @@ def test_knots_are_evaluated_at_once(monkeypatch):
     np.testing.assert_allclose(at_once, columns, atol=1e-9 * np.abs(columns).max(), rtol=0)
     scene = problem.model.scene(FREE, torch.zeros(problem.num_base, dtype=torch.float64))
     size = torch.ones(len(effect.components), dtype=torch.float64)
-    one = effect.apply(scene, size, FREE).forces[-1]()
-    other = unknown_force(3, 0.3).apply(scene, size, FREE).forces[-1]()
+    one = effect.apply(scene, size, FREE).makers[-1]()
+    other = unknown_force(3, 0.3).apply(scene, size, FREE).makers[-1]()
     monkeypatch.undo()
     assert one.beside([one]) is not None
     assert one.beside([other]) is None
-    assert one.beside([CAUSES["dry_friction"].apply(scene, size, FREE).forces[-1]()]) is None
+    assert one.beside([CAUSES["dry_friction"].apply(scene, size, FREE).makers[-1]()]) is None
 
 
 def test_lines_of_effects_share_one_plain_scene(monkeypatch):
@@ -298,7 +298,7 @@ def test_derivatives_that_leave_the_range_of_numbers_are_a_step_too_far():
     """A fit shortens its step then: a diagnosis ended with an error about an argument."""
 
     def apply(scene, size, run):
-        return scene.changed(forces=(*scene.makers, _Endless)) if bool(size.any()) else scene
+        return scene.changed(forces=(*scene.forces, ("", _Endless))) if bool(size.any()) else scene
 
     endless = replace(AIR[0], name="endless", components=("size",), apply=apply)
     problem = problem_of(beam(), FREE, endless)

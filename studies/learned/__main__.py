@@ -1,4 +1,4 @@
-"""``python -m benchmarks.learned``: a copter's controller learns here and flies in RotorPy.
+"""``python -m studies.learned``: a copter's controller learns here and flies in RotorPy.
 
 RotorPy shares no code with the simulators here. Twenty vehicles differ in mass and in the delay of
 their commands. Each is let go near its place, and held against it in the last second of four.
@@ -118,7 +118,7 @@ def fly(task: Any, controller: Any, rng: np.random.Generator) -> dict[str, float
 @one_thread
 def main(argv: Sequence[str] | None = None) -> int:
     """Train, fly, say the worst."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.learned", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.learned", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="default: %(default)s")
     parser.add_argument("--steps", type=int, default=STEPS, help="default: %(default)s")
     parser.add_argument("--out", type=Path, default=Path("runs/learned"))
