@@ -125,7 +125,11 @@ def _fingerprints(
     runs = [_cut(run, model, share) for run in ends.values()]
     if any(model.cost(run) > share for run in runs):
         return lambda effect: {"not run": f"{max(map(model.cost, runs)):.3g} steps"}
-    plain = [model.predict(run, at) for run in runs]
+    try:
+        plain = [model.predict(run, at) for run in runs]
+    except ValueError as error:  # such as no reading of a slow channel among the first samples
+        why = " ".join(str(error).split())
+        return lambda effect: {"not run": why}
 
     def acts(effect: Effect) -> dict[str, Any]:
         count = len(effect.components)

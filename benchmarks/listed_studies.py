@@ -1,13 +1,14 @@
 """Studies of every kind of system with their setups: what a change of causes is held against.
 
 ``sources()`` has the published sets, the rigs that are ready, a drawn case without a hidden cause
-of every laboratory, the strangers' folders, and the sets of ``examples/diagnose``.
+of every laboratory, the strangers' folders, the sets of ``examples/diagnose``, some of the tests.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.cli.diagnose_inputs import described, own_setup
-from diffsim.data.study import Study
+from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_like import READY
 from diffsim.identify.setup import DiagnosisSetup
@@ -28,6 +29,27 @@ Given = tuple[Study, DiagnosisSetup]
 Source = Callable[[], Given]
 SEED = 1
 PLAIN = "_as_described"  # of cases of an outside simulator: others have the same causes
+PULL = {"pull_m": 2e-3 * (1.0 - np.cos(np.pi * np.arange(24) / 6))}
+WATER = {"water": {"added_mass": 0.0}, "numerics": {"time_step": "8 ms", "correct_mesh": False}}
+#: Studies of tests of kinds and options that nothing else has: module, what makes one of it.
+OF_TESTS: Mapping[str, tuple[str, Callable[[Any], Study]]] = {
+    "cart": ("toy_cart", lambda m: m.cart_study()),
+    "rod": ("rod.test_rod_description", lambda m: m.study()),
+    "pendulum": ("outside.scenes", lambda m: m.recorded()),
+    "plane_device": (
+        "test_flow_description",
+        lambda m: replace(m.NetworkLab()(1), system="flow_device", model=m.plane()),
+    ),
+    "tendon": ("soft_body.described", lambda m: m.study_of(m.TENDON, _pulled(m))),
+    "tendon_in_water": (
+        "soft_body.described",
+        lambda m: m.study_of(m.TENDON, _pulled(m), **WATER),
+    ),
+    "weight": (
+        "soft_body.described",
+        lambda m: m.study_of(m.BAR, (m.run_of("a", 0.02 * np.arange(-1, 24), load_kg=0.03),)),
+    ),
+}
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -40,7 +62,8 @@ def sources() -> dict[str, Source]:
         found[f"ready/{path.stem}"] = partial(_ready, path.stem)
     for path in sorted(ROOT.glob("examples/diagnose/*/study.yaml")):
         found[f"example/{path.parent.name}"] = partial(_read, path)
-    return found | dict(_laboratories()) | dict(_strangers())
+    of_tests = {f"test/{name}": partial(_of_tests, name) for name in OF_TESTS}
+    return found | dict(_laboratories()) | dict(_strangers()) | of_tests
 
 
 def _given(study: Study) -> Given:
@@ -122,3 +145,12 @@ def _stranger(name: str, k: int) -> Given:
         import_module(f"benchmarks.strangers.{name}").make(Path(folder), np.random.default_rng(k))
         shutil.copy(ROOT / f"benchmarks/strangers/{name}.yaml", f"{folder}/study.yaml")
         return _read(Path(folder))
+
+
+def _of_tests(name: str) -> Given:
+    module, make = OF_TESTS[name]
+    return _given(make(import_module(f"tests.systems.{module}")))
+
+
+def _pulled(described: Any) -> tuple[Run, ...]:
+    return (described.run_of("pulled", 0.05 * np.arange(24), command=PULL),)

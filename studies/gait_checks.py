@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.machine import machine
+from labs.machine import machine
 from diffsim.applications import Application, evaluate, solver_options
 from diffsim.applications.minimize import log_of
 from diffsim.applications.table import OURS, load

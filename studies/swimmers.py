@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.machine import machine
+from labs.machine import machine
 from diffsim.applications import SOLVERS, solver_options
 from diffsim.control import MLPController
 from diffsim.core import interruptible

@@ -17,13 +17,15 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
-from diffsim.data.runs_guess import GuessedQuantity, GuessedRun
+from diffsim.data.folder_rules import guess_study
+from diffsim.data.guess import Guess, GuessedColumn, GuessedRun
+from diffsim.data.joined_files import Kind
 from diffsim.data.study_check import TODO
 from diffsim.data.study_file import load_study
-from diffsim.data.study_guess import Guess, guess_study
 from diffsim.systems.registry import DESCRIPTIONS
 
 WIDTH = 96
+MANY = 13  # runs, that are one entry where a pattern tells them all
 EXAMPLES = {
     "ode": """\
 For a cart on a spring that a command `force` pushes, with a channel `position`:
@@ -109,13 +111,11 @@ def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
     if relative != ".":
         lines.append(f"data: {_write_inline(relative)}    # folder of the files")
     lines += ["", "# The system that was recorded.", *_model(system), ""]
-    lines += ["# The clock of the files.", f"time: {_write_inline(guess.time)}"]
-    layout = guess.layout
-    if (layout.header_line, layout.first_line) != (1, 2):
-        form = {"header_line": layout.header_line, "first_line": layout.first_line}
-        lines.append(f"table: {_write_inline(form)}    # lines of the files, from 1")
+    time = guess.time[0] if len(guess.time) == 1 else guess.time
+    lines += ["# The clock of the files.", f"time: {_write_inline(time)}", *_formats(guess.kinds)]
     lines += ["", "# What was measured; sd is the noise, guessed from the scatter between samples."]
-    lines += ["channels:", *(f"  - {_write_inline(_channel(q))}" for q in guess.channels)]
+    channels = [f"  - {_write_inline(_channel(c, guess))}" for c in guess.those("channel")]
+    lines += ["channels:", *channels] if channels else ["channels: []"]
     lines += ["", *_commands(guess), "", *_runs(guess)]
     lines += ["", "# `check` repeats these until you take them out.", "todo:"]
     lines += [f"  - {_write_inline(sentence)}" for sentence in guess.todo]
@@ -123,20 +123,44 @@ def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _formats(kinds: Sequence[Kind]) -> Iterator[str]:
+    """Lines and columns of the files, where they are not as they usually are."""
+    forms: list[dict[str, Any]] = []
+    for kind in kinds:
+        layout = kind.files[0].layout
+        form: dict[str, Any] = {"header_line": layout.header_line}
+        if layout.first_line > layout.header_line + 1:
+            form["first_line"] = layout.first_line
+        if not layout.header_line:
+            form["columns"] = [c.name for c in layout.columns]
+        forms.append({} if form == {"header_line": 1} else form)
+    if all(form == forms[0] for form in forms):
+        if forms[0]:
+            yield f"table: {_write_inline(forms[0])}    # lines of the files, from 1"
+        return
+    yield "# Lines of the files, from 1 (0: no header), one entry for each file of a run."
+    yield "table:"
+    yield from (f"  - {_write_inline(form)}" for form in forms)
+
+
 def _commands(guess: Guess) -> Iterator[str]:
     yield "# What was commanded. lower and upper are what was seen: state what is possible, and"
     yield "# rate (the fastest change per second), so that `next` can propose runs."
-    if not guess.commands:
+    commands = guess.those("command")
+    if any(c.place for c in commands):
+        yield "# file: which of the files of a run, in the order of `runs`, has the column."
+    if not commands:
         yield "commands: []"
         return
     yield "commands:"
-    for q in guess.commands:
-        yield f"  - {_write_inline(_command(q))}    # looks commanded {q.why}"
+    for c in commands:
+        yield f"  - {_write_inline(_command(c, guess))}    # looks commanded {c.why}"
 
 
 def _runs(guess: Guess) -> Iterator[str]:
     """Runs, each with a line of its own; facts that all share stand in ``defaults``."""
-    facts = {c.base: _fact(c.name, c.base, c.unit) for c in guess.facts}
+    stated = [c.column for c in guess.those("fact")]
+    facts = {c.base: _fact(c.name, c.base, c.unit) for c in stated}
     shared: dict[str, Any] = {"setup": facts} if facts else {}
     if guess.every > 1:
         shared["every"] = guess.every
@@ -154,14 +178,31 @@ def _runs(guess: Guess) -> Iterator[str]:
     elif len(guess.runs) == 1:
         entry = {**_entry(guess.runs[0]), "blocks": {"num": 6, "use": {"select": [4], "test": [6]}}}
         yield f"  - {_write_inline(entry)}    # one long run, cut into six pieces"
+    elif entry := _pattern(guess):
+        yield f"  - {_write_inline(entry)}    # {{run}}: each of {len(guess.runs)}"
     else:
         yield from (f"  - {_write_inline(_entry(run))}" for run in guess.runs)
 
 
+def _pattern(guess: Guess) -> dict[str, Any]:
+    """Many runs that differ in a word of their files' names, as one entry; empty: in more."""
+    files = {tuple(file.replace(run.name, "{run}", 1) for file in run.files) for run in guess.runs}
+    is_plain = not any(run.setup or run.repeat_of for run in guess.runs)
+    if len(guess.runs) < MANY or len(files) > 1 or not is_plain:
+        return {}
+    patterns = list(files.pop())
+    found = sorted(guess.folder.glob(patterns[0].replace("{run}", "*")))
+    if "{run}" not in patterns[0] or len(found) != len(guess.runs):
+        return {}
+    entry: dict[str, Any] = {"name": "{run}", "file": patterns if patterns[1:] else patterns[0]}
+    uses = {use: [r.name for r in guess.runs if r.use == use] for use in ("select", "test")}
+    return {**entry, "use": {use: names for use, names in uses.items() if names}}
+
+
 def _split_runs(guess: Guess) -> Iterator[str]:
     names = [c.name for c in guess.split]
-    for file in dict.fromkeys(run.file for run in guess.runs):
-        runs = [run for run in guess.runs if run.file == file]
+    for files in dict.fromkeys(run.files for run in guess.runs):
+        runs = [run for run in guess.runs if run.files == files]
         entry: dict[str, Any] = {"file": _files(runs[0]), "split": names[0]}
         if len(names) > 1:
             name = " ".join(f"{{{n}}}" for n in names)
@@ -182,26 +223,29 @@ def _entry(run: GuessedRun) -> dict[str, Any]:
 
 
 def _files(run: GuessedRun) -> str | list[str]:
-    return [run.file, *run.further] if run.further else run.file
+    return list(run.files) if run.files[1:] else run.files[0]
 
 
-def _channel(q: GuessedQuantity) -> dict[str, Any]:
-    return _quantity(q) | ({} if q.sd is None else {"sd": q.sd})
+def _channel(c: GuessedColumn, guess: Guess) -> dict[str, Any]:
+    return _quantity(c, guess) | ({} if c.sd is None else {"sd": c.sd})
 
 
-def _command(q: GuessedQuantity) -> dict[str, Any]:
-    ends = {
-        k: float(f"{v:.4g}") for k, v in (("lower", q.lower), ("upper", q.upper)) if v is not None
-    }
+def _command(c: GuessedColumn, guess: Guess) -> dict[str, Any]:
     # with a clock of its own it may begin later and end sooner
-    fill = q.column.fill or ("hold" if q.column.is_asked else "")
-    filled = {"fill": fill} if fill else {}
-    return _quantity(q) | filled | ({"is_measured": True} if q.is_measured else ends)
+    filled = {"fill": c.fill} if c.fill else {}
+    if c.is_measured:
+        return _quantity(c, guess) | filled | {"is_measured": True}
+    ends = {"lower": c.lower, "upper": c.upper} if c.lower != c.upper else {}
+    seen = {key: float(f"{v:.4g}") for key, v in ends.items() if v is not None}
+    return _quantity(c, guess) | filled | seen
 
 
-def _quantity(q: GuessedQuantity) -> dict[str, Any]:
-    column = {} if q.column.name == q.name else {"column": q.column.name}
-    return {"name": q.name, **column, "unit": q.unit}
+def _quantity(c: GuessedColumn, guess: Guess) -> dict[str, Any]:
+    column = {} if c.column.name == c.name else {"column": c.column.name}
+    first = next(k for k, kind in enumerate(guess.kinds)
+                 if c.column.name in kind.files[0].table.header)  # fmt: skip
+    file = {} if c.place == first else {"file": c.place + 1}
+    return {"name": c.name, **column, **file, "unit": c.unit}
 
 
 def _fact(column: str, name: str, unit: str | None) -> Any:

@@ -36,6 +36,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.apart import apart_words
+from diffsim.diagnose.judge.described import require_same_kind
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words
 from diffsim.diagnose.judge.records import Interval, OutsideRow, band_words, no_skill_words
@@ -252,6 +253,7 @@ def _judge(args: argparse.Namespace) -> None:
     study = read_study(args.study)
     out = args.out or Path(DIAGNOSES) / study.name
     saved = _read_judged(args, study, out)
+    require_same_kind(saved, study)
     inputs, _ = _inputs(args, saved.framed(study))
     found = judge_saved(inputs, saved, args.runs)
     for line in found.differences:

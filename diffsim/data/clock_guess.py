@@ -1,8 +1,7 @@
-"""The clock of an unknown folder, and the columns whose values divide a file into runs."""
+"""The clock of tables, and the columns whose values divide a table into runs."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,60 +9,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
+from diffsim.data.names import COUNTER, TIME, TRIAL, may_be_time, unit_of_clock
 from diffsim.data.study_check import LATE
 from diffsim.data.table import Table
-from diffsim.data.table_guess import Column, TableLayout
+from diffsim.data.table_guess import Column
 
-TIME = re.compile(
-    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I
-)
-#: What people call a clock by its unit alone.
-_UNITS = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunden"), "s"),
-    **dict.fromkeys(("ms", "millis", "msec", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "micros", "usec", "microseconds"), "us"),
-    **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
-    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"),
-}
-COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
-_TRIAL = re.compile(
-    r"^(run|trial|test|sweep|pass|series|cycle|rep|repeat|repetition|experiment|exp|throw|toss|"
-    r"shot|episode|lauf|versuch|messung)(_?(no|nr|id|number|index|\d))?$",
-    re.I,
-)
-_LEAST_ROWS = 5  # of a run, on average
+_FEWEST_ROWS = 5  # of a run, on average
 _NUMBERED = 20  # rows from which on whole steps of one are no command
 _JUMP = 10.0  # times the usual step of a counter: another recording
+_SINCE_1970 = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # counts in a second
+_YEARS = (1e9, 4e9)  # s: 2001 to 2096
+_LONGEST = 100.0  # s between samples of a recording
 
 
 def guess_clock(
-    layout: TableLayout, tables: Sequence[Table], said: list[str]
+    columns: Sequence[Column], tables: Sequence[Table], said: list[str]
 ) -> tuple[dict[str, Any], Column | None, list[str]]:
     """The clock: a column that is called so, the first one that only grows, or a counter.
 
     Args:
-        layout: Columns of the files.
+        columns: Columns of the files.
         tables: Files of the folder, read as tables.
         said: Sentences on what was guessed; more are added.
 
     Returns:
         Keys of ``time``, the column, and what the user must say.
     """
-    named = [c for c in layout.columns if TIME.match(c.base) and may_be_time(c)]
-    for column in (*named, *(c for c in layout.columns if c.name and c not in named)):
+    columns = [c for c in columns if c.name]
+    named = [c for c in columns if TIME.match(c.base) and may_be_time(c)]
+    for column in (*named, *(c for c in columns if c not in named)):
         if not tables[0].is_number[column.name]:
             if column in named or _tells_time(column, tables[0]):
                 said.append(f"clock: column {column.name}, as times of day or dates")
                 return {"column": column.name, "unit": "clock"}, column, []
         elif column in named or (unit_of_clock(column.base) and _grows(column, tables)):
             return _numeric_time(column, tables, said)
-    for column in layout.columns:
-        if column.name and tables[0].is_number[column.name] and not COUNTER.match(column.base):
+    for column in columns:
+        if tables[0].is_number[column.name] and not COUNTER.match(column.base):
             step = np.diff(tables[0].numbers(column.name))
             if len(step) and (step > 0.0).all() and np.ptp(step) < 0.5 * np.median(step):
                 said.append(f"clock: column {column.name}, the first that only grows")
                 return _numeric_time(column, tables, said)
-    for column in layout.columns:
+    for column in columns:
         is_named = is_counter(column, tables[0], np.arange(len(tables[0])))
         if (is_named and _counts(column, tables)) or _numbers_rows(column, tables):
             said.append(f"clock: column {column.name} counts, by 0.01 s until you say otherwise")
@@ -73,30 +60,18 @@ def guess_clock(
     return {"step": 0.01}, None, ["time.step: seconds between two rows"]
 
 
-def may_be_time(column: Column) -> bool:
-    """Whether the unit of a column is one of time, or is not stated: T_wall [degC] is no clock."""
-    return column.unit in (None, "-") or to_si(column.unit).unit == "s"
+def seconds_of(table: Table, time: dict[str, Any]) -> NDArray[np.float64]:
+    """Clock of a table [s] by keys of ``time``."""
+    unit = time.get("unit", "s")
+    factor = None if unit == "clock" else to_si(unit).factor
+    return table.seconds(time.get("column"), factor, time.get("step"))
 
 
-def _tells_time(column: Column, table: Table) -> bool:
-    """Whether a column of text holds times of day or dates that move on."""
-    try:
-        seconds = table.seconds(column.name, None, None)
-    except ValueError:
+def is_late(table: Table, time: dict[str, Any]) -> bool:
+    """Whether a clock counts from long ago, as seconds since 1970 do."""
+    if "step" in time or time["unit"] == "clock":
         return False
-    return len(seconds) > 1 and bool(seconds[-1] > seconds[0])
-
-
-def unit_of_clock(header: str) -> str | None:
-    """Unit of a clock whose header is its unit, such as ``min``; None: it says none."""
-    return _UNITS.get(header.strip().lower())
-
-
-def is_late(time: dict[str, Any], clock: Column | None, tables: Sequence[Table]) -> bool:
-    """Whether a clock of seconds since 1970, or the like, is to start at 0 in every run."""
-    if clock is None or "unit" not in time or time["unit"] == "clock":
-        return False
-    return bool(tables[0].numbers(clock.name)[0] * to_si(time["unit"]).factor > LATE)
+    return bool(seconds_of(table, time)[0] > LATE)
 
 
 def is_counter(column: Column, table: Table, rows: NDArray[np.int64]) -> bool:
@@ -108,7 +83,7 @@ def is_counter(column: Column, table: Table, rows: NDArray[np.int64]) -> bool:
 
 
 def guess_split(
-    layout: TableLayout, tables: Sequence[Table], clock: Column | None, said: list[str]
+    columns: Sequence[Column], tables: Sequence[Table], clock: Column | None, said: list[str]
 ) -> tuple[Column, ...]:
     """Columns whose values are runs: they change where the clock starts again, or name trials."""
     table = tables[0]
@@ -118,29 +93,52 @@ def guess_split(
         if COUNTER.match(clock.base):
             is_jump |= step > _JUMP * np.median(step)
         back = np.flatnonzero(is_jump)
-        return _split_at(back, layout, table, clock, said) if len(back) else ()
+        return _split_at(back, columns, table, clock, said) if len(back) else ()
     if clock is not None or len(tables) > 1:
         return ()
-    found = [c for c in layout.columns if c.name and _names_trials(c, table)]
+    found = [c for c in columns if c.name and _names_trials(c, table)]
     if found:
         names = " and ".join(c.name for c in found)
         said.append(f"runs: {names} stay the same for many rows: one run for each value")
     return tuple(found)
 
 
+def _tells_time(column: Column, table: Table) -> bool:
+    """Whether a column of text holds times of day or dates that move on."""
+    try:
+        seconds = table.seconds(column.name, None, None)
+    except ValueError:
+        return False
+    return len(seconds) > 1 and bool(seconds[-1] > seconds[0])
+
+
 def _numeric_time(
     column: Column, tables: Sequence[Table], said: list[str]
 ) -> tuple[dict[str, Any], Column, list[str]]:
-    step = float(np.nanmedian(np.abs(np.diff(tables[0].numbers(column.name)))))
-    unit, todo = column.unit, []
+    now = tables[0].numbers(column.name)
+    now = now[np.isfinite(now)]
+    step = float(np.median(np.abs(np.diff(now)))) if len(now) > 1 else 0.0
+    unit, todo, how = column.unit, [], ""
     if unit is None:
         unit = unit_of_clock(column.base)
     if unit is None or (unit != "-" and to_si(unit).unit != "s") or unit == "-":
-        # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
-        unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
-        todo = [f"time.unit: column {column.name} states none; {unit} is a guess by its steps"]
-    said.append(f"clock: column {column.name} in {unit}, steps of {step:.4g} {unit}")
+        if (since := _unit_since_1970(now, step)) is not None:
+            unit, how = since, " since 1970 by its values"
+        else:
+            # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
+            unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
+            todo = [f"time.unit: column {column.name} states none; {unit} is a guess by its steps"]
+    said.append(f"clock: column {column.name} in {unit}{how}, steps of {step:.4g} {unit}")
     return {"column": column.name, "unit": unit}, column, todo
+
+
+def _unit_since_1970(now: NDArray[np.float64], step: float) -> str | None:
+    """Unit in which readings are dates of our time; None: they are none."""
+    first = now[0] if len(now) else 0.0
+    for unit, size in _SINCE_1970.items():
+        if _YEARS[0] <= first / size < _YEARS[1] and step / size < _LONGEST:
+            return unit
+    return None
 
 
 def _grows(column: Column, tables: Sequence[Table]) -> bool:
@@ -150,12 +148,12 @@ def _grows(column: Column, tables: Sequence[Table]) -> bool:
 def _counts(column: Column, tables: Sequence[Table]) -> bool:
     """Whether a counter goes up from row to row, but for the starts of other recordings."""
     step = np.diff(tables[0].numbers(column.name))
-    return bool(np.mean(step > 0.0) > 1.0 - 1.0 / _LEAST_ROWS)
+    return bool(np.mean(step > 0.0) > 1.0 - 1.0 / _FEWEST_ROWS)
 
 
 def _numbers_rows(column: Column, tables: Sequence[Table]) -> bool:
     """Whether a column of any name goes up by one from row to row, as frames do, in all files."""
-    if not column.name or not all(t.is_number[column.name] for t in tables):
+    if not all(t.is_number[column.name] for t in tables):
         return False
     steps = [np.diff(t.numbers(column.name)) for t in tables]
     on = [s == 1.0 for s in steps if len(s) >= _NUMBERED]
@@ -163,9 +161,9 @@ def _numbers_rows(column: Column, tables: Sequence[Table]) -> bool:
 
 
 def _split_at(
-    back: NDArray[np.int64], layout: TableLayout, table: Table, clock: Column, said: list[str]
+    back: NDArray[np.int64], columns: Sequence[Column], table: Table, clock: Column, said: list[str]
 ) -> tuple[Column, ...]:
-    for column in layout.columns:
+    for column in columns:
         if not column.name or column is clock:
             continue
         cells = np.array(table.texts(column.name))
@@ -184,6 +182,6 @@ def _names_trials(column: Column, table: Table) -> bool:
     """A label, or a number that is called a trial, that stays for many rows."""
     cells = np.array(table.texts(column.name))
     num_stretches = 1 + int((cells[1:] != cells[:-1]).sum())
-    if num_stretches == 1 or _LEAST_ROWS * num_stretches > len(cells) or "" in cells:
+    if num_stretches == 1 or _FEWEST_ROWS * num_stretches > len(cells) or "" in cells:
         return False
-    return not table.is_number[column.name] or bool(_TRIAL.match(column.base))
+    return not table.is_number[column.name] or bool(TRIAL.match(column.base))

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from diffsim.core.expression import CONSTANTS, FUNCTIONS
 from diffsim.core.units import to_si
-from diffsim.data.clock_guess import COUNTER, TIME, may_be_time
 from diffsim.data.formula import CLOCK
+from diffsim.data.names import COUNTER, TIME, may_be_time
 from diffsim.data.run_samples import RunSamples, in_si, unfilled
 from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import Source

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from diffsim.core.units import factor, to_si
-from diffsim.data.clock_guess import COUNTER, unit_of_clock
+from diffsim.data.names import COUNTER, unit_of_clock
 from diffsim.data.study_check import Problem
 from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+from diffsim.data.names import is_asked
 from diffsim.data.table_guess import Column, column_of
 
 #: Endings of fields of ROS messages, and their unit.
@@ -41,10 +42,6 @@ _PX4 = {
 _UNUSED = re.compile(r"covariance|(^|[._])header\.|child_frame_id", re.I)
 #: Topics that belong to a record whose own topic shows a part of the motion only.
 BESIDE = {"vehicle_local_position": ("vehicle_attitude", "vehicle_angular_velocity")}
-COMMAND = re.compile(
-    r"cmd|command|setpoint|actuator|control|motor|thrust|target|reference|desired|input", re.I
-)
-DRIVES = re.compile(r"motor|rotor|actuator", re.I)  # rather than what a controller aimed at
 
 
 def log_column(name: str, part: str) -> Column | None:
@@ -57,7 +54,7 @@ def log_column(name: str, part: str) -> Column | None:
     topic, column = part.rpartition("/")[2].partition(".")[0], column_of(name)
     if _UNUSED.search(name):
         return None
-    column = replace(column, is_asked=bool(COMMAND.search(topic)))
+    column = replace(column, is_asked=is_asked(topic))
     if topic in _PX4 and name not in ("time_s", "timestamp"):
         for field, unit in _PX4[topic]:
             if re.fullmatch(field, name):

@@ -41,11 +41,13 @@ from diffsim.data.study_schema import (
     RunEntry,
     Source,
     StudyFile,
+    TableFormat,
     TimeSource,
 )
 from diffsim.data.table import Rows, Table, require_increasing
 
 Array = NDArray[np.float64]
+_WITH_HEADER = TableFormat()
 _TIME = "time_s"  # column of the clock where none is stated
 BLOCK_OF = "block_of"  # fact of a run that is a piece of another: that one's name
 
@@ -118,26 +120,31 @@ class RunReader:
         if str(error) not in self.problems:
             self.problems.append(str(error))
 
-    def _table(self, path: Path) -> Table:
+    def _table(self, path: Path, form: TableFormat = _WITH_HEADER) -> Table:
         if path not in self.tables:
-            form = self.study.table
-            self.tables[path] = Table(
-                path, "run", header_line=form.header_line, first_line=form.first_line
-            )
+            self.tables[path] = Table(path, "run", **dict(form))
             further = (s for s in self.tables[path].left_out if s not in self.left_out)
             self.left_out += further
         return self.tables[path]
+
+    def _formats(self, count: int) -> Sequence[TableFormat]:
+        """Lay-out of each file of a run; one that is stated alone holds for all."""
+        stated = self.study.table
+        if len(stated) == 1:
+            return stated * count
+        if len(stated) != count:
+            raise ValueError(f"table has {len(stated)} entries, but a run has {count} files")
+        return stated
 
     def _pieces(self, case: RunFiles) -> Iterator[Piece]:
         """Runs of a file, by the values of ``split``."""
         entry = case.entry
         try:
-            table = self._table(case.files[0])
+            table, *others = map(self._table, case.files, self._formats(len(case.files)))
             rows = np.arange(len(table))
             if entry.table is None:
                 rows = chosen_rows(table, rows, entry.where, f"{case.where}.where")
             parts = parts_by(table, rows, entry.split)
-            others = [self._table(path) for path in case.files[1:]]
         except (ValueError, FileNotFoundError) as error:
             self._tell(error)
             return
@@ -170,7 +177,8 @@ class RunReader:
         labels: Sequence[str],
     ) -> Run:
         entry, table = case.entry, tables[0]
-        clocks = [self._seconds(entry, t) for t in tables]
+        clocks = [self._seconds(entry, table)]
+        clocks += [self._seconds_beside(entry, other, table, clocks[0]) for other in tables[1:]]
         recorded = clocks[0][rows]
         clock = self._clock(entry, table).column or _TIME
         require_increasing(table, rows, recorded, clock)
@@ -226,9 +234,9 @@ class RunReader:
         if isinstance(stated, CommandEntry) and stated.fill == "hold":
             samples = samples.holding()
         raw = (
-            samples.formula(source.formula)
+            samples.formula(source.formula, file=source.file)
             if source.formula is not None
-            else samples.column(source.column or stated.name)
+            else samples.column(source.column or stated.name, source.file)
         )
         values = in_si(raw, source, unit)
         if isinstance(stated, ChannelEntry) and stated.zero_s is not None:
@@ -248,7 +256,20 @@ class RunReader:
     def _seconds(self, entry: RunEntry, table: Table) -> Array:
         source = self._clock(entry, table)
         factor = None if source.unit == "clock" else to_si(source.unit).factor
-        return table.seconds(source.column, factor, source.step)
+        return table.seconds(source.column, factor, source.step, source.zero)
+
+    def _seconds_beside(self, entry: RunEntry, table: Table, first: Table, clock: Array) -> Array:
+        """Clock of a further file; one without has its rows beside those of the first."""
+        source = self._clock(entry, table)
+        if source.step is not None or (source.column or _TIME) in table.header:
+            return self._seconds(entry, table)
+        if not 0 <= len(first) - len(table) <= 1:
+            raise ValueError(
+                f"{table.path}: column {source.column or _TIME} is missing, and of its "
+                f"{len(table)} rows not each is beside one of the {len(first)} of "
+                f"{first.path.name}; state its clock, or give each row its partner"
+            )
+        return clock[: len(table)]
 
     def _clock(self, entry: RunEntry, table: Table) -> TimeSource:
         """The first of the stated clocks that the file has; the first of all where it has none."""

@@ -136,10 +136,11 @@ def _files_named(
             f"{where}.file: no file fits {pattern!r}{did_you_mean(pattern, beside)}; "
             f"{root} has {', '.join(beside[:12]) or 'no CSV files'}"
         )
-    return sorted(found, key=lambda f: _split_numbers(f[0].name))
+    return sorted(found, key=lambda f: split_numbers(f[0].as_posix()))
 
 
-def _split_numbers(name: str) -> list[tuple[int, int | str]]:
+def split_numbers(name: str) -> list[tuple[int, int | str]]:
+    """A key that puts run_9 before run_10."""
     return [(0, int(p)) if p.isdigit() else (1, p) for p in re.split(r"(\d+)", name) if p]
 
 

@@ -5,7 +5,7 @@ Facts of a run are numbers and labels, stated in the study or taken from its fil
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -71,26 +71,48 @@ class RunSamples:
         cut = self.time_s[keep] if len(self.time_s) else self.time_s
         return replace(self, rows=self.rows[keep], recorded_s=self.recorded_s[keep], time_s=cut)
 
-    def column(self, name: str) -> Array:
-        """Numbers of a column, (num_samples,); of a further file, in between its samples."""
-        for table, clock in zip(self.tables[1:], self.clocks[1:], strict=True):
-            if name in table.header and name not in self.table.header:
-                values = table.numbers(name)
-                there = np.isfinite(values)
-                if not there.any():
-                    return np.full(len(self.rows), np.nan)
-                between = _hold_last_sample if self.holds else _interpolate_straight
-                return between(self.recorded_s, clock[there], values[there])
-        return self.table.numbers(name)[self.rows]
+    def place_of(self, name: str, file: int | None = None) -> int:
+        """Which of the files holds a column, from 0: the one that is stated, else the first.
+
+        Raises:
+            ValueError: the stated file is none of the run's.
+        """
+        if file is not None:
+            if file > len(self.tables):
+                there = ", ".join(table.path.name for table in self.tables)
+                raise ValueError(f"column {name}: file: {file}, but the run has {there}")
+            return file - 1
+        return next((k for k, table in enumerate(self.tables) if name in table.header), 0)
+
+    def column(self, name: str, file: int | None = None) -> Array:
+        """Numbers of a column, (num_samples,); of a further file, in between its samples.
+
+        Args:
+            name: Header of the column.
+            file: Which of the run's files holds it, from 1; None: the first that has it.
+        """
+        place = self.place_of(name, file)
+        values = self.tables[place].numbers(name)
+        if not place:
+            return values[self.rows]
+        there = np.isfinite(values)
+        if not there.any():
+            return np.full(len(self.rows), np.nan)
+        between = _hold_last_sample if self.holds else _interpolate_straight
+        return between(self.recorded_s, self.clocks[place][there], values[there])
 
     def formula(
-        self, text: str, channels: Mapping[str, Callable[[], Array]] = MappingProxyType({})
+        self,
+        text: str,
+        channels: Mapping[str, Callable[[], Array]] = MappingProxyType({}),
+        file: int | None = None,
     ) -> Array:
         """Samples of a formula, (num_samples,).
 
         Args:
             text: Formula of columns, facts and the clock.
             channels: What makes further names' samples; a column of that name goes first.
+            file: Which of the run's files holds the columns, from 1; None: the first that has each.
         """
         numbers = [k for k, v in self.facts.items() if isinstance(v, (int, float))]
         columns = [name for table in self.tables for name in table.header]
@@ -99,7 +121,7 @@ class RunSamples:
         def value_of(name: str) -> Array | float:
             if name in numbers:
                 return float(self.facts[name])
-            return self.column(name) if name in columns else channels[name]()
+            return self.column(name, file) if name in columns else channels[name]()
 
         try:
             return evaluate(text, clock, value_of, dict.fromkeys([*columns, *numbers, *channels]))
@@ -108,7 +130,10 @@ class RunSamples:
 
 
 def _interpolate_straight(at: Array, clock: Array, values: Array) -> Array:
-    """Values on straight lines between samples; NaN beyond them."""
+    """Values on straight lines between samples; NaN beyond them, but for rounding."""
+    near = np.clip(at, clock[0], clock[-1])
+    slack = np.maximum(_SLACK_S, 4.0 * np.spacing(np.abs(near)))
+    at = np.where(np.abs(at - near) <= slack, near, at)
     return np.interp(at, clock, values, left=np.nan, right=np.nan)
 
 
@@ -294,9 +319,10 @@ def _fact(where: str, name: str, stated: Any, samples: RunSamples, words: Mappin
         values = samples.formula(fact.formula)
     else:
         column = fact.column or name
-        samples.table.require(column)
-        if not samples.table.is_number[column]:
-            return _label(where, column, samples)
+        table = samples.tables[place := samples.place_of(column)]
+        table.require(column)
+        if not table.is_number[column]:
+            return _label(where, column, table, samples.rows if not place else range(len(table)))
         values = samples.column(column)
     return si.factor * _take_number(where, values, fact.take) + si.offset
 
@@ -306,12 +332,12 @@ def _as_fact(text: str) -> float | str:
     return label if isinstance(label, str) else float(label)
 
 
-def _label(where: str, column: str, samples: RunSamples) -> str:
-    cells = samples.table.texts(column)
-    found = list(dict.fromkeys(cells[i] for i in samples.rows))
+def _label(where: str, column: str, table: Table, rows: Iterable[int]) -> str:
+    cells = table.texts(column)
+    found = list(dict.fromkeys(cells[i] for i in rows))
     if len(found) > 1:
         raise ValueError(
-            f"{where}: column {column} of {samples.table.path.name} is not constant in the run: "
+            f"{where}: column {column} of {table.path.name} is not constant in the run: "
             f"{', '.join(found[:5])}"
         )
     return found[0]

@@ -17,8 +17,8 @@ The least that a study needs; all keys are in docs/study_keys.md::
       - {file: "step_{level}mbar.csv", setup: {pressure: {value: "{level}", unit: mbar}}}
       - {file: long.csv, blocks: {num: 6, use: {select: [4], test: [6]}}}
 
-CSV files have a header line; an empty cell is a missing value; comma, semicolon or tab divide
-cells, and where it is not the comma, a decimal comma is read.
+CSV files have a header line; an empty cell is a missing value; comma, semicolon, tab or blanks
+divide cells, and where it is not the comma, a decimal comma is read.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ from diffsim.data.study_types import (
     Formula,
     Number,
     PerRun,
+    Place,
     Positive,
     Texts,
     Unit,
@@ -38,6 +39,7 @@ from diffsim.data.study_types import (
     UseOfRuns,
     Value,
     Values,
+    Zero,
     ZeroTime,
     in_own_unit,
 )
@@ -69,6 +71,11 @@ class TimeSource(Part):
     unit: str = Field(
         "s", description="Unit of that column: s, ms, us, min; `clock` for 12:30:05.25 or a date"
     )
+    zero: Zero | None = Field(
+        None,
+        description="Reading of that column that is 0 s, in `unit`; `start`: its first. It joins "
+        "instruments that were started together, whatever their clocks count from",
+    )
     step: Positive | None = Field(
         None,
         description="Seconds between rows, where the files have no clock; with `column`, seconds "
@@ -97,10 +104,33 @@ Times = Annotated[
 class TableFormat(Part):
     """Lay-out of CSV files; delimiter, decimal comma and encoding are recognized."""
 
-    header_line: int = Field(1, ge=1, description="Line of the file that has the names of columns")
-    first_line: int | None = Field(
-        None, ge=2, description="Line of the first sample; default: the one after the header"
+    header_line: int = Field(
+        1, ge=0, description="Line of the file that has the names of columns; 0: none has"
     )
+    first_line: int | None = Field(
+        None, ge=1, description="Line of the first sample; default: the one after the header"
+    )
+    columns: Texts = Field(
+        (),
+        description="Names of the columns in their order, in place of the header's: "
+        "[time, steering, speed]. Default without a header: column_1, column_2, ...",
+    )
+
+    @model_validator(mode="after")
+    def _samples_below(self) -> TableFormat:
+        if self.first_line is not None and self.first_line <= self.header_line:
+            raise ValueError(
+                f"first_line must be below header_line, got {self.first_line} and "
+                f"{self.header_line}"
+            )
+        return self
+
+
+Formats = Annotated[
+    tuple[TableFormat, ...],
+    BeforeValidator(_wrap_in_list),
+    KindWords("TableFormat, or list of them"),
+]
 
 
 class Source(Part):
@@ -111,6 +141,11 @@ class Source(Part):
         None,
         description="Instead of a column: formula of columns, facts of `setup` and `t`, the time "
         "of the run in s; other names than a_1 are written in backquotes: 0.5*(`x 1` + `x 2`)",
+    )
+    file: Place | None = Field(
+        None,
+        description="Which of the run's files holds the column, from 1, where several have one of "
+        "that name; default: the first that has it",
     )
     scale: Number = Field(1.0, description="The column is multiplied by this")
     offset: Number = Field(0.0, description="Added after `scale`, in `unit`")
@@ -322,8 +357,8 @@ class RunEntry(RunKeys):
         (),
         description="CSV file, or one of another format (Parquet, HDF5, MAT, NPZ, XLSX, ULog, "
         "MCAP, rosbag), `FILE#PART` where it holds several tables. `*` or {level} in it: each file "
-        "that fits is a run. A list: further files are read at the clock of the first. Default: "
-        "the name with "
+        "that fits is a run. A list: further files are read at the clock of the first; one "
+        "without a clock has a row for each row of the first, or one fewer. Default: the name with "
         ".csv",
     )
     table: PathInside | None = Field(
@@ -385,7 +420,11 @@ class StudyFile(Part):
         description="Clock of the files; or several, of which each file has the first whose column "
         "it holds: [{column: t_ms, unit: ms}, {column: stamp}]",
     )
-    table: TableFormat = Field(TableFormat(), description="Lay-out of the files")
+    table: Formats = Field(
+        (TableFormat(),),
+        description="Lay-out of the files; or a list, one for each file of a run: "
+        "[{header_line: 0, columns: [time]}, {header_line: 0, columns: [x, y]}]",
+    )
     channels: tuple[ChannelEntry, ...] = Field(description="What was measured")
     commands: tuple[Annotated[CommandEntry, BeforeValidator(_wrap_name)], ...] = Field(
         (), description="What was commanded: a name, or a mapping"

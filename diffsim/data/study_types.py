@@ -91,6 +91,15 @@ def _read_zero(given: Any) -> float | dict[str, float] | str:
         raise ValueError(f"{error}; or start") from None
 
 
+def _read_reading(given: Any) -> float | str:
+    if given == "start":
+        return "start"
+    try:
+        return read_number(given)
+    except ValueError:
+        raise ValueError(f"must be start or a number, got {given!r}") from None
+
+
 def _read_fill(given: Any) -> float | str:
     if given in ("hold", "linear"):
         return str(given)
@@ -157,6 +166,7 @@ def _read_values(given: Any) -> Any:
 
 Number = Annotated[float, PlainValidator(read_number), KindWords("number")]
 Positive = Annotated[float, BeforeValidator(read_number), Field(gt=0), KindWords("number above 0")]
+Place = Annotated[int, BeforeValidator(_read_count), KindWords("whole number")]
 Unit = Annotated[str, PlainValidator(_read_unit), KindWords("unit")]
 Formula = Annotated[str, PlainValidator(_read_formula), KindWords("formula")]
 Texts = Annotated[tuple[str, ...], PlainValidator(read_texts), KindWords("text or list of texts")]
@@ -173,6 +183,7 @@ ZeroTime = Annotated[
     PlainValidator(_read_zero),
     KindWords("number, `start`, or mapping of runs to numbers"),
 ]
+Zero = Annotated[Start | float, PlainValidator(_read_reading), KindWords("number or `start`")]
 FillValue = Annotated[Fill | float, PlainValidator(_read_fill), KindWords("hold, linear or number")]
 Every = Annotated[
     int | dict[float, int],

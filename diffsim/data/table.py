@@ -8,11 +8,12 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from datetime import datetime, time
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
+from diffsim.data.formats.columns import MOST_ENTRIES
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -31,11 +33,23 @@ MISSING = ("nan", "na", "n/a", "#n/a", "n.a.", "null", "none", "-", "--", "---",
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
 
 
-def delimiter_of(header: str) -> str:
-    """Delimiter of a file by its header line: a semicolon or tab if there is one, else a comma."""
-    return next((mark for mark in (";", "\t") if mark in header), ",")
+def delimiter_of(header: str, sample: str = "") -> str:
+    """Delimiter of a file by its header line: a semicolon or tab if there is one, else a comma; a
+    blank where the first sample is several numbers with nothing but blanks between them."""
+    found = next((mark for mark in (";", "\t") if mark in header), ",")
+    cells = sample.split()
+    is_blank = found == "," and len(cells) > 1 and all(map(_is_number, cells))
+    return " " if is_blank else found
 
 
+def cells_of(line: str, mark: str) -> list[str]:
+    """Cells of a line, without blanks around them; a header between blanks may begin with #."""
+    if mark == " ":
+        return line.lstrip("#% \t").split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=mark), [])]
+
+
+_LIST_MARKS = re.compile(r"[\[\](),;]")
 _DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 
 
@@ -56,7 +70,12 @@ def open_text(path: Path) -> Iterator[TextIO]:
 
 @contextmanager
 def open_table(
-    path: Path, what: str, *, header_line: int = 1, first_line: int | None = None
+    path: Path,
+    what: str,
+    *,
+    header_line: int = 1,
+    first_line: int | None = None,
+    columns: Sequence[str] = (),
 ) -> Iterator[tuple[list[str], Iterator[tuple[int, list[str]]]]]:
     """Header and numbered rows of a CSV file; blank lines are skipped.
 
@@ -66,36 +85,59 @@ def open_table(
     Args:
         path: CSV file to be read.
         what: What it should be, for the message, such as "recording".
-        header_line: Line with the names of the columns, from 1.
+        header_line: Line with the names of the columns, from 1; 0: there is none.
         first_line: Line of the first sample; by default the one after the header.
+        columns: Names of the columns, in place of those of the file.
 
     Raises:
         FileNotFoundError: no such file; the message lists the CSV files beside it.
         ValueError: no header, too many columns, a column occurs twice, a row has another number of
             cells, or a line is no CSV.
     """
-    if not path.is_file():
-        beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        there = f"; that folder has {', '.join(beside)}" if beside else ""
-        if (maker := path.parent / MAKER).is_file():
-            there += f"; files of this data set are made by `python {maker}`"
-        raise FileNotFoundError(f"{path}: no such {what}{there}{did_you_mean(path.name, beside)}")
-    skipped = (first_line or header_line + 1) - 1
+    with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
+        rows = csv.reader(lines, delimiter=mark, skipinitialspace=mark == " ")
+        yield header, _number_rows(path, header, rows, before, mark != ",")
+
+
+@contextmanager
+def _open_lines(
+    path: Path, what: str, header_line: int, first_line: int | None, columns: Sequence[str]
+) -> Iterator[tuple[list[str], str, int, Iterable[str]]]:
+    """Header, delimiter, number of lines before the first sample, and the lines from there on."""
+    _require_file(path, what)
+    before = (first_line or header_line + 1) - 1
     with open_text(path) as file:
-        for _ in range(header_line - 1):
-            next(file, "")
-        header, mark = _header(path, file, header_line)
-        for _ in range(skipped - header_line):
-            next(file, "")
-        rows = csv.reader(file, delimiter=mark)
-        yield header, _number_rows(path, header, rows, skipped, mark != ",")
+        header, mark, lines = _header(path, file, header_line, before, columns)
+        yield header, mark, before, lines
 
 
-def _header(path: Path, file: TextIO, line: int) -> tuple[list[str], str]:
-    """Names of the columns, and the delimiter."""
-    where = f"{path}, row {line}"
-    first = file.readline(MAX_LINE + 1)
-    mark = delimiter_of(first)
+def _require_file(path: Path, what: str) -> None:
+    if path.is_file():
+        return
+    beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
+    there = f"; that folder has {', '.join(beside)}" if beside else ""
+    if (maker := path.parent / MAKER).is_file():
+        there += f"; files of this data set are made by `python {maker}`"
+    raise FileNotFoundError(f"{path}: no such {what}{there}{did_you_mean(path.name, beside)}")
+
+
+def _header(
+    path: Path, file: TextIO, line: int, skipped: int, names: Sequence[str]
+) -> tuple[list[str], str, Iterable[str]]:
+    """Names of the columns, the delimiter, and the lines of samples.
+
+    Args:
+        path: The file, for messages.
+        file: The same, opened.
+        line: Line of the names, from 1; 0: the file has none.
+        skipped: Lines before the first sample.
+        names: Names in place of the file's; empty: its own, or column_1, column_2, ...
+    """
+    before = [file.readline(MAX_LINE + 1) for _ in range(skipped)]
+    first = before[line - 1] if line else file.readline(MAX_LINE + 1)
+    where = f"{path}, row {line or skipped + 1}"
+    sample = file.readline() if line else first
+    mark = delimiter_of(first, sample)
     if len(first) > MAX_LINE or (count := first.count(mark) + 1) > MAX_COLUMNS:
         size = f"{count:,} columns" if len(first) <= MAX_LINE else f"more than {MAX_LINE:,} letters"
         raise ValueError(
@@ -103,15 +145,24 @@ def _header(path: Path, file: TextIO, line: int) -> tuple[list[str], str]:
             "this file a column of the table?"
         )
     try:
-        header = [name.strip() for name in next(csv.reader([first], delimiter=mark), [])]
+        header = cells_of(first, mark)
     except csv.Error as error:
         raise ValueError(f"{where}: not CSV: {error}") from None
     if not header:
         raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
+    if names and len(names) != len(header):
+        raise ValueError(
+            f"{where}: {len(header)} cells, but `columns` names {len(names)}: {', '.join(names)}"
+        )
+    if names or not line:
+        header = list(names) or [f"column_{k}" for k in range(1, 1 + len(header))]
     counts = Counter(name for name in header if name)
     if repeated := sorted(name for name, count in counts.items() if count > 1):
-        raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
-    return header, mark
+        raise ValueError(
+            f"{path}: column {repeated[0]!r} occurs more than once in the header; `columns` of "
+            "`table` gives names of your own"
+        )
+    return header, mark, chain([sample], file)
 
 
 def _rows(path: Path, rows: Iterator[list[str]], before: int) -> Iterator[list[str]]:
@@ -218,36 +269,52 @@ class Table:
     Args:
         path: CSV file, or ``FILE#PART`` of a format of ``diffsim.data.formats``.
         what: What it should be, for messages, such as "run".
-        header_line: Line with the names of the columns, from 1.
+        header_line: Line with the names of the columns, from 1; 0: there is none.
         first_line: Line of the first sample; by default the one after the header.
+        columns: Names of the columns, in place of those of the file.
 
     Attributes:
-        header: Names of the columns.
+        header: Names of the columns; a column of lists is one for each entry, ``name[0]``.
         lines: Line of each row in the file.
         used: Columns that were asked for.
         left_out: What the file holds, or lost, and the table does not have, a sentence each.
     """
 
     def __init__(
-        self, path: Path, what: str, *, header_line: int = 1, first_line: int | None = None
+        self,
+        path: Path,
+        what: str,
+        *,
+        header_line: int = 1,
+        first_line: int | None = None,
+        columns: Sequence[str] = (),
     ):
         self.path = path
         self._numbers: dict[str, Array] = {}
         self.used: set[str] = set()
-        self._cells: list[list[str]] = []
-        self._arrays: Columns = read_columns(path) if is_container(path) else {}
-        self.left_out = left_out_of(path) if self._arrays else []
-        if self._arrays:
+        self._arrays: Columns = {}
+        self.left_out: list[str] = []
+        if is_container(path):
+            self._arrays = _spread_arrays(path, read_columns(path))
+            self.left_out = left_out_of(path)
             self.header = list(self._arrays)
             self.lines = list(range(1, 1 + len(self._arrays[self.header[0]])))
             return
-        with open_table(path, what, header_line=header_line, first_line=first_line) as (head, rows):
-            self.header = head
-            numbered = list(rows)
-        if not numbered:
-            raise ValueError(f"{path}: no rows below the header; was the export cut short?")
-        self.lines = [line for line, _ in numbered]
-        self._cells = [row for _, row in numbered]
+        self._form = (path, what, header_line, first_line, columns)
+        if numbers := _all_numbers_of(*self._form):
+            self._numbers, self.lines = numbers
+            self.header = list(self._numbers)
+        else:
+            self.lines, self._cells = _all_cells_of(*self._form)
+            self.header = list(self._cells)
+
+    @cached_property
+    def _cells(self) -> dict[str, list[str]]:
+        """Cells of each column, without blanks around them, where these were not read at first."""
+        if self._arrays:
+            arrays = self._arrays.items()
+            return {name: [str(cell).strip() for cell in a.tolist()] for name, a in arrays}
+        return _all_cells_of(*self._form)[1]
 
     @classmethod
     def of_columns(cls, path: Path, columns: Columns, left_out: Sequence[str] = ()) -> Table:
@@ -255,7 +322,7 @@ class Table:
         made = cls.__new__(cls)
         made.path, made.used, made.header = path, set(), list(columns)
         made.left_out = list(left_out)
-        made._numbers, made._cells, made._arrays = {}, [], columns
+        made._numbers, made._arrays = {}, columns
         made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
         return made
 
@@ -280,7 +347,7 @@ class Table:
         """Cells of a column, without blanks around them."""
         self.require(name)
         self.used.add(name)
-        return self._column(name)
+        return self._cells[name]
 
     def numbers(self, name: str) -> Array:
         """Numbers of a column, (num_rows,); NaN where a cell is empty.
@@ -325,26 +392,33 @@ class Table:
     @cached_property
     def is_number(self) -> dict[str, bool]:
         """Whether a column holds numbers, by name; one without any cell does not."""
-        return {
-            name: self._is_array(name) or _all_numbers(self._column(name)) for name in self.header
-        }
+        return {name: self._holds_numbers(name) for name in self.header}
+
+    def _holds_numbers(self, name: str) -> bool:
+        if self._is_array(name):
+            values = self._arrays[name]
+            return values.dtype.kind != "f" or not np.isnan(values).all()
+        if name in self._numbers:
+            return not np.isnan(self._numbers[name]).all()
+        return _all_numbers(self._cells[name])
 
     def _is_array(self, name: str) -> bool:
         return name in self._arrays and self._arrays[name].dtype.kind in "biuf"
 
-    def _column(self, name: str) -> list[str]:
-        if name in self._arrays:
-            return [str(cell).strip() for cell in self._arrays[name].tolist()]
-        at = self.header.index(name)
-        return [row[at].strip() for row in self._cells]
-
-    def seconds(self, column: str | None, factor: float | None, step: float | None) -> Array:
+    def seconds(
+        self,
+        column: str | None,
+        factor: float | None,
+        step: float | None,
+        zero: float | str | None = None,
+    ) -> Array:
         """Clock of the rows [s].
 
         Args:
             column: Column with the time; None: ``time_s``.
             factor: Seconds in its unit; None: it holds times of day or dates.
             step: Seconds between rows, or for each count of the column.
+            zero: Reading of the column that is 0 s, or "start", its first; None: 0.
 
         Raises:
             ValueError: no such column, or a time is missing.
@@ -358,6 +432,8 @@ class Table:
         if np.isnan(now).any():
             line = self.lines[int(np.argmax(np.isnan(now)))]
             raise ValueError(f"{self.path}, row {line}, column {name}: time is missing")
+        if zero is not None:
+            now = now - (now[0] if isinstance(zero, str) else zero)
         scale = step or factor
         return scale * now if scale != 1.0 else now
 
@@ -381,6 +457,110 @@ def as_label(cell: str) -> float | int | str:
     except ValueError:
         return cell
     return int(value) if math.isfinite(value) and value == int(value) else value
+
+
+def _all_numbers_of(
+    path: Path, what: str, header_line: int, first_line: int | None, columns: Sequence[str]
+) -> tuple[dict[str, Array], list[int]] | None:
+    """Columns of a file of finite numbers, and the line of each row; None: it has other cells.
+
+    Reads eight times as fast as cell by cell.
+    """
+    numbers: list[int] = []
+
+    def filled(lines: Iterable[str], before: int) -> Iterator[str]:
+        for number, line in enumerate(lines, before + 1):
+            if not line.isspace():
+                numbers.append(number)
+                yield line
+
+    with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
+        if len(set(header)) < len(header):
+            return None
+        rows = filled(lines, before)
+        try:
+            if (first := next(rows, None)) is None:
+                return None
+            cells = chain([first], rows)
+            by = None if mark == " " else mark
+            found = np.loadtxt(cells, delimiter=by, comments=None, ndmin=2)
+        except ValueError:  # cell by cell it is told which
+            return None
+    if found.shape[1] != len(header) or np.isinf(found).any():
+        return None
+    return dict(zip(header, found.T.copy(), strict=True)), numbers
+
+
+def _all_cells_of(
+    path: Path, what: str, header_line: int, first_line: int | None, columns: Sequence[str]
+) -> tuple[list[int], dict[str, list[str]]]:
+    """Line of each row of a file, and the cells by column, lists spread out."""
+    with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
+        rows = csv.reader(lines, delimiter=mark, skipinitialspace=mark == " ")
+        numbered = list(_number_rows(path, header, rows, before, mark != ","))
+    if not numbered:
+        raise ValueError(f"{path}: no rows below the header; was the export cut short?")
+    places = [line for line, _ in numbered]
+    by_column = zip(*(row for _, row in numbered), strict=True)
+    cells = {n: [c.strip() for c in own] for n, own in zip(header, by_column, strict=True)}
+    return places, _spread(path, places, cells)
+
+
+def is_list(cell: str) -> bool:
+    """Whether a cell holds a list of numbers, such as "[0.1, 0.2]" or "(1 2)"."""
+    return cell[:1] in ("[", "(") and all(map(_is_number, _entries(cell)))
+
+
+def names_of(name: str, cell: str) -> list[str]:
+    """Columns that a column makes by one of its cells: its entries where that is a list."""
+    width = len(_entries(cell)) if is_list(cell) else 0
+    return [f"{name}[{k}]" for k in range(width)] if 0 < width <= MOST_ENTRIES else [name]
+
+
+def _entries(cell: str) -> list[str]:
+    return _LIST_MARKS.sub(" ", cell).split()
+
+
+def _spread(path: Path, lines: Sequence[int], cells: dict[str, list[str]]) -> dict[str, list[str]]:
+    """A column whose cells are lists as a column for each entry: name[0], name[1], ..."""
+    out: dict[str, list[str]] = {}
+    for name, own in cells.items():
+        first = next((cell for cell in own if cell), "")
+        if (names := names_of(name, first)) == [name]:
+            out[name] = own
+            continue
+        width = len(names)
+        rows = [_entries(cell) or [""] * width for cell in own]
+        if other := next((k for k, row in enumerate(rows) if len(row) != width), None):
+            raise ValueError(
+                f"{path}, row {lines[other]}, column {name}: a list of {len(rows[other])} numbers, "
+                f"but the first has {width}"
+            )
+        out |= {entry: [row[k] for row in rows] for k, entry in enumerate(names)}
+    return out
+
+
+def _spread_arrays(path: Path, columns: Columns) -> Columns:
+    """Columns of text that are lists, as in CSV files, as columns of numbers."""
+    texts = {name: [str(c) for c in a] for name, a in columns.items() if a.dtype.kind not in "biuf"}
+    lists = {name for name, cells in texts.items() if is_list(next(filter(None, cells), ""))}
+    if not lists:
+        return columns
+    lines = range(1, 1 + len(next(iter(columns.values()))))
+    out: Columns = {}
+    for name, values in columns.items():
+        entries = _spread(path, lines, {name: texts[name]}) if name in lists else {}
+        out |= {n: np.array([float(c or "nan") for c in own]) for n, own in entries.items()}
+        out |= {} if entries else {name: values}
+    return out
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _all_numbers(cells: Sequence[str]) -> bool:

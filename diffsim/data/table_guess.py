@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 from diffsim.core.units import to_si
-from diffsim.data.table import delimiter_of, open_text
+from diffsim.data.table import cells_of, delimiter_of, is_list, names_of, open_text
 
 FIRST_LINES = 60  # in which the header must be
+FEWEST_ROWS = 5  # of numbers, that a file without a header must have
 TABLES = (".csv", ".tsv", ".txt", ".dat")
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _ENTRY = re.compile(r"^(.*[^\]])((?:\[\d+\])+)$")
@@ -54,8 +54,6 @@ class Column:
         is_said: Whether the unit stands apart, in brackets or a row of units; else it is the
             ending of the name.
         is_asked: Whether it is of a table that holds what was commanded.
-        fill: How it goes on between samples of its own, where it is of a file that is read at the
-            clock of another one: "hold" if it rests and jumps, else "linear"; empty: of no such.
     """
 
     name: str
@@ -63,7 +61,6 @@ class Column:
     unit: str | None
     is_said: bool
     is_asked: bool = False
-    fill: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ class TableLayout:
     """Where the header of a file is.
 
     Attributes:
-        header_line: Line of the names, from 1.
+        header_line: Line of the names, from 1; 0: there is none.
         first_line: Line of the first sample.
         columns: Columns in order.
     """
@@ -85,14 +82,31 @@ def layout_of(path: Path) -> TableLayout | None:
     """Header of a file: the lines of as many cells, without numbers, above the first numbers.
 
     Returns:
-        None where no header with at least two names is found.
+        None where there are no rows of numbers below names, nor ``FEWEST_ROWS`` without any.
     """
     with open_text(path) as file:
         lines = [line.rstrip("\r\n") for line in islice(file, FIRST_LINES)]
-    rows = [_cells(line) for line in lines]
+    marks = [delimiter_of(line, line) for line in lines]
+    if marks and marks[-1] == " ":  # names between blanks, too
+        marks = [" "] * len(lines)
+    rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
     first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_numeric(row)), None)
-    if first is None:
-        return None
+    above = [] if first is None else _lines_above(rows, first)
+    if first is None or not above:
+        return _without_header(rows)
+    names = _drop_empty_end(rows[above[0]])
+    units = _drop_empty_end(rows[above[1]]) if len(above) > 1 else [""] * len(names)
+    cells = [*rows[first], *[""] * len(names)]  # lists, "[0.1, 0.2]", are a column for each entry
+    columns = (
+        column_of(name, unit)
+        for header, unit, cell in zip(names, units, cells, strict=False)
+        for name in names_of(header, cell)
+    )
+    return TableLayout(above[0] + 1, first + 1, tuple(columns))
+
+
+def _lines_above(rows: list[list[str]], first: int) -> list[int]:
+    """Indices of the lines right above the first numbers that may be names and units."""
     # an empty last cell is a missing value, or what follows a delimiter at the end of the line
     num_cells = {len(rows[first]), len(_drop_empty_end(rows[first]))}
     above: list[int] = []
@@ -102,12 +116,19 @@ def layout_of(path: Path) -> TableLayout | None:
             break
         num_cells = {len(head)}
         above.insert(0, i)
-    if not above:
+    return above
+
+
+def _without_header(rows: list[list[str]]) -> TableLayout | None:
+    """Numbers from some line on to the last, one a line at least."""
+    rows = rows if rows and any(rows[-1]) else rows[:-1]
+    width = len(rows[-1]) if rows else 0
+    above = [i for i, row in enumerate(rows) if len(row) != width or not _is_numeric(row)]
+    first = above[-1] + 1 if above else 0
+    if len(rows) - first < FEWEST_ROWS:
         return None
-    names = _drop_empty_end(rows[above[0]])
-    units = _drop_empty_end(rows[above[1]]) if len(above) > 1 else [""] * len(names)
-    columns = tuple(column_of(n, u) for n, u in zip(names, units, strict=True))
-    return TableLayout(above[0] + 1, first + 1, columns)
+    names = (f"column_{k}" for k in range(1, 1 + width))
+    return TableLayout(0, first + 1, tuple(Column(name, name, None, False) for name in names))
 
 
 def column_of(name: str, unit_cell: str = "") -> Column:
@@ -143,23 +164,17 @@ def _is_ending(word: str) -> bool:
     return word in _ENDINGS and word not in _WORDS
 
 
-def tables_in(folder: Path) -> list[Path]:
-    """Files of a folder that may hold tables, by name."""
-    return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in TABLES)
-
-
-def _cells(line: str) -> list[str]:
-    row = next(csv.reader([line], delimiter=delimiter_of(line)), [])
-    return [cell.strip() for cell in row]
-
-
 def _drop_empty_end(row: list[str]) -> list[str]:
     return row[:-1] if row and not row[-1] else row
 
 
 def _is_numeric(row: list[str]) -> bool:
     filled = [cell for cell in row if cell]
-    return bool(filled) and 2 * sum(bool(_NUMBER.fullmatch(c)) for c in filled) >= len(filled)
+    return bool(filled) and 2 * sum(_holds_numbers(c) for c in filled) >= len(filled)
+
+
+def _holds_numbers(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell)) or is_list(cell)
 
 
 def _is_unit(text: str) -> bool:

@@ -5,7 +5,7 @@ By the simulator's own tangents, by differences of simulations, or by torch's fo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,54 +74,40 @@ class Jacobian:
         self,
         many: PredictMany,
         at: Tensor,
-        idx: Sequence[int],
+        stencils: Mapping[int, Stencil],
         *,
-        inward: Sequence[int],
-        secant: Sequence[float],
-        smooth: Sequence[bool] | None = None,
-        stretch: Sequence[float] | None = None,
+        quick: Collection[int] = (),
         tangents: Tangents | None = None,
     ) -> tuple[Array, Array]:
-        """Prediction and its derivatives along all coordinates.
+        """Prediction and its derivatives along some coordinates.
 
         Args:
             many: Coordinates (n,) each -> predictions of equal shape.
             at: Point to differentiate at, (n,).
-            idx: The coordinates to differentiate.
-            inward: (n,) 1 where a coordinate cannot go below its place, -1 where it cannot go
-                above: second-order differences to the other side; 0: central ones.
-            secant: (n,) above 0: the slope of the chord from here to here + secant.
-            smooth: (n,) False where the slope needs simulations; None: all are smooth.
-            stretch: (n,) factors on the step of the differences; None: one.
+            stencils: Difference formulas by coordinate.
+            quick: Those of them whose slopes need no simulations.
             tangents: The model's own: stencils by coordinate -> the flattened prediction and one
                 column each, or None where it has none.
 
         Returns:
-            (num_outputs,) the flattened prediction, and (num_outputs, len(idx)).
+            (num_outputs,) the flattened prediction, and (num_outputs, len(stencils)).
         """
         if self.method == "forward_mode":
-            return _forward_mode(many, at, idx)
-        factor = [1.0] * len(at) if stretch is None else stretch
-        stencils = {i: self._stencil(inward[i], secant[i], factor[i] * self.step) for i in idx}
-        quick = [i for i in idx if secant[i] == 0.0 and (smooth is None or smooth[i])]
+            return _forward_mode(many, at, list(stencils))
         given = None
         if self.method == "auto" and tangents is not None and quick:
-            given = tangents({i: stencils[i] for i in quick})
+            given = tangents({i: s for i, s in stencils.items() if i in quick})
         if given is None:
             return _differences(many, at, stencils)
         here, columns = given
         slow = {i: s for i, s in stencils.items() if i not in quick}
         if not slow:
             return here, columns
-        by_simulation = _differences(many, at, slow)[1]
-        own = {i: columns[:, j] for j, i in enumerate(quick)}
-        own |= {i: by_simulation[:, j] for j, i in enumerate(slow)}
-        return here, np.column_stack([own[i] for i in idx])
-
-    def _stencil(self, inward: int, secant: float, step: float) -> Stencil:
-        if secant > 0.0:
-            return Stencil.chord(secant)
-        return Stencil.one_sided(inward * step) if inward else Stencil.central(step)
+        by_simulation = iter(_differences(many, at, slow)[1].T)
+        by_tangents = iter(columns.T)
+        return here, np.column_stack(
+            [next(by_tangents if i in quick else by_simulation) for i in stencils]
+        )
 
 
 def _differences(

@@ -37,7 +37,7 @@ from diffsim.identify.line import DifferenceLine, ModelPoint
 from diffsim.identify.model import SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
-from diffsim.identify.whitening import Whitener
+from diffsim.identify.whitening import WhitenedRuns, Whitener
 
 Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
@@ -51,37 +51,11 @@ class PredictionError(DiffsimError):
     """A simulation left the range of numbers."""
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Residuals r = W (y - S(x)) of several runs and their derivatives.
-
-    Attributes:
-        model: Simulator with base parameters.
-        runs: Recorded runs that are compared with the simulation.
-        whitener: Transformation that makes the noise of a run white with standard deviation one.
-        effects: Effects whose components are coordinates after the base parameters.
-        jacobian: Method and step of the derivatives.
-        numerics: Factors on the numerical settings; the model's own settings if None.
-        workers: Threads over runs; the compiled kernels release the interpreter.
-        correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
-        memo: What was computed of this problem and is asked for again.
-    """
+class Coordinates:
+    """Standardized coordinates of base parameters, then of the components of effects."""
 
     model: SimModel
-    runs: tuple[Run, ...]
-    whitener: Whitener
-    effects: tuple[Effect, ...] = ()
-    jacobian: Jacobian = field(default_factory=Jacobian)
-    numerics: Numerics | None = None
-    workers: int = 1
-    correction: Correction | None = None
-    memo: Memo[Any] = memo_field(_MOST_KEPT)
-
-    @property
-    def stands_for(self) -> Numerics | None:
-        """Numerical settings that the records stand for: those of the simulations, or the finer
-        ones that these are corrected by; None: the model's own."""
-        return self.numerics if self.correction is None else self.correction.finest
+    effects: tuple[Effect, ...]
 
     @property
     def num_base(self) -> int:
@@ -92,6 +66,11 @@ class Problem:
     def owners(self) -> list[tuple[Effect, str]]:
         """Effect and component of every coordinate after the base parameters."""
         return [(e, c) for e in self.effects for c in e.components]
+
+    @property
+    def _effect_of_each(self) -> list[Effect | None]:
+        """Effect of every coordinate; None of base parameters."""
+        return [*(None for _ in self.model.base), *(e for e, _ in self.owners)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,27 +111,57 @@ class Problem:
         """Size of each component at the scaled coordinate one, (num_components,) [unit]."""
         return np.array([PRIOR_WIDTH * e.typical for e, _ in self.owners])
 
-    def coordinates_of(self, sizes: Mapping[str, float]) -> Array:
-        """Standardized coordinates of sizes, the inverse of ``sizes_at``, (num_components,).
-
-        Args:
-            sizes: Size by name of the component ("wind.x") [unit]; zero for those not given.
-        """
-        given = [sizes.get(name, 0.0) for name in effect_coordinates(self.effects)]
-        return coordinate_of(np.array(given) / self.size_units)
-
     def sizes_at(self, x: Tensor) -> dict[Effect, Tensor]:
         """Sizes [unit] of the effects at standardized coordinates."""
-        return self._sizes(scaled_at(x[..., self.num_base :]))
+        return self.sizes_of(scaled_at(x[..., self.num_base :]))
 
-    def _sizes(self, scaled: Tensor) -> dict[Effect, Tensor]:
-        """Sizes [unit] of the effects from their scaled coordinates."""
+    def sizes_of(self, scaled: Tensor) -> dict[Effect, Tensor]:
+        """Sizes [unit] of the effects from their own scaled coordinates."""
         sizes, k = {}, 0
         for effect in self.effects:
             count = len(effect.components)
             sizes[effect] = PRIOR_WIDTH * effect.typical * scaled[..., k : k + count]
             k += count
         return sizes
+
+    def _list_idle(self) -> set[str]:
+        """Base parameters that are shapes of effects which are not there: nothing depends on
+        them."""
+        there = {name for e in self.effects for name in e.shapes}
+        return {p.name for p in self.model.base if p.of_effect} - there
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Coordinates, WhitenedRuns):
+    """Residuals r = W (y - S(x)) of several runs and their derivatives.
+
+    Attributes:
+        model: Simulator with base parameters.
+        runs: Recorded runs that are compared with the simulation.
+        whitener: Transformation that makes the noise of a run white with standard deviation one.
+        effects: Effects whose components are coordinates after the base parameters.
+        jacobian: Method and step of the derivatives.
+        numerics: Factors on the numerical settings; the model's own settings if None.
+        workers: Threads over runs; the compiled kernels release the interpreter.
+        correction: What finer settings than ``numerics`` change, told at one point; None: nothing.
+        memo: What was computed of this problem and is asked for again.
+    """
+
+    model: SimModel
+    runs: tuple[Run, ...]
+    whitener: Whitener
+    effects: tuple[Effect, ...] = ()
+    jacobian: Jacobian = field(default_factory=Jacobian)
+    numerics: Numerics | None = None
+    workers: int = 1
+    correction: Correction | None = None
+    memo: Memo[Any] = memo_field(_MOST_KEPT)
+
+    @property
+    def stands_for(self) -> Numerics | None:
+        """Numerical settings that the records stand for: those of the simulations, or the finer
+        ones that these are corrected by; None: the model's own."""
+        return self.numerics if self.correction is None else self.correction.finest
 
     def _require_finite(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> None:
         """A step out of the range of numbers is a failed step, whatever the simulator says to it.
@@ -197,7 +206,7 @@ class Problem:
     def _predict_scaled(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points in scaled coordinates."""
         u = torch.stack(list(points))
-        return self._predict_many(run, self._simulated_at(u), self._sizes(u[:, self.num_base :]))
+        return self._predict_many(run, self._simulated_at(u), self.sizes_of(u[:, self.num_base :]))
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
         self._require_finite(run, q, sizes)
@@ -229,10 +238,7 @@ class Problem:
 
         def one(run: Run) -> Array:
             with torch.no_grad():
-                predicted = self.predict(run, point).numpy()
-            return self.whiten(
-                run, np.nan_to_num(run.measured).ravel() - _check_finite(predicted, run)
-            )
+                return self.whiten(run, _misfit(run, self.predict(run, point).numpy()))
 
         return np.concatenate(self._compute_each(one))
 
@@ -274,49 +280,47 @@ class Problem:
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
         """Residual and d(W S)/du at x, by the scaled coordinates u; arguments of ``linearize``."""
-        stretch = self.stretch(x)
-        u = self.scaled(x)
-        point = torch.from_numpy(np.ascontiguousarray(u, dtype=np.float64))
-        # bounds of sizes are zero or infinite: the same in both coordinates
-        low, high = self.bounds
-        steps = stretch * self.step_factors
-        step = self.jacobian.step * steps
-        below, above = u - step < low, u + step > high
-        inward = [int(below[i]) or -int(above[i]) for i in range(len(x))]
-        secant = [0.0] * self.num_base + [
-            SECANT / PRIOR_WIDTH if screen and not e.smooth else 0.0 for e, _ in self.owners
-        ]
-        smooth = [True] * self.num_base + [e.smooth for e, _ in self.owners]
-        names = self.names
+        point = torch.from_numpy(np.ascontiguousarray(self.scaled(x), dtype=np.float64))
+        names, idle = self.names, self._list_idle()
         wanted = range(len(x)) if only is None else sorted(set(only))
-        idle = self._list_idle()
+        stencils = self._choose_stencils(x, [i for i in wanted if names[i] not in idle], screen)
+        effects = self._effect_of_each
+        quick = {i for i in stencils if (e := effects[i]) is None or e.smooth}
 
         def one(run: Run) -> tuple[Array, Array]:
-            idx = [i for i in wanted if touches(names[i], run) and names[i] not in idle]
+            own = {i: s for i, s in stencils.items() if touches(names[i], run)}
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_scaled(run, points),
                 point,
-                idx,
-                inward=inward,
-                secant=secant,
-                smooth=smooth,
-                stretch=steps.tolist(),
+                own,
+                quick=quick.intersection(own),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
             matrix = self.whitener.matrix(run)
             full = np.zeros((matrix.shape[0], len(x)))
-            full[:, idx] = matrix @ columns
-            left = np.nan_to_num(run.measured).ravel() - _check_finite(here, run)
-            return np.asarray(matrix @ left), full
+            full[:, list(own)] = matrix @ columns
+            return np.asarray(matrix @ _misfit(run, here)), full
 
         parts = self._compute_each(one)
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
-    def _list_idle(self) -> set[str]:
-        """Base parameters that are shapes of effects which are not there: nothing depends on
-        them."""
-        there = {name for e in self.effects for name in e.shapes}
-        return {p.name for p in self.model.base if p.of_effect} - there
+    def _choose_stencils(self, x: Array, idx: Sequence[int], screen: bool) -> dict[int, Stencil]:
+        """Difference formulas along scaled coordinates, inward at bounds."""
+        u, steps = self.scaled(x).tolist(), self.stretch(x) * self.step_factors
+        steps = (self.jacobian.step * steps).tolist()
+        low, high = self.bounds  # of sizes they are zero or infinite: the same in both coordinates
+        effects, out = self._effect_of_each, {}
+        for i in idx:
+            effect = effects[i]
+            if screen and effect is not None and not effect.smooth:
+                out[i] = Stencil.chord(SECANT / PRIOR_WIDTH)
+            elif u[i] - steps[i] < low[i]:
+                out[i] = Stencil.one_sided(steps[i])
+            elif u[i] + steps[i] > high[i]:
+                out[i] = Stencil.one_sided(-steps[i])
+            else:
+                out[i] = Stencil.central(steps[i])
+        return out
 
     @property
     def step_factors(self) -> Array:
@@ -350,28 +354,24 @@ class Problem:
         return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
 
     def _point(self, scaled: Tensor) -> ModelPoint:
-        return ModelPoint(self._simulated_at(scaled), self._sizes(scaled[self.num_base :]))
+        return ModelPoint(self._simulated_at(scaled), self.sizes_of(scaled[self.num_base :]))
 
     def _line(self, at: Tensor, i: int, stencil: Stencil) -> DifferenceLine:
         """Points of a stencil along scaled coordinate i."""
         unit = torch.zeros_like(at)
         unit[i] = 1.0
-        owner = None if i < self.num_base else self.owners[i - self.num_base][0]
         points = tuple(self._point(at + offset * unit) for offset in stencil.offsets)
-        return DifferenceLine(stencil, points, owner)
+        return DifferenceLine(stencil, points, self._effect_of_each[i])
 
     def gradient(self, x: Array) -> tuple[float, Array]:
         """½ |r|² and its gradient by reverse mode: one backward pass per run."""
-        leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
 
-        def one(run: Run) -> tuple[float, Array]:
-            predicted, matrix = self.predict(run, leaf), self.whitener.matrix(run)
-            left = np.nan_to_num(run.measured).ravel() - predicted.detach().numpy().ravel()
-            r = matrix @ left
-            return 0.5 * float(r @ r), _pulled_back(predicted, leaf, -(matrix.T @ r))
+        def one(run: Run, predicted: Array) -> tuple[float, Array]:
+            matrix = self.whitener.matrix(run)
+            r = matrix @ (np.nan_to_num(run.measured).ravel() - predicted)
+            return 0.5 * float(r @ r), -(matrix.T @ r)
 
-        parts = self._compute_each(one)
-        return sum(p[0] for p in parts), np.sum([p[1] for p in parts], axis=0)
+        return self._pull_back(x, one)
 
     def pullback(self, x: Array, cotangent: Array) -> Array:
         """A'c by reverse mode, A = d(W S)/dx, (n,): one backward pass per run.
@@ -380,38 +380,30 @@ class Problem:
             x: Standardized coordinates, (n,).
             cotangent: c in whitened samples of all runs, (num_valid,).
         """
-        leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
-        parts = self.by_run(cotangent)
-        of_run = {run.name: part for run, part in zip(self.runs, parts, strict=True)}
+        of_run = {r.name: c for r, c in zip(self.runs, self.by_run(cotangent), strict=True)}
 
-        def one(run: Run) -> Array:
-            matrix = self.whitener.matrix(run)
+        def one(run: Run, predicted: Array) -> tuple[float, Array]:
             self.model.note_derivatives(run, BACKWARD, self.numerics)
-            return _pulled_back(self.predict(run, leaf), leaf, matrix.T @ of_run[run.name])
+            return 0.0, self.whitener.matrix(run).T @ of_run[run.name]
 
-        return np.asarray(np.sum(self._compute_each(one), axis=0))
+        return self._pull_back(x, one)[1]
 
-    @property
-    def num_valid(self) -> list[int]:
-        """Measured samples of each run, all channels together."""
-        return [int(np.isfinite(run.measured).sum()) for run in self.runs]
+    def _pull_back(
+        self, x: Array, cost: Callable[[Run, Array], tuple[float, Array]]
+    ) -> tuple[float, Array]:
+        """Sum over runs of a cost and of its gradient; ``cost`` gives that by the predicted samples
+        of a run, (num_samples * num_channels,)."""
+        leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
 
-    def by_run(self, rows: Array) -> list[Array]:
-        """Whitened rows of all runs, (num_valid, ...), by run."""
-        counts = self.num_valid
-        return np.split(rows, np.cumsum(counts)[:-1])
+        def one(run: Run) -> tuple[float, Array]:
+            predicted = self.predict(run, leaf)
+            value, slope = cost(run, predicted.detach().numpy().ravel())
+            given = torch.from_numpy(np.ascontiguousarray(slope)).view_as(predicted)
+            (grad,) = torch.autograd.grad(predicted, leaf, given)
+            return value, np.asarray(grad.numpy())
 
-    def on_grid(self, run: Run, rows: Array) -> Array:
-        """(num_samples, num_channels) of whitened rows of a run, (num_valid,): each stands at its
-        newest sample, the largest column that it uses; 0 where nothing was measured."""
-        matrix = self.whitener.matrix(run)
-        grid = np.zeros(run.measured.size)
-        grid[np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])] = rows
-        return grid.reshape(run.measured.shape)
-
-    def whiten(self, run: Run, record: Array) -> Array:
-        """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
-        return np.asarray(self.whitener.matrix(run) @ record)
+        parts = self._compute_each(one)
+        return sum(p[0] for p in parts), np.asarray(np.sum([p[1] for p in parts], axis=0))
 
     def _compute_each(self, job: Callable[[Run], Any]) -> list[Any]:
         if self.workers > 1:
@@ -421,13 +413,12 @@ class Problem:
         return [job(run) for run in self.runs]
 
 
-def _pulled_back(predicted: Tensor, leaf: Tensor, cotangent: Array) -> Array:
-    given = torch.from_numpy(np.ascontiguousarray(cotangent)).view_as(predicted)
-    (grad,) = torch.autograd.grad(predicted, leaf, given)
-    return np.asarray(grad.numpy())
+def _misfit(run: Run, predicted: Array) -> Array:
+    """Measured less predicted samples, (num_samples * num_channels,).
 
-
-def _check_finite(predicted: Array, run: Run) -> Array:
+    Raises:
+        PredictionError: samples that are no numbers.
+    """
     flat = np.asarray(predicted).ravel()
     if not np.isfinite(flat).all():
         bad = int((~np.isfinite(flat)).sum())
@@ -435,4 +426,4 @@ def _check_finite(predicted: Array, run: Run) -> Array:
             f"the prediction of run {run.name} has {bad} NaN or infinite entries; narrow the "
             "priors or bounds of the parameters, shorten the time step, or mend the scene"
         )
-    return flat
+    return np.asarray(np.nan_to_num(run.measured).ravel() - flat)

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
 
+Array = NDArray[np.float64]
 MOST_RUNS = 1024  # whose matrices are kept
 
 
@@ -47,3 +49,32 @@ class WhiteNoise:
         valid = np.isfinite(run.measured).ravel()
         weight = np.tile(1.0 / self.sd, len(run.time_s))
         return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])
+
+
+class WhitenedRuns:
+    """Recorded runs and their noise: rows of whitened samples, run by run."""
+
+    runs: tuple[Run, ...]
+    whitener: Whitener
+
+    @property
+    def num_valid(self) -> list[int]:
+        """Measured samples of each run, all channels together."""
+        return [int(np.isfinite(run.measured).sum()) for run in self.runs]
+
+    def by_run(self, rows: Array) -> list[Array]:
+        """Whitened rows of all runs, (num_valid, ...), by run."""
+        counts = self.num_valid
+        return np.split(rows, np.cumsum(counts)[:-1])
+
+    def on_grid(self, run: Run, rows: Array) -> Array:
+        """(num_samples, num_channels) of whitened rows of a run, (num_valid,): each stands at its
+        newest sample, the largest column that it uses; 0 where nothing was measured."""
+        matrix = self.whitener.matrix(run)
+        grid = np.zeros(run.measured.size)
+        grid[np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])] = rows
+        return grid.reshape(run.measured.shape)
+
+    def whiten(self, run: Run, record: Array) -> Array:
+        """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
+        return np.asarray(self.whitener.matrix(run) @ record)

@@ -197,7 +197,12 @@ def test_numbers_in_file_names_are_facts(tmp_path):
 def test_a_folder_without_recordings(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("we pulled\nand it moved\n")
     assert init(tmp_path) == 2
-    assert "has no table with a header line and rows of numbers" in capsys.readouterr().err
+    assert "it has notes.txt: a table is a CSV file, or one of" in capsys.readouterr().err
+    (tmp_path / "runs.zip").write_bytes(b"PK")
+    (tmp_path / "a.parquet").write_bytes(b"none")
+    assert init(tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "notes.txt, runs.zip: unpack runs.zip first" in said and "a.parquet: cannot be" in said
 
 
 @pytest.mark.parametrize("system", sorted(DESCRIPTIONS))

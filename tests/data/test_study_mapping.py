@@ -401,6 +401,71 @@ def test_files_as_loggers_write_them(folder):
     np.testing.assert_allclose(run.measured[:, 1], np.radians(np.arange(20.0)), rtol=1e-14)
 
 
+def test_files_without_a_header_side_by_side(folder):
+    """Rows of a file without a clock are those of the first; a last command may be missing."""
+    (folder / "time.csv").write_text("\n".join(f"{0.1 * i:.1f}" for i in range(12)))
+    (folder / "input.csv").write_text("\n".join(f"{i},{i % 3}" for i in range(11)))
+    entry = {"name": "a", "file": ["time.csv", "input.csv"]}
+    changes = {
+        "table": [
+            {"header_line": 0, "columns": ["time"]},
+            {"header_line": 0, "columns": ["speed", "turn"]},
+        ],
+        "time": {"column": "time"},
+        "channels": [{"name": "turn", "unit": "-"}],
+        "commands": [{"name": "speed", "unit": "m/s", "fill": "hold"}],
+    }
+    run = load(folder, runs=[entry], **changes).runs[0]
+    np.testing.assert_allclose(run.time_s, 0.1 * np.arange(12), rtol=1e-12)
+    np.testing.assert_allclose(run.measured[:11, 0], np.arange(11) % 3)
+    assert np.isnan(run.measured[11, 0])
+    np.testing.assert_allclose(run.command["speed"], [*range(11), 10.0])
+    (folder / "input.csv").write_text("1,2\n" * 9)
+    with pytest.raises(ValueError, match="its 9 rows not each is beside one of the 12"):
+        load(folder, runs=[entry], **changes)
+    changes["table"][1]["columns"] = ["speed"]
+    with pytest.raises(ValueError, match="2 cells, but `columns` names 1: speed"):
+        load(folder, runs=[entry], **changes)
+    with pytest.raises(ValueError, match="table has 2 entries, but a run has 1 files"):
+        load(folder, runs=[{"name": "a", "file": "time.csv"}], **changes)
+
+
+def test_lists_in_cells_of_files_with_the_same_columns(folder):
+    """What both files call `positions` is told apart by `file`, also in a formula."""
+    for name, sign, start in (("read", 1.0, 0.0), ("goal", -1.0, 5e6)):
+        lines = [
+            f'{start + 1e4 * i:.0f},"[{sign * i}, {sign * 2 * i}]",S'
+            if i != 4
+            else f"{start + 4e4},,S"
+            for i in range(12)
+        ]
+        (folder / f"{name}.csv").write_text("\n".join(["stamp,positions,kind", *lines]))
+    channels = [{"name": "reached", "column": "positions[1]", "unit": "rad"}]
+    commands = [
+        {"name": "goal", "column": "positions[1]", "unit": "rad", "file": 2, "fill": "linear"},
+        {"name": "half", "formula": "0.5*`positions[1]`", "unit": "rad", "file": 2, "fill": "hold"},
+    ]
+    entry = {"name": "a", "file": ["read.csv", "goal.csv"]}
+    clock = {"column": "stamp", "unit": "us", "zero": "start"}
+    changes = {"channels": channels, "commands": commands, "runs": [entry]}
+    run = load(folder, time=clock, **changes).runs[0]
+    np.testing.assert_allclose(run.time_s, 0.01 * np.arange(12), rtol=1e-12)
+    seen = np.arange(12) != 4
+    np.testing.assert_allclose(run.measured[seen, 0], 2.0 * np.arange(12)[seen])
+    assert np.isnan(run.measured[4, 0])
+    np.testing.assert_allclose(run.command["goal"], -2.0 * np.arange(12), atol=1e-9)
+    np.testing.assert_allclose(run.command["half"][[3, 4, 5]], [-3.0, -3.0, -5.0])
+    # without a zero the clocks do not meet, and the goals are unknown
+    apart = load(folder, time={"column": "stamp", "unit": "us"}, **changes).runs[0]
+    assert np.isnan(apart.command["goal"]).all()
+    channels[0]["file"] = 3
+    with pytest.raises(ValueError, match=r"file: 3, but the run has read\.csv, goal\.csv"):
+        load(folder, time=clock, **changes)
+    (folder / "goal.csv").write_text('stamp,positions\n1,"[1, 2]"\n2,"[3]"\n')
+    with pytest.raises(ValueError, match=r"goal\.csv, row 3, column positions: a list of 1 "):
+        load(folder, time=clock, **changes)
+
+
 def test_clocks(folder):
     lines = [[f"12:59:59.{k}", k] for k in range(10)] + [["13:00:00", 10]]
     write_csv(folder / "a.csv", lines, ["at", "x_m"])

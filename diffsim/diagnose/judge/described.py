@@ -28,6 +28,30 @@ def description_of(study: Study) -> dict[str, Any]:
     return {} if study.model is None else {KEY: to_plain(dict(study.model))}
 
 
+def require_same_kind(saved: SavedModel, study: Study) -> None:
+    """Refuse the model of another kind of system, or of other channels, before any is built.
+
+    Args:
+        saved: Model that was fitted; files of before say less of their study.
+        study: Study of new runs.
+
+    Raises:
+        ValueError: it is one; the message says which study it was fitted to.
+    """
+    now = (study.model or {}).get("system", study.system)
+    was = saved.facts.get(KEY, {}).get("system", now)  # files of before do not say
+    known = saved.facts.get("noise") or {channel.name: {} for channel in study.channels}
+    lacks = [channel.name for channel in study.channels if channel.name not in known]
+    if was == now and not lacks:
+        return
+    what = f"system {was}" if was != now else f"channels {', '.join(known)}"
+    describes = f"system {now}" if was != now else f"channel {_join_names(lacks)}, too"
+    raise ValueError(
+        f"{saved.path}: a model of study {saved.study or '(not stated)'}, fitted to {what}; study "
+        f"{study.name} has {describes}. Give the model that was fitted to this study with --model"
+    )
+
+
 def differences(saved: SavedModel, study: Study) -> tuple[str, ...]:
     """Every difference between two descriptions, a sentence each.
 
@@ -46,11 +70,6 @@ def differences(saved: SavedModel, study: Study) -> tuple[str, ...]:
     for path in sorted({*was, *now}):
         if was.get(path) == now.get(path):
             continue
-        if path == "system":
-            raise ValueError(
-                f"{saved.path}: fitted to system {was.get(path)}, study {study.name} describes "
-                f"{now.get(path)}"
-            )
         if _STILL in path.split("."):
             _require_gravity(saved, path, was.get(path), now.get(path))
         out.append(
@@ -68,7 +87,7 @@ def require_same_system(saved: SavedModel, setup: DiagnosisSetup, study: Study) 
     """
     known = {_stem(p.name) for p in setup.model.base}
     own = {_stem(name) for name in saved.parameters}
-    if saved.model == setup.model.name or not own - known:
+    if not own - known:
         return
     lacks, more = sorted(own - known), sorted(known - own)
     instead = f"; it has {_join_names(more)}" if more else ""

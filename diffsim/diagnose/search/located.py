@@ -21,7 +21,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.search.scan import BORROWED, Scan, costs_of, narrowed
 from diffsim.identify import Problem
-from diffsim.identify.effect import Effect, Locator
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, Locator, coordinate_of
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
@@ -148,11 +148,5 @@ def _point(wide: Problem, x: Array, effect: Effect, proposal: Proposal) -> Array
         parameter = wide.model.base[i]
         low, high = wide.bounds[0][i], wide.bounds[1][i]
         out[i] = np.clip(parameter.coordinate_of(value), low, high)
-    names = [c if len(effect.components) > 1 else "" for c in effect.components]
-    given = {
-        f"{effect.name}.{c}" if c else effect.name: float(size)
-        for c, size in zip(names, proposal.sizes, strict=True)
-    }
-    alone = replace(wide, effects=(effect,))
-    out[wide.columns_of(effect)] = alone.coordinates_of(given)
+    out[wide.columns_of(effect)] = coordinate_of(proposal.sizes / (PRIOR_WIDTH * effect.typical))
     return out

@@ -6,7 +6,12 @@ from types import SimpleNamespace
 import pytest
 
 from diffsim.data.study import Study
-from diffsim.diagnose.judge.described import description_of, differences, require_same_system
+from diffsim.diagnose.judge.described import (
+    description_of,
+    differences,
+    require_same_kind,
+    require_same_system,
+)
 from diffsim.identify.model_file import SavedModel
 from tests.diagnose import linear
 
@@ -58,8 +63,17 @@ def test_another_gravity_cannot_be_meant(gravity):
 
 
 def test_another_system_cannot_be_meant():
-    with pytest.raises(ValueError, match="fitted to system rod, study later describes ode"):
-        differences(saved(), study({**RIG, "system": "ode"}))
+    with pytest.raises(ValueError, match=r"fitted to system rod; .* has system ode"):
+        require_same_kind(saved(), study({**RIG, "system": "ode"}))
+    require_same_kind(saved(), study(RIG))
+    require_same_kind(saved(facts={}), study({**RIG, "system": "ode"}))
+
+
+def test_other_channels_cannot_be_meant():
+    """It ended in a KeyError before any run was judged."""
+    facts = {"noise": {"elsewhere": {}}, **description_of(study(RIG))}
+    with pytest.raises(ValueError, match="fitted to channels elsewhere; study later has channel"):
+        require_same_kind(saved(facts=facts), study(RIG))
 
 
 def test_a_model_of_another_study_says_which_and_what_differs():
@@ -72,6 +86,10 @@ def test_a_model_of_another_study_says_which_and_what_differs():
         "describe: no parameter mass there; it has edge"
     )
     with pytest.raises(ValueError, match=said):
+        require_same_system(saved(), box, study(RIG))
+    # the same name means nothing: it is that of the study, as its user chose it
+    box.model.name = "rod"
+    with pytest.raises(ValueError, match="no parameter mass there; it has edge"):
         require_same_system(saved(), box, study(RIG))
     same = SimpleNamespace(model=SimpleNamespace(name="bent", base=linear.model().base))
     assert require_same_system(saved(), same, study(RIG)) is None

@@ -1,0 +1,376 @@
+"""What the columns of a folder look like: rules, each for one reason.
+
+A rule looks at columns whose role is not known yet, gives some of them a role, and yields what it
+guessed, a sentence each.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from diffsim.core.units import to_si
+from diffsim.data.clock_guess import is_counter, seconds_of
+from diffsim.data.guess import Array, Guess, GuessedColumn, listed
+from diffsim.data.names import (
+    DRIVING,
+    GIVEN_OUT,
+    IDLE,
+    QUATERNION,
+    SENSOR,
+    is_command,
+    is_motion,
+    spelled,
+    without_role,
+)
+from diffsim.data.signal import scatter
+from diffsim.data.steps import rest_and_jump, step_of
+
+_SET_UNITS = ("N", "Nm", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
+_SMOOTH = 1e-5  # standard deviation over the range: a sensor scatters by more
+_ROUNDED = 0.5  # of a step between readings: so much scatters what was rounded, at most
+_HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
+MIN_EQUAL = 10  # samples: fewer may be equal by chance
+_LARGE = 0.05  # of the range: changes of what is held and looks commanded
+_CLEANER = 0.2  # of the noise of what follows it
+_ALIKE = 0.7  # correlation of a motion with what it follows
+_MOST_SAMPLES = 4000  # of a run, that are compared
+_RARE = 3.0  # times the steps of the record: samples of a file of commands, held in between
+
+
+def texts(guess: Guess) -> Iterable[str]:
+    """Columns that hold no numbers, constants aside."""
+    for c in guess.those(""):
+        if not all(run.tables[c.place].is_number[c.column.name] for run in guess.runs):
+            c.role = "text"
+    facts = [c for c in guess.those("text") if not c.place and _constants(guess, c)]
+    told = [c for c in facts if len(guess.runs) == 1 or len(set(_constants(guess, c))) > 1]
+    for c in told:
+        c.role = "fact"
+    rest = [c for c in guess.those("text") if c.column.name]
+    return listed("texts and empty columns, not used", dict.fromkeys(c.column.name for c in rest))
+
+
+def facts(guess: Guess) -> Iterable[str]:
+    """Columns that are constant in each run; one that was commanded is a command all the same."""
+    idle = []
+    for c in guess.those(""):
+        found = _constants(guess, c)
+        if not found:
+            continue
+        is_asked = c.column.is_asked or is_command(c.column)
+        if len(guess.runs) > 1 and (is_asked or c.place):
+            is_same = len(set(found)) == 1
+            c.role = "idle" if is_same else "" if is_asked else "fact"
+            idle += [c.column.name] if is_same else []
+        else:
+            c.role = "fact"
+    yield from listed("facts, constant in each run", [c.column.name for c in guess.those("fact")])
+    yield from listed("commands that are the same in all runs, not used", idle)
+
+
+def counters_and_flags(guess: Guess) -> Iterable[str]:
+    """Numbers of rows, further clocks, marks of what is valid."""
+    for c in guess.those(""):
+        run = guess.runs[0]
+        rows = run.rows if not c.place else np.arange(len(run.tables[c.place]))
+        if is_counter(c.column, run.tables[c.place], rows) or IDLE.search(c.column.base):
+            c.role = "idle"
+    names = [c.column.name for c in guess.those("idle") if _moves(guess, c)]
+    return listed("counters and flags, not used (see missing_if)", names)
+
+
+def sensed(guess: Guess) -> Iterable[str]:
+    """What is called a sensor's, or is commanded in another file of the run."""
+    asked = {c.column.name for c in guess.columns if c.column.is_asked}
+    for c in guess.those(""):
+        is_answer = not c.column.is_asked and c.column.name in asked
+        if is_answer or (SENSOR.search(spelled(c.column.base)) and not c.column.is_asked):
+            c.role = "channel"
+    return ()
+
+
+def asked_for(guess: Guess) -> Iterable[str]:
+    """Columns of a file or topic of commands, but for what was measured beside them."""
+    how = "by its topic" if guess.kinds[0].files[0].is_topic else "by its file"
+    for c in guess.those(""):
+        if c.column.is_asked:
+            is_reading = without_role(c.column.base)[1] == "measured"
+            c.role, c.why = ("channel", "") if is_reading else ("command", how)
+    return ()
+
+
+def named(guess: Guess) -> Iterable[str]:
+    """Columns that are called commands; others that are called motions are none."""
+    for c in guess.those(""):
+        _decide(c, "by its name" if is_command(c.column) else "")
+    return ()
+
+
+def beside_measured(guess: Guess) -> Iterable[str]:
+    """A column whose name another has with `measured` to it: torque and torque_meas."""
+    measured = {without_role(c.column.base)[0]: c for c in guess.those("channel")
+                if without_role(c.column.base)[1] == "measured"}  # fmt: skip
+    for c in guess.those(""):
+        if twin := measured.get(c.column.base.lower()):
+            _decide(c, f"since {twin.column.name} is its measurement")
+    return ()
+
+
+def held(guess: Guess) -> Iterable[str]:
+    """Where nothing is called a command: what rests, and changes by more than a coarse sensor."""
+    for c in _of_no_motion(guess):
+        values = guess.samples(c)
+        repeats = [np.diff(v) == 0.0 for v in values if len(v) > 1]
+        share = float(np.mean(np.concatenate(repeats))) if repeats else 0.0
+        if share > _HELD:
+            steps = np.abs(np.concatenate([np.diff(v[np.isfinite(v)]) for v in values]))
+            size = _LARGE * _range(values)
+            is_large = bool((steps > 0.0).any()) and float(np.median(steps[steps > 0.0])) > size
+            _decide(c, "held for many samples" if is_large else "")
+    return ()
+
+
+def smooth(guess: Guess) -> Iterable[str]:
+    """Where nothing is called a command: a unit of what drives, no noise but that of rounding."""
+    for c in _of_no_motion(guess):
+        unit = "" if c.column.unit is None else re.sub(r"[\s*·.]", "", to_si(c.column.unit).unit)
+        if unit in _SET_UNITS and _is_smooth(guess.samples(c)):
+            _decide(c, "by its lack of noise")
+    return ()
+
+
+def equal_in_two_runs(guess: Guess) -> Iterable[str]:
+    """Columns that two runs share to the last digit, which no sensor does; not copies of runs."""
+    samples = {c: guess.samples(c) for c in guess.columns if c.role in ("", "command", "channel")}
+    for i, k in combinations(range(len(guess.runs)), 2):
+        alike = [c for c, values in samples.items() if _is_equal(values[i], values[k])]
+        if alike and len(alike) < len(samples):
+            for c in (c for c in alike if not c.role):
+                if not is_motion(c.column) or _follower(guess, c, guess.those("")):
+                    _decide(c, "equal to the digit in two runs")
+            break
+    return ()
+
+
+def followed(guess: Guess) -> Iterable[str]:
+    """Where nothing looks commanded: what has little noise, and another of its unit follows."""
+    open_ones = [c for c in guess.columns if c.role in ("", "channel")]
+    if guess.those("command") or len(open_ones) < 2:
+        return ()
+    levels = {c: _level(guess.samples(c)) for c in open_ones}
+    for c in open_ones:
+        noisy = [other for other in open_ones if levels[c] < _CLEANER * levels[other]]
+        if other := _follower(guess, c, noisy):
+            c.role, c.why = "command", f"less noisy, and {other.column.name} follows it"
+    return ()
+
+
+def driving(guess: Guess) -> Iterable[str]:
+    """Where nothing looks commanded: what drives, such as a torque beside what moves."""
+    open_ones = guess.those("")
+    found = [c for c in open_ones if DRIVING.search(spelled(c.column.base))]
+    is_rest = len(found) == len(open_ones) and not guess.those("channel")
+    if not guess.those("command") and not is_rest:
+        for c in found:
+            c.role, c.why, c.is_measured = "command", "as what drives; it was measured", True
+    return ()
+
+
+def channels(guess: Guess) -> Iterable[str]:
+    """What is left was measured."""
+    for c in guess.those(""):
+        c.role = "channel"
+    commands = guess.those("command")
+    if not guess.those("channel") and commands:
+        commands[-1].role = "channel"
+    return ()
+
+
+def said_of_columns(guess: Guess) -> Iterable[str]:
+    """Names, units, noise and ends of channels and commands."""
+    chosen = [c for c in guess.columns if c.role in ("channel", "command")]
+    taken: Counter[str] = Counter()
+    for c in chosen:
+        c.name = c.column.name if _keeps_name(c.column.name, c) else c.column.base
+        if taken[c.name] and c.tag:
+            c.name = f"{c.name}_{re.sub(r'[^A-Za-z0-9_]', '_', c.tag)}"
+        if taken[c.name]:
+            c.name = f"{c.name}_{sum(taken.values())}"
+        taken[c.name] += 1
+        c.unit = c.column.unit or "-"
+        values = guess.samples(c)
+        if c.role == "channel":
+            c.sd = _noise(values)
+            continue
+        finite = np.concatenate([v[np.isfinite(v)] for v in values])
+        c.lower, c.upper = (
+            (float(finite.min()), float(finite.max())) if len(finite) else (None,) * 2
+        )
+        c.is_measured |= bool(GIVEN_OUT.search(c.column.base)) and "held" not in c.why
+        c.fill = _fill(guess, c) if c.place else ""
+    commands = guess.those("command")
+    yield from (f"command: {c.name}, {c.why}" for c in commands)
+    yield from listed("channels: what is left", [c.name for c in guess.those("channel")])
+    guess.todo += listed(
+        "units, which the header does not state",
+        [c.name for c in chosen if c.column.unit is None and not QUATERNION.match(c.column.base)],
+        most=40,
+    )
+    if len({c.is_measured for c in commands}) == 2:
+        guess.todo.append(
+            "commands: some look asked for, some given out by a controller (is_measured); keep "
+            "those that drive your model"
+        )
+    if not commands:
+        guess.todo.append("commands: no column looks commanded; which of the channels did you set?")
+    guess.todo.append(
+        "sd of each channel: the noise is a guess from the scatter between samples"
+        if guess.those("channel")
+        else "channels: no column changes in any run; what did you measure?"
+    )
+
+
+COLUMN_RULES: tuple[Callable[[Guess], Iterable[str]], ...] = (
+    texts,
+    facts,
+    counters_and_flags,
+    sensed,
+    asked_for,
+    named,
+    beside_measured,
+    held,
+    smooth,
+    equal_in_two_runs,
+    followed,
+    driving,
+    channels,
+    said_of_columns,
+)
+
+
+def _of_no_motion(guess: Guess) -> list[GuessedColumn]:
+    """Open columns that are called no motion, where nothing is called a command."""
+    is_known = bool(guess.those("command"))
+    return [] if is_known else [c for c in guess.those("") if not is_motion(c.column)]
+
+
+def _decide(c: GuessedColumn, why: str) -> None:
+    if why:
+        c.role, c.why = "command", why
+
+
+def _constants(guess: Guess, c: GuessedColumn) -> list[str]:
+    """The constant of a column in each run; empty: it is none, or empty, in some run."""
+    found = []
+    for run in guess.runs:
+        table = run.tables[c.place]
+        if table.is_number[c.column.name]:
+            values = run.numbers(c)
+            if not len(values) or not (values == values[0]).all():
+                return []
+            found.append(repr(float(values[0])))
+        else:
+            cells = set(run.texts(c))
+            if len(cells) != 1 or "" in cells:
+                return []
+            found.append(cells.pop())
+    return found
+
+
+def _moves(guess: Guess, c: GuessedColumn) -> bool:
+    return not _constants(guess, c)
+
+
+def _is_equal(a: Array, b: Array) -> bool:
+    n = min(len(a), len(b))
+    there = a[:n][np.isfinite(a[:n])]
+    moves = n >= MIN_EQUAL and len(there) > 0 and bool(there.max() > there.min())
+    return moves and np.array_equal(a[:n], b[:n], equal_nan=True)
+
+
+def _range(values: Sequence[Array]) -> float:
+    there = np.concatenate([v[np.isfinite(v)] for v in values])
+    return float(np.ptp(there)) if len(there) else 0.0
+
+
+def _is_smooth(values: Sequence[Array]) -> bool:
+    """Whether what is left of a motion is rounding: fourth differences, of the last digit."""
+    size, level = _range(values), _level(values)
+    step = step_of(np.concatenate(values)) or 0.0
+    return level < max(_SMOOTH * size, _ROUNDED * step)
+
+
+def _level(values: Sequence[Array]) -> float:
+    """Noise as fourth differences have it: what is left of a sweep in frequency is rounding."""
+    fourth = np.concatenate([np.diff(v[np.isfinite(v)], n=4) for v in values])
+    return float(scatter(fourth, 4)) if len(fourth) else np.inf
+
+
+def _follower(
+    guess: Guess, c: GuessedColumn, others: Iterable[GuessedColumn]
+) -> GuessedColumn | None:
+    """The first of others, of its unit and file, that does a little later what a column did."""
+    alike = (o for o in others if o is not c)
+    alike = (o for o in alike if (o.column.unit, o.place) == (c.column.unit, c.place))
+    return next((o for o in alike if _follows(guess.samples(o), guess.samples(c))), None)
+
+
+def _follows(values: Sequence[Array], leader: Sequence[Array]) -> bool:
+    """Whether a motion is like another one, and most like what that was some samples before."""
+    later = 0
+    for a, b in zip(values, leader, strict=True):
+        n = min(len(a), len(b), _MOST_SAMPLES)
+        there = np.isfinite(a[:n]) & np.isfinite(b[:n])
+        a, b = a[:n][there], b[:n][there]
+        if len(a) < MIN_EQUAL or not np.ptp(a) > 0.0 or not np.ptp(b) > 0.0:
+            continue
+        if np.corrcoef(a, b)[0, 1] < _ALIKE:
+            return False
+        # the rate of change tells later from earlier: a lag d makes a - b = -d db/dt
+        slope = np.gradient(b)
+        later += 1 if float(slope @ (a - b - np.mean(a - b))) < 0.0 else -1
+    return later > 0
+
+
+def _keeps_name(name: str, c: GuessedColumn) -> bool:
+    """Whether the header itself is a name for formulas, with an SI unit at its end or none."""
+    if c.column.is_said or not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+        return False
+    return c.column.unit is None or to_si(c.column.unit)[1:] == (1.0, 0.0)
+
+
+def _fill(guess: Guess, c: GuessedColumn) -> str:
+    """How a command goes on between the samples of its own file, as far as they show."""
+    time = guess.kinds[c.place].time
+    if not time or guess.kinds[0].files[0].is_topic:
+        return "hold"
+    run = guess.runs[0]
+    steps = [
+        float(np.median(np.diff(seconds_of(run.tables[k], dict(guess.kinds[k].time)))))
+        for k in (0, c.place)
+    ]
+    if c.column.is_asked and steps[1] > _RARE * steps[0]:
+        return "hold"
+    values = (v[np.isfinite(v)] for v in guess.samples(c))
+    return "hold" if rest_and_jump(values) else "linear"
+
+
+def _noise(values: Sequence[Array]) -> float | None:
+    """Scatter from sample to sample, with two digits; at least that of rounding."""
+    levels = []
+    for v in values:
+        second = np.diff(v[np.isfinite(v)], n=2)  # a slow sensor leaves cells empty
+        if len(second) >= 8:
+            levels.append(float(scatter(second, 2)))
+    there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
+    step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
+    level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))
+    return float(f"{level:.2g}") if level > 0.0 else None
+
+
+__all__ = ["COLUMN_RULES"]

@@ -1,0 +1,368 @@
+"""A first study of an unknown folder, by rules in one order: what its files look like, and why.
+
+Each rule looks at what is known so far, adds to it, and yields what it guessed, a sentence each.
+One that finds nothing to do does nothing; what none has explained stays as it is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.clock_guess import guess_clock, guess_split, is_late
+from diffsim.data.column_rules import COLUMN_RULES
+from diffsim.data.folder_tables import FoundTable, find_tables
+from diffsim.data.formats import SUFFIXES
+from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
+from diffsim.data.joined_files import Kind, join_files
+from diffsim.data.log_columns import BESIDE, log_column
+from diffsim.data.names import DRIVES, STATE, is_asked
+from diffsim.data.table import MAKER, Table
+
+Rule: TypeAlias = Callable[[Guess], Iterable[str]]
+
+OTHERS = 12  # topics that a sentence names
+MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each n-th is used
+_IN_NAME = re.compile(
+    r"(?<![\d.])(\d+(?:p\d+)?)(mm|cm|g|kg|mbar|kPa|Pa|bar|mN|N|V|Hz|deg|rpm)(?![A-Za-z])"
+)
+_PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
+_SAME = 0.02  # rms over range: commands of repeats agree to this
+
+
+def search(guess: Guess) -> Iterable[str]:
+    """Tables of the folder and of those in it; where there are some on top, these alone."""
+    not_read: list[str] = []
+    found = list(find_tables(guess.folder, not_read))
+    yield from not_read
+    if not found:
+        raise ValueError("\n".join([_why_none(guess.folder), *not_read]))
+    top = min(one.level for one in [f for f in found if f.has_clock] or found)
+    guess.found = [one for one in found if one.level == top]
+    others = dict.fromkeys(
+        one.path.relative_to(guess.folder).as_posix() for one in found if one.level != top
+    )
+    yield from listed("files in other folders, not used", others)
+
+
+def asked_parts(guess: Guess) -> Iterable[str]:
+    """Of files with several tables the one that is asked for."""
+    if not guess.parts:
+        return ()
+    known = list(dict.fromkeys(one.part for one in guess.found if one.part))
+    for part in guess.parts:
+        if part not in known:
+            close = did_you_mean(part, known)
+            raise ValueError(f"--part: no table {part!r}{close}; known: {', '.join(known)}")
+    return ()
+
+
+def readable(guess: Guess) -> Iterable[str]:
+    """Files that can be read as tables, such as those whose rows have as many cells each."""
+    errors = {one: error for one in guess.found if (error := one.error) is not None}
+    if len(errors) == len(guess.found):
+        raise next(iter(errors.values()))
+    guess.found = [one for one in guess.found if one not in errors]
+    yield from (f"not read: {error}" for error in errors.values())
+
+
+def joins(guess: Guess) -> Iterable[str]:
+    """Files of one run, from instruments of several kinds."""
+    tables = [one for one in guess.found if not one.is_topic]
+    said: list[str] = []
+    if len(tables) > 1 and not guess.parts and (joined := join_files(tables, said)):
+        guess.kinds, guess.names = joined
+    return said
+
+
+def families(guess: Guess) -> Iterable[str]:
+    """Else tables with the same columns are runs: those that most files, then most bytes, have."""
+    if not guess.kinds:
+        by: dict[Any, list[FoundTable]] = {}
+        for one in guess.found:
+            if not guess.parts or not one.part or one.part == guess.parts[0]:
+                by.setdefault((one.layout, one.is_topic and one.part), []).append(one)
+        timed = [family for family in by.values() if family[0].has_clock]
+        best = max(timed or by.values(), key=_rank)
+        guess.kinds = [Kind("", tuple(best), best[0].layout.columns, {})]
+        guess.names = _names(best)
+    taken = {one.path for kind in guess.kinds for one in kind.files}
+    others = dict.fromkeys(one.path.name for one in guess.found if one.path not in taken)
+    yield from listed("files with other columns, not used", others)
+    used = {one.reference for kind in guess.kinds for one in kind.files}
+    beside = [one for one in guess.found if one.path in taken and not one.is_topic]
+    rest = [one.reference for one in beside if one.reference not in used]
+    yield from listed("tables with other columns, not used", rest, OTHERS)
+
+
+def topics(guess: Guess) -> Iterable[str]:
+    """Of a log the record, with topics that belong to it, and one that sounds commanded."""
+    record = guess.kinds[0]
+    if not record.files[0].is_topic:
+        return
+    by = {(one.path, one.part): one for one in guess.found}
+    main = record.files[0]
+    known = {part: one for (path, part), one in by.items() if path == main.path}
+    further = tuple(guess.parts[1:])
+    if not guess.parts:
+        further = tuple(part for part in BESIDE.get(main.part, ()) if part in known)
+        asked = [one for part, one in known.items() if is_asked(part) and part != main.part]
+        if asked:
+            best = max(asked, key=lambda one: (bool(DRIVES.search(one.part)), one.size()))
+            further = (*further, best.part)
+    parts = (main.part, *further)
+    if len(known) > 1:
+        hint = "" if guess.parts else "; --part TOPIC, repeated, uses others"
+        yield f"topics: {' and '.join(parts)}{hint}"
+        yield from listed("other topics", (part for part in known if part not in parts), OTHERS)
+    whole = [k for k, one in enumerate(record.files) if all((one.path, p) in by for p in parts)]
+    guess.names = tuple(guess.names[k] for k in whole)
+    guess.kinds, unused = [], []
+    for part in parts:
+        files = tuple(by[record.files[k].path, part] for k in whole)
+        found = {c.name: log_column(c.name, part) for c in files[0].layout.columns}
+        unused += [name for name, column in found.items() if column is None]
+        columns = tuple(c for c in found.values() if c is not None)
+        guess.kinds.append(Kind(part.rpartition("/")[2], files, columns, {}))
+    yield from listed("fields of topics, not used", unused)
+
+
+def headers(guess: Guess) -> Iterable[str]:
+    """What the files hold and their tables do not, and columns that have no names."""
+    tables = [one.table for kind in guess.kinds for one in kind.files]
+    yield from dict.fromkeys(sentence for table in tables for sentence in table.left_out)
+    bare = [kind for kind in guess.kinds if not kind.files[0].layout.header_line]
+    if bare:
+        names = ", ".join(c.name for kind in bare for c in kind.columns)
+        yield f"header: {bare[0].files[0].reference} and the like have none; columns are {names}"
+        guess.todo.append(f"columns of `table`: the files name none; {names} are by their place")
+
+
+def clock(guess: Guess) -> Iterable[str]:
+    """The clock of each kind of file."""
+    said: list[str] = []
+    for k, kind in enumerate(guess.kinds):
+        if not k or kind.time or kind.files[0].is_topic:
+            tables = [one.table for one in kind.files]
+            time, column, todo = guess_clock(kind.columns, tables, said)
+            guess.time += [] if time in guess.time else [time]
+            guess.todo += [sentence for sentence in todo if sentence not in guess.todo]
+            guess.is_late |= not k and is_late(tables[0], time)
+            name = None if column is None else column.name
+            guess.columns += [
+                GuessedColumn(c, k, kind.tag, "clock" if c.name == name else "")
+                for c in kind.columns
+                if c.name
+            ]
+        else:
+            guess.columns += [GuessedColumn(c, k, kind.tag) for c in kind.columns if c.name]
+    yield from dict.fromkeys(said)
+    if guess.is_late:
+        yield "zero_time: the clock counts from long ago; every run starts at 0 s"
+
+
+def splits(guess: Guess) -> Iterable[str]:
+    """Columns whose values are runs."""
+    said: list[str] = []
+    if len(guess.kinds) == 1:
+        clocks = [c.column for c in guess.those("clock")]
+        columns, tables = guess.kinds[0].columns, [one.table for one in guess.kinds[0].files]
+        guess.split = guess_split(columns, tables, clocks[0] if clocks else None, said)
+        for c in guess.columns:
+            if c.column in guess.split and tables[0].is_number[c.column.name]:
+                c.role = "split"
+    return said
+
+
+def runs(guess: Guess) -> Iterable[str]:
+    """Runs: the files of each kind, or the rows of a file with one value of ``split``."""
+    for name, files in zip(
+        guess.names, zip(*(k.files for k in guess.kinds), strict=True), strict=True
+    ):
+        tables, references = [one.table for one in files], [one.reference for one in files]
+        rows = np.arange(len(tables[0]))
+        if not guess.split:
+            guess.runs.append(GuessedRun(name, tuple(references), tuple(tables), rows))
+            continue
+        columns = [tables[0].texts(c.name) for c in guess.split]
+        cells = np.array([" ".join(row) for row in zip(*columns, strict=True)])
+        for value in dict.fromkeys(cells.tolist()):
+            full = f"{name}_{value}" if len(guess.split) == 1 else value
+            own = rows[cells == value]
+            guess.runs.append(GuessedRun(full, tuple(references), tuple(tables), own, value))
+    if not guess.split:
+        count = len(guess.runs)
+        what = "files" if len(guess.kinds) == 1 else "sets of files"
+        yield f"runs: one for each of {count} {what}" if count > 1 else "runs: one"
+
+
+def lists_of_runs(guess: Guess) -> Iterable[str]:
+    """Tables that have a row for each run, such as labels: what they know of it may be facts."""
+    names = {run.name for run in guess.runs}
+    for path in sorted(guess.folder.glob("*.csv")) if len(names) > 1 else ():
+        try:
+            table = Table(path, "table")
+        except ValueError:
+            continue
+        others = [name for name in table.header if name]
+        key = next((n for n in others if names <= set(table.texts(n))), None)
+        if key is not None and len(others) > 1:
+            run, word = guess.runs[0], f"{{{key}}}"
+            files = ", ".join(f'"{file.replace(run.name, word, 1)}"' for file in run.files)
+            facts = ", ".join(f'{name}: "{{{name}}}"' for name in others if name != key)
+            yield (
+                f"{path.name} lists the runs by its column {key}; to take the others as facts, "
+                f'write runs: [{{table: {path.name}, name: "{word}", file: [{files}], '
+                f"setup: {{{facts}}}}}]"
+            )
+
+
+def numbers_in_names(guess: Guess) -> Iterable[str]:
+    """Numbers with a unit in a file's name: step_100mbar.csv."""
+    for run in guess.runs:
+        for number, unit in _IN_NAME.findall(Path(run.files[0]).stem):
+            value = float(number.replace("p", "."))
+            run.setup[f"{unit}_in_name"] = {"value": value, "unit": unit}
+    return ()
+
+
+def repeats(guess: Guess) -> Iterable[str]:
+    """Runs with the same facts and the same commands, sample by sample."""
+    asked = [c for c in guess.those("command") if not c.is_measured]
+    facts = guess.those("fact")
+    found = []
+    for i, run in enumerate(guess.runs if asked else ()):
+        for other in guess.runs[:i]:
+            if other.repeat_of is None and _are_repeats(run, other, asked, facts):
+                run.repeat_of = other.name
+                found.append(f"{run.name} of {other.name}")
+                break
+    return listed("repeats, by equal commands", found)
+
+
+def uses(guess: Guess) -> Iterable[str]:
+    """Test runs: those of the last command; select runs where there are plenty."""
+    groups = Counter(run.repeat_of or run.name for run in guess.runs)
+    names = list(groups)
+    if len(names) < 3:
+        if len(guess.runs) > 1:
+            backwards = reversed(guess.runs)
+            alone = (run for run in backwards if groups[run.repeat_of or run.name] == 1)
+            last = next(alone, guess.runs[-1])
+            last.use = "test"
+            yield f"uses: {last.name} is test"
+        return
+    # repeats tell the noise, which a fit needs: commands that were executed once are kept back
+    single = [name for name in names if groups[name] == 1] or names
+    chosen = {single[-1]: "test"}
+    if len(names) > 5 and len(single) > 1:
+        chosen[single[(len(single) - 1) // 2]] = "select"
+    for run in guess.runs:
+        run.use = chosen.get(run.repeat_of or run.name, "fit")
+    others = (f"{run.name} is {run.use}" for run in guess.runs if run.use != "fit")
+    yield f"uses: {', '.join(others)}"
+
+
+def size(guess: Guess) -> Iterable[str]:
+    """Samples that a diagnosis can bear."""
+    count = sum(len(run.rows) for run in guess.runs) * max(len(guess.those("channel")), 1)
+    guess.every = max(1, round(count / MAX_SIZE))
+    if guess.every > 1:
+        yield (
+            f"{count} samples cost time: one of {guess.every} is used; a window or fewer runs do "
+            "better"
+        )
+
+
+RULES: tuple[Rule, ...] = (
+    search,
+    asked_parts,
+    readable,
+    joins,
+    families,
+    topics,
+    headers,
+    clock,
+    splits,
+    runs,
+    *COLUMN_RULES,
+    lists_of_runs,
+    numbers_in_names,
+    repeats,
+    uses,
+    size,
+)
+
+
+def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
+    """Look at the tables of a folder; nothing is asked, everything guessed is said.
+
+    Args:
+        folder: Folder with the user's files, or with folders of them.
+        parts: Tables of each file that are used, the record first; empty: as they look.
+
+    Raises:
+        ValueError: no table that looks like a recording, or no such part.
+    """
+    guess = Guess(folder, parts)
+    with np.errstate(over="ignore"):  # squares of what no sensor reads; it is compared alone
+        for rule in RULES:
+            guess.said += rule(guess)
+    return guess
+
+
+def _why_none(folder: Path) -> str:
+    """That a folder has no table, and what it has."""
+    there = sorted(path.name for path in folder.iterdir())
+    packed = [name for name in there if Path(name).suffix.lower() in _PACKED]
+    mend = f"unpack {packed[0]} first" if packed else ""
+    mend = f"`python {folder / MAKER}` makes its files" if MAKER in there else mend
+    expected = f"a table is a CSV file, or one of {', '.join(SUFFIXES)}"
+    return (
+        f"{folder} has no table with rows of numbers, nor has a folder in it; it has "
+        f"{', '.join(there[:8])}{', ...' if there[8:] else ''}: {mend or expected}"
+    )
+
+
+def _rank(family: Sequence[FoundTable]) -> tuple[int, bool, int]:
+    """More runs first, then what sounds like a record, then what is larger."""
+    looks = family[0].is_topic and bool(STATE.search(family[0].part))
+    return len(family), looks, sum(one.size() for one in family)
+
+
+def _names(files: Sequence[FoundTable]) -> tuple[str, ...]:
+    """Names of runs, with their folders where those of the files are not enough."""
+    short = [one.name for one in files]
+    if len(set(short)) == len(short):
+        return tuple(short)
+    return tuple(f"{one.path.parent.name}_{one.name}" for one in files)
+
+
+def _are_repeats(
+    run: GuessedRun,
+    other: GuessedRun,
+    commands: Sequence[GuessedColumn],
+    facts: Sequence[GuessedColumn],
+) -> bool:
+    if run.setup != other.setup or any(run.texts(c)[0] != other.texts(c)[0] for c in facts):
+        return False
+    for command in commands:
+        a, b = run.numbers(command), other.numbers(command)
+        n = min(len(a), len(b))
+        if n < 0.8 * max(len(a), len(b)):
+            return False
+        apart = (a[:n] - b[:n])[np.isfinite(a[:n] - b[:n])]
+        there = a[np.isfinite(a)]
+        full = max(float(np.ptp(there)) if len(there) else 0.0, 1e-300)
+        if not len(apart) or float(np.sqrt(np.mean(apart**2))) > _SAME * full:
+            return False
+    return True
+
+
+__all__ = ["RULES", "guess_study"]

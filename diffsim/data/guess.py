@@ -1,0 +1,124 @@
+"""What a folder seems to hold, as rules fill it in one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.data.folder_tables import FoundTable
+from diffsim.data.joined_files import Kind
+from diffsim.data.table import Table
+from diffsim.data.table_guess import Column
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class GuessedColumn:
+    """A column of the runs' files and what it seems to be.
+
+    Attributes:
+        column: As its header states it.
+        place: Which of a run's files has it, from 0.
+        tag: Word by which the names of these files differ from those of others.
+        role: clock, split, text, fact, idle, command or channel; empty: not yet known.
+        why: Why it looks commanded.
+        name: Name of the channel or command.
+        unit: Unit, - where none is stated.
+        sd: Noise of a channel; None: none was seen.
+        lower, upper: Ends of what was seen of a command.
+        is_measured: Whether a controller gave it out.
+        fill: How a command goes on between samples of its own file.
+    """
+
+    column: Column
+    place: int = 0
+    tag: str = ""
+    role: str = ""
+    why: str = ""
+    name: str = ""
+    unit: str = "-"
+    sd: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    is_measured: bool = False
+    fill: str = ""
+
+
+@dataclass(eq=False)
+class GuessedRun:
+    """Files, or rows of one, that look like one run."""
+
+    name: str
+    files: tuple[str, ...]
+    tables: tuple[Table, ...]
+    rows: NDArray[np.int64]
+    value: str | None = None
+    use: str = "fit"
+    repeat_of: str | None = None
+    setup: dict[str, Any] = field(default_factory=dict)
+
+    def numbers(self, of: GuessedColumn) -> Array:
+        """Samples of a column on its own file's clock, (num_samples,)."""
+        values = self.tables[of.place].numbers(of.column.name)
+        return values if of.place else values[self.rows]
+
+    def texts(self, of: GuessedColumn) -> list[str]:
+        """Cells of a column."""
+        cells = self.tables[of.place].texts(of.column.name)
+        return cells if of.place else [cells[i] for i in self.rows]
+
+
+@dataclass(eq=False)
+class Guess:
+    """What a folder seems to hold.
+
+    Attributes:
+        folder: The folder.
+        parts: Tables of each file that are asked for, the record first; empty: as they look.
+        found: Tables that are looked at.
+        kinds: Files of a run, the record first, run by run.
+        names: Names of the runs.
+        columns: Columns of the files of a run.
+        time: Keys of ``time``, of each clock where a run's files have several.
+        is_late: Whether the clock counts from long ago, so that runs should start at 0 s.
+        runs: Runs, one for each file or value of ``split``.
+        split: Columns whose values are runs; empty: each file is one.
+        every: Each n-th sample is enough.
+        said: What was guessed, a sentence each.
+        todo: What the user must say, a sentence each.
+    """
+
+    folder: Path
+    parts: Sequence[str] = ()
+    found: list[FoundTable] = field(default_factory=list)
+    kinds: list[Kind] = field(default_factory=list)
+    names: tuple[str, ...] = ()
+    columns: list[GuessedColumn] = field(default_factory=list)
+    time: list[dict[str, Any]] = field(default_factory=list)
+    is_late: bool = False
+    runs: list[GuessedRun] = field(default_factory=list)
+    split: tuple[Column, ...] = ()
+    every: int = 1
+    said: list[str] = field(default_factory=list)
+    todo: list[str] = field(default_factory=list)
+
+    def those(self, role: str) -> list[GuessedColumn]:
+        """Columns of a role; of "": those whose role is not known yet."""
+        return [c for c in self.columns if c.role == role]
+
+    def samples(self, of: GuessedColumn) -> list[Array]:
+        """Samples of a column in each run, (num_samples,) each."""
+        return [run.numbers(of) for run in self.runs]
+
+
+def listed(what: str, names: Iterable[str], most: int = 10) -> list[str]:
+    """A sentence on names, if there are any."""
+    names = list(names)
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return [f"{what}: {', '.join(names[:most])}{more}"] if names else []

@@ -1,0 +1,117 @@
+"""What names of columns, files and topics say: a clock, a command, a sensor, a motion, a flag."""
+
+from __future__ import annotations
+
+import re
+
+from diffsim.core.units import to_si
+from diffsim.data.table_guess import Column
+
+TIME = re.compile(
+    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I
+)
+#: What people call a clock by its unit alone.
+_UNITS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunden"), "s"),
+    **dict.fromkeys(("ms", "millis", "msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "micros", "usec", "microseconds"), "us"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"),
+}
+COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
+TRIAL = re.compile(
+    r"^(run|trial|test|sweep|pass|series|cycle|rep|repeat|repetition|experiment|exp|throw|toss|"
+    r"shot|episode|lauf|versuch|messung)(_?(no|nr|id|number|index|\d))?$",
+    re.I,
+)
+_DESIRED = (
+    r"cmd|command|commanded|set|setpoint|sp|goal|desired|des|ref|reference|target|soll|sollwert"
+)
+COMMAND = re.compile(
+    rf"(^|_)({_DESIRED}|input|pwm|duty|"
+    r"throttle|esc|signal|demand|actions?|control|controller|drive|pump|valve|contraction|"
+    r"consigne|voltage)(_|\d|$)"
+    r"|^u\d*$|^(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
+    re.I,
+)
+_ACTUAL = r"measured|meas|ist|istwert|actual|present|observed|obs|feedback"
+#: Sensors by their names, and motion by names that mean it with a unit of motion.
+SENSOR = re.compile(
+    rf"(^|_)({_ACTUAL}|observations?|gyro|acc|accel|accelerometer|imu|mocap|vicon|optitrack|"
+    r"encoder|odom|gps|baro|bat|battery|emf|temp|temperature)(_|\d|$)",
+    re.I,
+)
+_MOTION = re.compile(
+    r"^(p|q|r|[xyz]|[vapgw][xyz]|d?(phi|theta|psi))(_?\d)?(_(pos|ned|enu|world|body|b|w))?$"
+    r"|(^|_)(pos|position|vel|velocity|acc|acceleration|height|altitude|displacement|"
+    r"(ang(ular|le)?_?)(rate|vel|velocity|speed|acc)?|(body_?)?rates?|omega|"
+    r"(roll|pitch|yaw|nick|gier|heading|tilt)(_?rate|_?speed)?)(_?[xyzpqr\d])?(_|$)",
+    re.I,
+)
+_MOTION_UNITS = ("m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
+QUATERNION = re.compile(r"(^|_)(q|quat|quaternion)_?[wxyz0-3]$", re.I)  # has no unit
+IDLE = re.compile(  # further clocks of a log, and flags
+    r"(^|_)(time)?stamp(_|$)|(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)",
+    re.I,
+)
+GIVEN_OUT = re.compile(r"control|controller|pwm|duty|feedback", re.I)
+DRIVING = re.compile(r"(^|_)(torques?|tau|moment|drehmoment|efforts?|current|strom)(_|\d|$)", re.I)
+DRIVES = re.compile(r"motor|rotor|actuator", re.I)  # rather than what a controller aimed at
+#: Files and topics: what was asked for, by words that leave no doubt, or by others.
+_ASKED = re.compile(rf"(^|[^a-z])({_DESIRED}|input|action)s?([^a-z]|$)|setpoint|cmd", re.I)
+_DRIVEN = re.compile(r"actuator|control|motor|thrust", re.I)
+STATE = re.compile(
+    r"odom|pose|position|joint_?states|(^|[/_])states?($|[/_.])|attitude|mocap", re.I
+)
+_RECORD = re.compile(
+    r"(^|_)(out|outputs?|response|trajectory|measurements?|force|camera|tracking|sensors?|log|data)"
+    r"(_|\d|$)",
+    re.I,
+)
+
+
+def spelled(name: str) -> str:
+    """A name with the words of camelCase apart: goalPosition is goal_Position."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+
+
+def is_asked(name: str) -> bool:
+    """Whether a file or topic of this name holds what was commanded."""
+    return bool(_ASKED.search(name) or (_DRIVEN.search(name) and not STATE.search(name)))
+
+
+def has_role(name: str) -> bool:
+    """Whether a file's name says what of a run it holds, rather than which run."""
+    patterns = (TIME, SENSOR, STATE, _RECORD)
+    return is_asked(name) or any(pattern.search(spelled(name)) for pattern in patterns)
+
+
+def is_command(column: Column) -> bool:
+    """Whether a column is called a command."""
+    return bool(COMMAND.search(column.base) or COMMAND.search(spelled(column.base)))
+
+
+def is_motion(column: Column) -> bool:
+    """Whether a column is called a motion and has a unit of one."""
+    if column.unit is None or not _MOTION.search(column.base):
+        return False
+    return to_si(column.unit).unit in _MOTION_UNITS
+
+
+def without_role(base: str) -> tuple[str, str]:
+    """A name without the word that says desired or measured, and which of them it says."""
+    for role, words in (("desired", _DESIRED), ("measured", _ACTUAL)):
+        rest = re.sub(rf"(^|_)({words})(?=_|$)", "", spelled(base), flags=re.I).strip("_").lower()
+        if rest != spelled(base).lower():
+            return rest, role
+    return base.lower(), ""
+
+
+def may_be_time(column: Column) -> bool:
+    """Whether the unit of a column is one of time, or is not stated: T_wall [degC] is no clock."""
+    return column.unit in (None, "-") or to_si(column.unit).unit == "s"
+
+
+def unit_of_clock(header: str) -> str | None:
+    """Unit of a clock whose header is its unit, such as ``min``; None: it says none."""
+    return _UNITS.get(header.strip().lower())
