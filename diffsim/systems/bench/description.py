@@ -46,7 +46,7 @@ class BenchDescription(FormulaKeys):
         """Mistakes in names, formulas and units, found without a simulation."""
         reader = Reader(study)
         self._read_model(study, reader)
-        return list(reader.problems)
+        return sorted(reader.problems, key=lambda p: p.severity == "note")
 
     def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
         commands = dict.fromkeys(c for run in study.runs for c in run.command)

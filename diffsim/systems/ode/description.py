@@ -103,7 +103,7 @@ class OdeDescription(FormulaKeys):
             return [Problem("warning", f"{where_of(study)}.function", self._say_not_run())]
         reader = Reader(study)
         self._read_model(study, reader)
-        return [*reader.problems, *reader.notes]
+        return sorted(reader.problems, key=lambda p: p.severity == "note")
 
     def _say_not_run(self) -> str:
         file = str(self.function).partition(":")[0]

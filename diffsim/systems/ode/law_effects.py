@@ -158,7 +158,7 @@ class _BentLaw:
     def __call__(self, scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
         signals = {name: self._fill_signal(name, scene) for name in self.further}
         scene = self.plain(scene, size, run)
-        return replace(scene, inputs={**scene.inputs, **signals})
+        return scene.changed(further={**scene.further, **signals})
 
     def _fill_signal(self, name: str, scene: OdeScene) -> Tensor:
         """Share of the run; 1 where x rises, -1 where it falls; or that, fading to both ends."""
