@@ -108,12 +108,13 @@ def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]
     if plant.instruments is not None:
         return
     late = bool(plant.facts.get(LATE_RECORD))
-    for group in channel_groups(plant.channels, late_record=late):
+    watched = [c for c in plant.channels if c.name not in plant.unwatched]
+    for group in channel_groups(watched, late_record=late):
         of = instrument_of(group, plant.channels, plant.scales)
         facts = {"known_clock": group.channels in plant.clocks}
         for row in found:
             if row.name in group.causes and is_offered(row, plant, facts):
-                named = with_ending(of, row.name, group, plant.channels)
+                named = with_ending(of, row.name, group, watched)
                 yield cause_of_readings(row, named, system=plant.kind)
 
 

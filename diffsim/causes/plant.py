@@ -86,6 +86,7 @@ class Plant:
         instruments: What shows the channels, where a study says which; None: by their sensors and
             kinds.
         record: All channels as one instrument, for rows of the whole record; None: none is judged.
+        unwatched: Channels that no instrument shows, such as a height at rest.
         clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
         sample_s: Usual time between two samples; instruments may be late by half of it without
             surprise; 0: their rows say what is usual [s].
@@ -110,6 +111,7 @@ class Plant:
     sessions: Sessions | None = None
     instruments: tuple[Instrument, ...] | None = None
     record: Instrument | None = None
+    unwatched: Collection[str] = ()
     clocks: Collection[tuple[str, ...]] = ()
     sample_s: float = 0.0
     push: Callable[[Row, str], Apply] = on_place
