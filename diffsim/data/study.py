@@ -14,7 +14,6 @@ from diffsim.data.fault_keys import FaultKeys
 
 Array = NDArray[np.float64]
 
-SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
 USES = ("fit", "select", "test")
 
 
@@ -138,7 +137,7 @@ class Study:
 
     Attributes:
         name: Short name of the study, as reports show it.
-        system: System that was recorded, one of ``SYSTEMS``.
+        system: System that was recorded, in a word.
         channels: Columns of every run's ``measured``.
         runs: Runs of the study, in any order.
         metadata: Geometry and settings that the model needs, source, licence.

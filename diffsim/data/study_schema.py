@@ -16,7 +16,6 @@ from pydantic import (
     model_validator,
 )
 
-from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
 from diffsim.core.inside import require_file_name
 from diffsim.core.schema import KindWords, Part
@@ -25,7 +24,6 @@ from diffsim.core.units import to_si
 from diffsim.data.decode import Decode
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.stamps import Duplicates, Stamps
-from diffsim.data.study import SYSTEMS
 from diffsim.data.study_types import (
     Every,
     Files,
@@ -45,13 +43,6 @@ from diffsim.data.study_types import (
     ZeroTime,
     in_own_unit,
 )
-
-
-def _read_system(given: Any) -> Any:
-    if given is not None and given not in SYSTEMS:
-        known = ", ".join(SYSTEMS)
-        raise ValueError(f"must be one of {known}, got {given!r}{did_you_mean(given, SYSTEMS)}")
-    return given
 
 
 def _plain_name(given: str) -> str:
@@ -432,9 +423,9 @@ class StudyFile(Part):
         "folder: its keys hold where this file states none. Entries of lists are joined by `name`; "
         "null takes a key away",
     )
-    system: Annotated[
-        str | None, PlainValidator(_read_system), KindWords(f"one of {', '.join(SYSTEMS)}")
-    ] = Field(None, description="Kind of system, of studies without `model`")
+    system: str | None = Field(
+        None, description="What was recorded, in a word, of studies without `model`"
+    )
     model: dict[str, Any] | None = Field(
         None, description="Description of the system; its keys depend on `system`, see below"
     )

@@ -86,7 +86,7 @@ class Lab(ABC):
     """A virtual laboratory; ``case`` makes a study with the effects that it is given to hide.
 
     Class attributes:
-        system: Recorded system, one of ``diffsim.data.study.SYSTEMS``.
+        system: Recorded system, in a word.
         channels: What it measures; ``sd`` is that of the noise it adds.
         effects: What it can hide, by name.
         base: Base parameters; the truth is drawn from their priors.
