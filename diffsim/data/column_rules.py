@@ -110,11 +110,13 @@ def named(guess: Guess) -> Iterable[str]:
 
 
 def beside_measured(guess: Guess) -> Iterable[str]:
-    """A column whose name another has with `measured` to it: torque and torque_meas."""
-    twins = {without_role(c.column.base): c for c in guess.those("channel")}
+    """A column whose name another has, for the measured one: torque and torque_meas, q_d and q."""
+    twins = {without_role(c.column.base): c for c in guess.columns if c.role in ("", "channel")}
     for c in guess.those(""):
-        if twin := twins.get((c.column.base.lower(), "measured")):
-            _decide(c, f"since {twin.column.name} is its measurement")
+        base = c.column.base.lower()
+        plain = re.sub(r"_d(?=(_\d+)*$)", "", base)
+        twin = twins.get((base, "measured")) or (twins.get((plain, "")) if plain != base else None)
+        _decide(c, f"since {twin.column.name} is its measurement" if twin else "")
     return ()
 
 
@@ -351,7 +353,7 @@ def _fill(guess: Guess, c: GuessedColumn) -> str:
         return "hold"
     run = guess.runs[0]
     steps = [
-        float(np.median(np.diff(seconds_of(run.tables[k], dict(guess.kinds[k].time)))))
+        float(np.median(np.diff(seconds_of(run.tables[k], guess.kinds[k].time))))
         for k in (0, c.place)
     ]
     if c.column.is_asked and steps[1] > _RARE * steps[0]:

@@ -58,7 +58,9 @@ class Kind:
 
     def span(self) -> tuple[float, float]:
         """First and last time of the first run [s]."""
-        seconds = seconds_of(self.files[0].table, dict(self.time))
+        table = self.files[0].table
+        is_date = self.time.get("unit") == "clock"
+        seconds = table.dates(self.time["column"]) if is_date else seconds_of(table, self.time)
         return float(seconds[0]), float(seconds[-1])
 
 
@@ -176,7 +178,7 @@ def _are_of_one_run(kinds: Sequence[Kind], *, is_lone: bool) -> bool:
     for kind in kinds:
         same = [other for other in kinds if _share_columns(kind, other)]
         if len({is_asked(other.tag) for other in same}) == 1 < len(same):
-            late = all(is_late(other.files[0].table, dict(other.time)) for other in same)
+            late = all(is_late(other.files[0].table, other.time) for other in same)
             if not late or not _meet(same):
                 return False
     return True

@@ -406,7 +406,8 @@ class Table:
             return step * np.arange(len(self), dtype=np.float64)
         name = column or self.header[time_column(self.path, self.header)]
         if factor is None:
-            return _clock(self.path, self.lines, name, self.texts(name))
+            dates = self.dates(name)
+            return dates - dates[0]
         now = self.numbers(name)
         if np.isnan(now).any():
             line = self.lines[int(np.argmax(np.isnan(now)))]
@@ -415,6 +416,14 @@ class Table:
             now = now - (now[0] if isinstance(zero, str) else zero)
         scale = step or factor
         return scale * now if scale != 1.0 else now
+
+    def dates(self, column: str) -> Array:
+        """Times of day since midnight, or dates since 1970, as a column writes them [s].
+
+        Raises:
+            ValueError: no such column, or a cell that is no time.
+        """
+        return _dates(self.path, self.lines, column, self.texts(column))
 
 
 def require_increasing(table: Table, rows: Rows, now: Array, column: str) -> None:
@@ -550,8 +559,8 @@ def _all_numbers(cells: Sequence[str]) -> bool:
         return False
 
 
-def _clock(path: Path, lines: list[int], column: str, cells: list[str]) -> Array:
-    """Seconds since the first row, of times of day (12:30:05.250) or dates with a time."""
+def _dates(path: Path, lines: list[int], column: str, cells: list[str]) -> Array:
+    """Seconds of times of day (12:30:05.250) or dates with a time."""
     out = []
     for line, cell in zip(lines, cells, strict=True):
         try:
@@ -566,7 +575,7 @@ def _clock(path: Path, lines: list[int], column: str, cells: list[str]) -> Array
                 "or 2024-05-01 12:30:05.25"
             ) from None
         out.append(seconds)
-    return np.array(out) - out[0]
+    return np.array(out)
 
 
 def _six_digits(cell: str) -> str:
