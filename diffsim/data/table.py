@@ -295,16 +295,6 @@ class Table:
             return {name: [str(cell).strip() for cell in a.tolist()] for name, a in arrays}
         return _all_cells_of(*self._form)[1]
 
-    @classmethod
-    def of_columns(cls, path: Path, columns: Columns, left_out: Sequence[str] = ()) -> Table:
-        """A table of columns that were read already, (num_rows,) each."""
-        made = cls.__new__(cls)
-        made.path, made.used, made.header = path, set(), list(columns)
-        made.left_out = list(left_out)
-        made._numbers, made._arrays = {}, columns
-        made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
-        return made
-
     def twin(self) -> Table:
         """The same table; what is asked of it does not count as used."""
         made = copy(self)
