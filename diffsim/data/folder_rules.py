@@ -140,7 +140,10 @@ def headers(guess: Guess) -> Iterable[str]:
     if bare:
         names = ", ".join(c.name for kind in bare for c in kind.columns)
         yield f"header: {bare[0].files[0].reference} and the like have none; columns are {names}"
-        guess.todo.append(f"columns of `table`: the files name none; {names} are by their place")
+        guess.todo.append(
+            "columns of `table`: the files name none, these are by their place; rename them there, "
+            "and in channels and commands"
+        )
 
 
 def clock(guess: Guess) -> Iterable[str]:
