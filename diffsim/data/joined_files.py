@@ -103,7 +103,7 @@ def join_files(
 def _ways(tables: Sequence[FoundTable]) -> Iterator[Way]:
     """How names may be divided into a run and the word for a kind of file."""
     if all(one.num_parts > 1 for one in tables):
-        yield lambda one: ((one.path, one.path.stem), one.part)
+        yield _by_group
         return
     yield lambda one: ((one.path.parent, one.path.parent.name), one.path.stem)
     words = {one.path.stem: _MARK.split(one.path.stem) for one in tables}
@@ -116,6 +116,12 @@ def _ways(tables: Sequence[FoundTable]) -> Iterator[Way]:
         yield lambda one, k=k: cut(one, slice(k), slice(k, None))  # type: ignore[misc]
         yield lambda one, k=k: cut(one, slice(-k, None), slice(-k))  # type: ignore[misc]
     yield lambda one: ((one.path.parent.parent, one.path.stem), one.path.parent.name)
+
+
+def _by_group(one: FoundTable) -> tuple[Group, str]:
+    """Run and kind of a table of a file that holds several: run_1/pose."""
+    run, _, kind = one.part.rpartition("/")
+    return (one.path, run or one.path.stem), kind
 
 
 def _kinds(tables: Sequence[FoundTable], way: Way) -> tuple[list[Kind], list[Group], int] | None:

@@ -215,6 +215,22 @@ def test_all_formats_guess_alike(tmp_path, ending):
     assert init(tmp_path / "two") == 0
 
 
+def test_one_file_may_hold_the_files_of_all_runs(tmp_path):
+    """Groups of an HDF5 file in groups, one for each run."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "day.h5", "w") as file:
+        for k, run in enumerate(("slow", "fast")):
+            for kind, seed in (("cmd", 0), ("pose", 5)):
+                file[f"{run}/{kind}/t_ms"] = T
+                file[f"{run}/{kind}/x"] = noisy(seed + k)
+                file[f"{run}/{kind}/y"] = noisy(seed + k + 2)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert names(study.runs) == ["fast", "slow"]
+    assert names(study.commands) == ["x_cmd", "y_cmd"] and names(study.channels) == ["x", "y"]
+    np.testing.assert_allclose(study.runs[1].command["x_cmd"], noisy(0))
+
+
 def test_clocks_of_their_own_are_told_with_what_joins_them(tmp_path, capsys):
     for k, name in enumerate(("a", "b", "c")):
         push = np.sin(0.02 * T + k)
