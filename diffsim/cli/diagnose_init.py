@@ -147,7 +147,7 @@ def _commands(guess: Guess) -> Iterator[str]:
     yield "# What was commanded. lower and upper are what was seen: state what is possible, and"
     yield "# rate (the fastest change per second), so that `next` can propose runs."
     commands = guess.those("command")
-    if any(c.place for c in commands):
+    if any("file" in _quantity(c, guess) for c in commands):
         yield "# file: which of the files of a run, in the order of `runs`, has the column."
     if not commands:
         yield "commands: []"
@@ -172,6 +172,8 @@ def _runs(guess: Guess) -> Iterator[str]:
         yield from (f"  {key}: {_write_inline(value)}" for key, value in shared.items())
         yield ""
     yield "# use: fit, select (chooses between causes) or test (touched once, at the end)."
+    if len(guess.kinds) > 1:
+        yield "# file: the files of a run; all but the first are read at the clock of the first."
     yield "runs:"
     if guess.split:
         yield from _split_runs(guess)

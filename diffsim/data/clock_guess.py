@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,14 +60,14 @@ def guess_clock(
     return {"step": 0.01}, None, ["time.step: seconds between two rows"]
 
 
-def seconds_of(table: Table, time: dict[str, Any]) -> NDArray[np.float64]:
+def seconds_of(table: Table, time: Mapping[str, Any]) -> NDArray[np.float64]:
     """Clock of a table [s] by keys of ``time``."""
     unit = time.get("unit", "s")
     factor = None if unit == "clock" else to_si(unit).factor
     return table.seconds(time.get("column"), factor, time.get("step"))
 
 
-def is_late(table: Table, time: dict[str, Any]) -> bool:
+def is_late(table: Table, time: Mapping[str, Any]) -> bool:
     """Whether a clock counts from long ago, as seconds since 1970 do."""
     if "step" in time or time["unit"] == "clock":
         return False

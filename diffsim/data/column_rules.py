@@ -82,43 +82,41 @@ def counters_and_flags(guess: Guess) -> Iterable[str]:
     return listed("counters and flags, not used (see missing_if)", names)
 
 
-def sensed(guess: Guess) -> Iterable[str]:
+def sensed(guess: Guess) -> None:
     """What is called a sensor's, or is commanded in another file of the run."""
     asked = {c.column.name for c in guess.columns if c.column.is_asked}
     for c in guess.those(""):
         is_answer = not c.column.is_asked and c.column.name in asked
         if is_answer or (SENSOR.search(spelled(c.column.base)) and not c.column.is_asked):
             c.role = "channel"
-    return ()
 
 
-def asked_for(guess: Guess) -> Iterable[str]:
+def asked_for(guess: Guess) -> None:
     """Columns of a file or topic of commands, but for what was measured beside them."""
     how = "by its topic" if guess.kinds[0].files[0].is_topic else "by its file"
     for c in guess.those(""):
         if c.column.is_asked:
             is_reading = without_role(c.column.base)[1] == "measured"
             c.role, c.why = ("channel", "") if is_reading else ("command", how)
-    return ()
 
 
-def named(guess: Guess) -> Iterable[str]:
+def named(guess: Guess) -> None:
     """Columns that are called commands; others that are called motions are none."""
     for c in guess.those(""):
         _decide(c, "by its name" if is_command(c.column) else "")
-    return ()
 
 
-def beside_measured(guess: Guess) -> Iterable[str]:
-    """A column whose name another has with `measured` to it: torque and torque_meas."""
-    twins = {without_role(c.column.base): c for c in guess.those("channel")}
+def beside_measured(guess: Guess) -> None:
+    """A column whose name another has, for the measured one: torque and torque_meas, q_d and q."""
+    twins = {without_role(c.column.base): c for c in guess.columns if c.role in ("", "channel")}
     for c in guess.those(""):
-        if twin := twins.get((c.column.base.lower(), "measured")):
-            _decide(c, f"since {twin.column.name} is its measurement")
-    return ()
+        base = c.column.base.lower()
+        plain = re.sub(r"_d(?=(_\d+)*$)", "", base)
+        twin = twins.get((base, "measured")) or (twins.get((plain, "")) if plain != base else None)
+        _decide(c, f"since {twin.column.name} is its measurement" if twin else "")
 
 
-def held(guess: Guess) -> Iterable[str]:
+def held(guess: Guess) -> None:
     """Where nothing is called a command: what rests, and changes by more than a coarse sensor."""
     for c in _of_no_motion(guess):
         values = guess.samples(c)
@@ -129,19 +127,17 @@ def held(guess: Guess) -> Iterable[str]:
             size = _LARGE * _range(values)
             is_large = bool((steps > 0.0).any()) and float(np.median(steps[steps > 0.0])) > size
             _decide(c, _IS_HELD if is_large else "")
-    return ()
 
 
-def smooth(guess: Guess) -> Iterable[str]:
+def smooth(guess: Guess) -> None:
     """Where nothing is called a command: a unit of what drives, no noise but that of rounding."""
     for c in _of_no_motion(guess):
         unit = "" if c.column.unit is None else re.sub(r"[\s*·.]", "", to_si(c.column.unit).unit)
         if unit in _SET_UNITS and _is_smooth(guess.samples(c)):
             _decide(c, "by its lack of noise")
-    return ()
 
 
-def equal_in_two_runs(guess: Guess) -> Iterable[str]:
+def equal_in_two_runs(guess: Guess) -> None:
     """Columns that two runs share to the last digit, which no sensor does; not copies of runs."""
     samples = {c: guess.samples(c) for c in guess.columns if c.role in ("", "command", "channel")}
     for i, k in combinations(range(len(guess.runs)), 2):
@@ -151,23 +147,21 @@ def equal_in_two_runs(guess: Guess) -> Iterable[str]:
                 if not is_motion(c.column) or _follower(guess, c, guess.those("")):
                     _decide(c, "equal to the digit in two runs")
             break
-    return ()
 
 
-def followed(guess: Guess) -> Iterable[str]:
+def followed(guess: Guess) -> None:
     """Where nothing looks commanded: what has little noise, and another of its unit follows."""
     open_ones = [c for c in guess.columns if c.role in ("", "channel")]
     if guess.those("command") or len(open_ones) < 2:
-        return ()
+        return
     levels = {c: _level(guess.samples(c)) for c in open_ones}
     for c in open_ones:
         noisy = [other for other in open_ones if levels[c] < _CLEANER * levels[other]]
         if other := _follower(guess, c, noisy):
             c.role, c.why = "command", f"less noisy, and {other.column.name} follows it"
-    return ()
 
 
-def driving(guess: Guess) -> Iterable[str]:
+def driving(guess: Guess) -> None:
     """Where nothing looks commanded: what drives, such as a torque beside what moves."""
     open_ones = guess.those("")
     found = [c for c in open_ones if DRIVING.search(spelled(c.column.base))]
@@ -175,17 +169,15 @@ def driving(guess: Guess) -> Iterable[str]:
     if not guess.those("command") and not is_rest:
         for c in found:
             c.role, c.why, c.is_measured = "command", "as what drives; it was measured", True
-    return ()
 
 
-def channels(guess: Guess) -> Iterable[str]:
+def channels(guess: Guess) -> None:
     """What is left was measured."""
     for c in guess.those(""):
         c.role = "channel"
     commands = guess.those("command")
     if not guess.those("channel") and commands:
         commands[-1].role = "channel"
-    return ()
 
 
 def names_and_ends(guess: Guess) -> Iterable[str]:
@@ -213,7 +205,7 @@ def names_and_ends(guess: Guess) -> Iterable[str]:
     yield from listed("channels: what is left", [c.name for c in guess.those("channel")])
 
 
-def to_be_stated(guess: Guess) -> Iterable[str]:
+def to_be_stated(guess: Guess) -> None:
     """What no header says of channels and commands."""
     chosen = [c for c in guess.columns if c.role in ("channel", "command")]
     commands = guess.those("command")
@@ -234,10 +226,9 @@ def to_be_stated(guess: Guess) -> Iterable[str]:
         if guess.those("channel")
         else "channels: no column changes in any run; what did you measure?"
     )
-    return ()
 
 
-COLUMN_RULES: tuple[Callable[[Guess], Iterable[str]], ...] = (
+COLUMN_RULES: tuple[Callable[[Guess], Iterable[str] | None], ...] = (
     texts,
     facts,
     counters_and_flags,
@@ -351,7 +342,7 @@ def _fill(guess: Guess, c: GuessedColumn) -> str:
         return "hold"
     run = guess.runs[0]
     steps = [
-        float(np.median(np.diff(seconds_of(run.tables[k], dict(guess.kinds[k].time)))))
+        float(np.median(np.diff(seconds_of(run.tables[k], guess.kinds[k].time))))
         for k in (0, c.place)
     ]
     if c.column.is_asked and steps[1] > _RARE * steps[0]:

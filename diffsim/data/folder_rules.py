@@ -25,7 +25,7 @@ from diffsim.data.log_columns import BESIDE, log_column
 from diffsim.data.names import DRIVES, STATE, is_asked
 from diffsim.data.table import MAKER, Table
 
-Rule: TypeAlias = Callable[[Guess], Iterable[str]]
+Rule: TypeAlias = Callable[[Guess], Iterable[str] | None]
 
 OTHERS = 12  # topics that a sentence names
 MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each n-th is used
@@ -51,16 +51,15 @@ def search(guess: Guess) -> Iterable[str]:
     yield from listed("files in other folders, not used", others)
 
 
-def asked_parts(guess: Guess) -> Iterable[str]:
+def asked_parts(guess: Guess) -> None:
     """Of files with several tables the one that is asked for."""
     if not guess.parts:
-        return ()
+        return
     known = list(dict.fromkeys(one.part for one in guess.found if one.part))
     for part in guess.parts:
         if part not in known:
             close = did_you_mean(part, known)
             raise ValueError(f"--part: no table {part!r}{close}; known: {', '.join(known)}")
-    return ()
 
 
 def readable(guess: Guess) -> Iterable[str]:
@@ -141,7 +140,10 @@ def headers(guess: Guess) -> Iterable[str]:
     if bare:
         names = ", ".join(c.name for kind in bare for c in kind.columns)
         yield f"header: {bare[0].files[0].reference} and the like have none; columns are {names}"
-        guess.todo.append(f"columns of `table`: the files name none; {names} are by their place")
+        guess.todo.append(
+            "columns of `table`: the files name none, these are by their place; rename them there, "
+            "and in channels and commands"
+        )
 
 
 def clock(guess: Guess) -> Iterable[str]:
@@ -223,13 +225,12 @@ def lists_of_runs(guess: Guess) -> Iterable[str]:
             )
 
 
-def numbers_in_names(guess: Guess) -> Iterable[str]:
+def numbers_in_names(guess: Guess) -> None:
     """Numbers with a unit in a file's name: step_100mbar.csv."""
     for run in guess.runs:
         for number, unit in _IN_NAME.findall(Path(run.files[0]).stem):
             value = float(number.replace("p", "."))
             run.setup[f"{unit}_in_name"] = {"value": value, "unit": unit}
-    return ()
 
 
 def repeats(guess: Guess) -> Iterable[str]:
@@ -313,7 +314,7 @@ def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
     guess = Guess(folder, parts)
     with np.errstate(over="ignore"):  # squares of what no sensor reads; it is compared alone
         for rule in RULES:
-            guess.said += rule(guess)
+            guess.said += rule(guess) or ()
     return guess
 
 

@@ -58,7 +58,9 @@ class Kind:
 
     def span(self) -> tuple[float, float]:
         """First and last time of the first run [s]."""
-        seconds = seconds_of(self.files[0].table, dict(self.time))
+        table = self.files[0].table
+        is_date = self.time.get("unit") == "clock"
+        seconds = table.dates(self.time["column"]) if is_date else seconds_of(table, self.time)
         return float(seconds[0]), float(seconds[-1])
 
 
@@ -101,7 +103,7 @@ def join_files(
 def _ways(tables: Sequence[FoundTable]) -> Iterator[Way]:
     """How names may be divided into a run and the word for a kind of file."""
     if all(one.num_parts > 1 for one in tables):
-        yield lambda one: ((one.path, one.path.stem), one.part)
+        yield _by_group
         return
     yield lambda one: ((one.path.parent, one.path.parent.name), one.path.stem)
     words = {one.path.stem: _MARK.split(one.path.stem) for one in tables}
@@ -114,6 +116,12 @@ def _ways(tables: Sequence[FoundTable]) -> Iterator[Way]:
         yield lambda one, k=k: cut(one, slice(k), slice(k, None))  # type: ignore[misc]
         yield lambda one, k=k: cut(one, slice(-k, None), slice(-k))  # type: ignore[misc]
     yield lambda one: ((one.path.parent.parent, one.path.stem), one.path.parent.name)
+
+
+def _by_group(one: FoundTable) -> tuple[Group, str]:
+    """Run and kind of a table of a file that holds several: run_1/pose."""
+    run, _, kind = one.part.rpartition("/")
+    return (one.path, run or one.path.stem), kind
 
 
 def _kinds(tables: Sequence[FoundTable], way: Way) -> tuple[list[Kind], list[Group], int] | None:
@@ -176,7 +184,7 @@ def _are_of_one_run(kinds: Sequence[Kind], *, is_lone: bool) -> bool:
     for kind in kinds:
         same = [other for other in kinds if _share_columns(kind, other)]
         if len({is_asked(other.tag) for other in same}) == 1 < len(same):
-            late = all(is_late(other.files[0].table, dict(other.time)) for other in same)
+            late = all(is_late(other.files[0].table, other.time) for other in same)
             if not late or not _meet(same):
                 return False
     return True

@@ -311,7 +311,9 @@ class RunReader:
 
     def _seconds_beside(self, entry: RunEntry, table: Table, first: Table, clock: Array) -> Array:
         """Clock of a further file; one without has its rows beside those of the first."""
-        source = self._clock(entry, table)
+        source, main = self._clock(entry, table), self._clock(entry, first)
+        if source.unit == main.unit == "clock" and main.column and source.column in table.header:
+            return table.dates(source.column) - first.dates(main.column)[0]
         if source.step is not None or (source.column or _TIME) in table.header:
             return self._seconds(entry, table)
         if not 0 <= len(first) - len(table) <= 1:

@@ -315,16 +315,6 @@ class Table:
             return {name: [str(cell).strip() for cell in a.tolist()] for name, a in arrays}
         return _all_cells_of(*self._form)[1]
 
-    @classmethod
-    def of_columns(cls, path: Path, columns: Columns, left_out: Sequence[str] = ()) -> Table:
-        """A table of columns that were read already, (num_rows,) each."""
-        made = cls.__new__(cls)
-        made.path, made.used, made.header = path, set(), list(columns)
-        made.left_out = list(left_out)
-        made._numbers, made._arrays = {}, columns
-        made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
-        return made
-
     def twin(self) -> Table:
         """The same table; what is asked of it does not count as used."""
         made = copy(self)
@@ -426,12 +416,21 @@ class Table:
             return step * np.arange(len(self), dtype=np.float64)
         name = column or self.header[time_column(self.path, self.header)]
         if factor is None:
-            return _clock(self.path, self.lines, name, self.texts(name))
+            dates = self.dates(name)
+            return dates - dates[0]
         now = self.numbers(name)
         if zero is not None:
             now = now - (now[0] if isinstance(zero, str) else zero)
         scale = step or factor
         return scale * now if scale != 1.0 else now
+
+    def dates(self, column: str) -> Array:
+        """Times of day since midnight, or dates since 1970, as a column writes them [s].
+
+        Raises:
+            ValueError: no such column, or a cell that is no time.
+        """
+        return _dates(self.path, self.lines, column, self.texts(column))
 
 
 def as_label(cell: str) -> float | int | str:
@@ -555,8 +554,8 @@ def _all_numbers(cells: Sequence[str]) -> bool:
         return False
 
 
-def _clock(path: Path, lines: list[int], column: str, cells: list[str]) -> Array:
-    """Seconds since the first row, of times of day (12:30:05.250) or dates with a time."""
+def _dates(path: Path, lines: list[int], column: str, cells: list[str]) -> Array:
+    """Seconds of times of day (12:30:05.250) or dates with a time."""
     out = []
     for line, cell in zip(lines, cells, strict=True):
         try:
@@ -571,7 +570,7 @@ def _clock(path: Path, lines: list[int], column: str, cells: list[str]) -> Array
                 "or 2024-05-01 12:30:05.25"
             ) from None
         out.append(seconds)
-    return np.array(out) - out[0]
+    return np.array(out)
 
 
 def _six_digits(cell: str) -> str:

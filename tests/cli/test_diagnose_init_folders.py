@@ -215,6 +215,22 @@ def test_all_formats_guess_alike(tmp_path, ending):
     assert init(tmp_path / "two") == 0
 
 
+def test_one_file_may_hold_the_files_of_all_runs(tmp_path):
+    """Groups of an HDF5 file in groups, one for each run."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "day.h5", "w") as file:
+        for k, run in enumerate(("slow", "fast")):
+            for kind, seed in (("cmd", 0), ("pose", 5)):
+                file[f"{run}/{kind}/t_ms"] = T
+                file[f"{run}/{kind}/x"] = noisy(seed + k)
+                file[f"{run}/{kind}/y"] = noisy(seed + k + 2)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert names(study.runs) == ["fast", "slow"]
+    assert names(study.commands) == ["x_cmd", "y_cmd"] and names(study.channels) == ["x", "y"]
+    np.testing.assert_allclose(study.runs[1].command["x_cmd"], noisy(0))
+
+
 def test_clocks_of_their_own_are_told_with_what_joins_them(tmp_path, capsys):
     for k, name in enumerate(("a", "b", "c")):
         push = np.sin(0.02 * T + k)
@@ -232,6 +248,18 @@ def test_clocks_of_their_own_are_told_with_what_joins_them(tmp_path, capsys):
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(stated))
     run = load_study(tmp_path).runs[2]
     np.testing.assert_allclose(run.command["torque_Nm"], np.sin(0.02 * T + 2), atol=1e-8)
+
+
+def test_dates_in_two_files_say_which_began_first(tmp_path):
+    """Each had counted from its own first row."""
+    late = 0.25
+    for name, first in (("read", 0.0), ("goal", late)):
+        dates = [f"2026-03-01T09:00:{first + 0.01 * k:09.6f}" for k in range(60)]
+        write(tmp_path / f"run_{name}.csv", "Date,x (mm)", [dates, 100.0 * (first + 1e-3 * T)])
+    assert init(tmp_path) == 0
+    run = load_study(tmp_path).runs[0]
+    known = slice(25, None)
+    np.testing.assert_allclose(run.command["x_goal"][known], run.measured[known, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +304,9 @@ def test_files_of_one_run_are_told_from_several_runs(tmp_path, files, num_runs):
         ("goalPosition,presentPosition", ["goalPosition"]),
         ("torque,torque_measured", ["torque"]),
         ("actual_vel_rad_s,target_vel_rad_s", ["target_vel_rad_s"]),
+        ("q_d[0],q[0]", ["q_d_0"]),
         ("joint_velocity_1,joint_velocity_2", []),
+        ("coil_d,coil_q", []),
     ],
 )
 def test_what_was_desired_is_told_from_what_was_measured(tmp_path, header, commands):
@@ -285,6 +315,16 @@ def test_what_was_desired_is_told_from_what_was_measured(tmp_path, header, comma
     guess = guess_study(tmp_path)
     assert names(guess.those("command")) == commands
     assert len(guess.those("channel")) == 2 - len(commands)
+
+
+def test_a_controllers_file_may_hold_what_was_measured_too(tmp_path):
+    for k in range(2):
+        controller = [T, noisy(k), noisy(k + 2), noisy(k + 4)]
+        write(tmp_path / f"r{k}_control.csv", "t_ms,goal_a,actual_a,error_a", controller)
+        write(tmp_path / f"r{k}_imu.csv", "t_ms,x_mm", [T, noisy(k + 6)])
+    guess = guess_study(tmp_path)
+    assert names(guess.those("command")) == ["goal_a"]
+    assert names(guess.those("channel")) == ["x", "actual_a"]
 
 
 @pytest.mark.parametrize("lag, commands", [(3, ["angle_2"]), (-3, [])])
