@@ -172,9 +172,9 @@ def _cause_of_part(row: Row, filled: Row, ending: str, plant: Plant) -> Effect |
             return None
         apply, sizes = on_numbers_between(filled, plant.sessions)
         return filled.effect(apply, usual, system=system, ending=ending, components=sizes)
-    if row.name not in plant.functions:
+    apply = plant.functions.get(row.name + ending) or plant.functions.get(row.name)
+    if apply is None:
         return None
-    apply = plant.functions[row.name]
     return filled.effect(apply, usual, system=system, ending=ending)
 
 

@@ -61,7 +61,7 @@ class Plant:
         facts: What holds of the system, by the names that rows ask for; what is not there does not.
         parts: Parts that are alike, such as tendons: of each kind their names, and what stands for
             them in names of numbers.
-        functions: What rows ``at: scene`` do, by name of the row.
+        functions: What rows ``at: scene`` do, by name of the row, or of the cause in one part.
         magnitudes: What ``typical`` of rows may use, beside magnitudes of commands.
         sessions: Groups of runs between which something may have changed; None: there are none.
         instruments: What shows the channels, where a study says which; None: by their sensors and
