@@ -24,8 +24,7 @@ from diffsim.core.rotation import (
 from diffsim.data.study import Run
 from diffsim.identify.extended import ExtendedModel
 from diffsim.systems.multicopter.effects import torque_allocation
-from diffsim.systems.multicopter.flight import CopterFlight
-from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.scene import CopterScene, Flyer
 from diffsim.systems.multicopter.shooting import Windows
 
 AHEAD = 50
@@ -228,18 +227,20 @@ def flown(
         balance: How the record until each start tells the balance of the rotors; None: it does not.
     """
     scene = model.scene(run, model.at_prior() if q is None else q)
-    assert isinstance(scene, CopterFlight)
+    assert isinstance(scene, CopterScene)
     flights = model.inner.flights  # type: ignore[attr-defined]
     states = flights.cutter.record(run).states.clone()
     frames = scene.frames
     channels = torch.as_tensor(run.measured, dtype=torch.float64)
     shown = matrix_from_quaternion(Record.of(channels).quaternion)
-    offset = matrix_from_quaternion(quaternion_from_rotation_vector(-scene.attitude_offset[:1]))
+    offset = matrix_from_quaternion(
+        quaternion_from_rotation_vector(-scene.vector("attitude_offset")[:1])
+    )
     states[:, 3:6] = rpy_from_matrix(frames.rotation(shown @ offset))
-    states[:, 9:12] = frames.in_body(channels[:, 10:13] - scene.body_rates_offset)
-    scale = scene.position_scale[:1] * scene.ground_scale[:1]
+    states[:, 9:12] = frames.in_body(channels[:, 10:13] - scene.vector("body_rates_offset"))
+    scale = scene.scalar("position_scale")[:1] * scene.scalar("ground_scale")[:1]
     states[:, :2] /= scale  # the place that was shown, not the true one, is recorded
-    states[:, 2] /= scene.position_scale[0]
+    states[:, 2] /= scene.scalar("position_scale")[0]
     blind = scene.estimator
     if blind is not None:
         if not is_past_known:
@@ -250,7 +251,7 @@ def flown(
         states[:, 6:9] -= error
         right = matrix_from_quaternion(quaternion_from_rotation_vector(-turned))
         states[:, 3:6] = rpy_from_matrix(right @ frames.rotation(shown @ offset))
-    past = scene.commands[:, 0]
+    past = scene.commands.values[..., 0]
     thrusts = scene.delivered(past)[0]
     # delivered at a sample: over the step before it; the last step has none
     thrusts = torch.cat([thrusts, thrusts[-1:]])
@@ -278,7 +279,7 @@ def flown(
     return lambda starts: fly(starts, AHEAD, more[starts])
 
 
-def _lacking(scene: CopterFlight, truth: Record, balance: Balance, fly: Predict) -> Tensor:
+def _lacking(scene: CopterScene, truth: Record, balance: Balance, fly: Predict) -> Tensor:
     """Thrusts that the flight before each sample asks for beside the model's, (num_samples,
     n_rotors) [N]."""
     vehicle, frames, seconds = scene.vehicle, scene.frames, _SHORT * scene.dt

@@ -10,7 +10,7 @@ from diffsim.causes.commands import CommandGroup, command_cause, command_causes
 from diffsim.causes.listing import list_causes
 from diffsim.causes.own import OwnRow, own_causes
 from diffsim.causes.plant import Place, Plant
-from diffsim.causes.readings import Instrument, reading_cause, reading_causes
+from diffsim.causes.readings import Instrument, reading_cause
 from diffsim.causes.row import Row
 from diffsim.causes.scales import Scales
 from diffsim.causes.scene import Scene
@@ -31,6 +31,5 @@ __all__ = [
     "list_causes",
     "own_causes",
     "reading_cause",
-    "reading_causes",
     "rows",
 ]

@@ -3,8 +3,9 @@
 A table has a domain: what commands pass (``actuator``), what shows channels (``sensor``), and one
 for each kind of system. Who looks for a cause, its usual size or its words finds them there. A
 table may take rows of another one, ``{include: load/tip_mass}``, or all of it, ``{include:
-actuator}``: then it says in which order its system has them. ``each: record`` says that a row is of
-the instruments of all channels together.
+actuator}``: then it says in which order its system has them. Keys beside ``include`` replace those
+of the rows, such as ``when: asked``; ``each: record`` says that a row is of the instruments of all
+channels together.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -61,11 +63,11 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
     path = _HERE / f"{domain}.yaml"
     found, wrong = list[tuple[str, Row]](), []
     for name, given in read_yaml_file(path).items():
-        if "include" in given:
-            found += _included(given)
-            continue
         try:
-            found.append((domain, Row.model_validate({"name": name, **given})))
+            if "include" in given:
+                found += _included(given)
+            else:
+                found.append((domain, Row.model_validate({"name": name, **given})))
         except ValidationError as error:
             wrong += problem_lines(f"{path.name}: {name}", error)
     if wrong:
@@ -73,13 +75,15 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
     return tuple(found)
 
 
-def _included(given: Mapping[str, str]) -> list[tuple[str, Row]]:
-    """Rows of another table, and of what else they are said to be of."""
+def _included(given: Mapping[str, Any]) -> list[tuple[str, Row]]:
+    """Rows of another table, with what is said of them otherwise."""
     table, _, one = given["include"].partition("/")
-    chosen = [(of, row) for of, row in rows_in_order(table) if not one or row.name == one]
-    if "each" not in given:
-        return chosen
-    return [(of, row.model_copy(update={"each": given["each"]})) for of, row in chosen]
+    own = {key: value for key, value in given.items() if key != "include"}
+    return [
+        (of, Row.model_validate({**row.model_dump(), **own}) if own else row)
+        for of, row in rows_in_order(table)
+        if not one or row.name == one
+    ]
 
 
 def all_rows() -> Iterator[tuple[str, Row]]:

@@ -209,13 +209,15 @@ def _cause_of_part(row: Row, filled: Row, ending: str, plant: Plant) -> Effect |
             return None
         apply, sizes = on_numbers_between(filled, plant.sessions)
         return filled.effect(apply, usual, system=system, ending=ending, components=sizes)
-    if row.name not in plant.functions:
+    exact = plant.functions.get(row.name + ending)
+    if exact is not None:
+        return filled.effect(exact, usual, system=system, ending=ending)
+    made = plant.functions.get(row.name)
+    if made is None or row.each is None:
         return None
-    apply = plant.functions[row.name]
-    if row.each is not None:
-        part = plant.parts[row.each][ending.removeprefix("_")]
-        apply = apply(part, row.name + ending)
-    return filled.effect(apply, usual, system=system, ending=ending)
+    part = plant.parts[row.each][ending.removeprefix("_")]
+    own = made(part, row.name + ending)
+    return filled.effect(own, usual, system=system, ending=ending)
 
 
 __all__ = ["is_offered", "list_causes", "numbers_added"]

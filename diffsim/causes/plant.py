@@ -79,8 +79,8 @@ class Plant:
         facts: What holds of the system, by the names that rows ask for; what is not there does not.
         parts: Parts that are alike, such as tendons: of each kind their names, and what stands for
             them in names of numbers.
-        functions: What rows ``at: scene`` do, by name of the row; of rows ``each``, a function of
-            what stands for the part and of the effect's name that says what they do.
+        functions: What rows ``at: scene`` do, by name of the row, or of the cause in one part; by
+            the row of parts, a function of what stands for the part and of the cause's name.
         magnitudes: What ``typical`` of rows may use, beside magnitudes of commands.
         sessions: Groups of runs between which something may have changed; None: there are none.
         instruments: What shows the channels, where a study says which; None: by their sensors and

@@ -82,16 +82,6 @@ def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
     )
 
 
-def reading_causes(of: Instrument, *, system: str = ANY) -> list[Effect]:
-    """All causes that are tried in an instrument, in the order in which they act.
-
-    Args:
-        of: Instrument that the cause changes.
-        system: Kind of system.
-    """
-    return [reading_cause(n, of, system=system) for n in rows(SENSOR) if n in of.causes]
-
-
 _NAMED = ("sensor_offset", "sensor_drift")  # after the kind, even where there is no other
 
 
@@ -160,7 +150,6 @@ __all__ = [
     "instrument_of",
     "pace",
     "reading_cause",
-    "reading_causes",
     "usual_sample",
     "with_ending",
     "with_play_start",

@@ -1,4 +1,4 @@
-"""Systems by name: the setup of a study, the candidate causes of a system, saved models.
+"""Systems by name: the setup of a study, saved models.
 
 A study describes its system under ``model:``, ``model: {system: ode, ...}``; the classes of
 ``DESCRIPTIONS`` read that, each imported when asked for. Packages of users add kinds of systems by
@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from diffsim.causes.law_port import PortLaws
 from diffsim.core.check import require_choice
@@ -24,10 +23,6 @@ from diffsim.identify.law import LAWS
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import Description
-
-_LIBRARIES = {
-    "copter": ("diffsim.systems.multicopter", "copter_library"),
-}
 
 #: Kind of system -> module and class of its description.
 DESCRIPTIONS = {
@@ -160,20 +155,6 @@ def _with_own_components(effect: Effect, of_all: Effect) -> Effect:
     more = set(of_all.components) - set(effect.components)
     is_per_run = more and all(name.startswith("@") for name in more)
     return replace(of_all, typical=effect.typical) if is_per_run else effect
-
-
-def library(system: str, **options: Any) -> list[Effect]:
-    """Candidate causes of a system, to which own ones may be added.
-
-    Args:
-        system: "soft_body" or "copter".
-        **options: Options of that library; "copter" takes num_rotors, 4 by default.
-
-    Raises:
-        ValueError: no such system; the message offers the closest names.
-    """
-    module, name = _LIBRARIES[require_choice("system", system, _LIBRARIES)]
-    return list(getattr(import_module(module), name)(**options))
 
 
 def load_extended(

@@ -10,15 +10,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.causes.listing import list_causes
 from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearize, lqr
 from diffsim.data.study import Run, Study
 from diffsim.identify import Parameter
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
-from diffsim.systems.multicopter import flight_model, flight_nuisances, unknown_wrench
+from diffsim.systems.multicopter import (
+    copter_plant,
+    flight_model,
+    flight_nuisances,
+    unknown_wrench,
+)
 from diffsim.systems.multicopter.paths import PATHS, Path
-from diffsim.systems.registry import library
 
 Array = NDArray[np.float64]
 
@@ -36,6 +42,35 @@ BASE = {
     "torque_ratio": "torque_gain",
 }
 BANK_S, BANK_HZ = 4.0, 100.0
+FACTS = (
+    "thrusts",
+    "battery",
+    "radius",
+    "down",
+    "sees_position",
+    "sees_rates",
+    "sees_unit",
+    "sees_force",
+)
+CAUSES = (
+    *("quantization", "rotor_drag", "body_drag", "parasitic_drag", "wind", "body_tilt"),
+    *("voltage_exponent", "center_of_mass", "ground_effect", "inflow", "wake"),
+    *("thrust_curvature", "gyroscopic", "placement", "sensor_tilt", "sensor_scale"),
+    *("accelerometer_scale", "gyro_offset", "lag", "delay"),
+)
+OF_ROTOR = ("weak_rotor", "thrust_loss", "torque_loss", "rotor_tilt")
+
+
+def causes(num_rotors: int = 4) -> tuple[Effect, ...]:
+    """Causes that the laboratory may hide, of a usual vehicle.
+
+    Args:
+        num_rotors: Number of rotors.
+    """
+    plant = copter_plant(num_rotors, 1.0, 0.25, FACTS)
+    known = {effect.name: effect for effect in list_causes(plant)}
+    of_rotors = (f"{name}_{i + 1}" for i in range(num_rotors) for name in OF_ROTOR)
+    return tuple(known[name] for name in (*CAUSES, *of_rotors))
 
 
 def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> DiagnosisSetup:
@@ -73,7 +108,7 @@ def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> Diagno
     wrench = UnknownForce(unknown_wrench(len(knots), longest), covariance, "unknown wrench")
     return DiagnosisSetup(
         model,
-        tuple(library("copter", num_rotors=vehicle.num_rotors)),
+        causes(vehicle.num_rotors),
         (wrench,),
         bank(vehicle),
         DiagnosisSettings(),

@@ -10,7 +10,7 @@ import torch
 
 from diffsim.causes.ports import on_place
 from diffsim.causes.row import Row
-from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.scene import Flyer
 from diffsim.systems.registry import setup_of
 from tests.causes.test_own_rows import with_rows
 from tests.systems import small_copter

@@ -9,8 +9,8 @@ import torch
 
 from diffsim.causes.signals import Grid
 from diffsim.diagnose import diagnose
-from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.lag import lagged_in_windows
+from diffsim.systems.multicopter.scene import Flyer
 from diffsim.systems.registry import description_of, setup_of
 from tests.systems.test_multicopter_description import MODEL, study
 

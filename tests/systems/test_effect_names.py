@@ -14,12 +14,10 @@ from diffsim.causes.scales import Scales
 from diffsim.core.units import factor
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
-from diffsim.systems.multicopter import unknown_wrench
-from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
-from diffsim.systems.multicopter.frames import RecordingFrames
-from diffsim.systems.registry import library, setup_of
+from diffsim.systems.multicopter import copter_plant, unknown_wrench
+from diffsim.systems.registry import setup_of
 from diffsim.systems.soft_body import unknown_force
-from labs.systems import network
+from labs.systems import copter, network
 from labs.systems.beam_causes import causes
 from labs.virtual import NetworkLab
 from tests.systems.rod.test_rod_description import study as rod_study
@@ -27,21 +25,7 @@ from tests.systems.soft_body.causes import CAUSES
 from tests.systems.test_flow_device import DEVICES, causes_of
 from tests.systems.toy_cart import cart_study
 
-DESCRIBED = Vehicle(
-    num_rotors=4,
-    mass=1.0,
-    arm=0.2,
-    frames=RecordingFrames("ENU", "FLU"),
-    sensors=("position", "quaternion", "body_rates", "accelerometer"),
-    has_radius=True,
-    has_lag=False,
-    has_clock=False,
-    has_center=False,
-    has_mass=False,
-    has_speed=True,
-    lags_speed=True,
-    battery="voltage",
-)
+DESCRIBED = ("speeds", "lags_speed", "radius", "battery", "sees_position", *copter.FACTS[-3:])
 
 
 def rigid_bodies(kind: str) -> tuple[Effect, ...]:
@@ -63,8 +47,8 @@ def rigid_bodies(kind: str) -> tuple[Effect, ...]:
 def libraries() -> dict[str, tuple[Effect, ...]]:
     return {
         "soft_body": tuple(CAUSES.values()),
-        "multicopter": tuple(library("copter", num_rotors=6)),
-        "described multicopter": candidate_causes(DESCRIBED),
+        "multicopter": copter.causes(6),
+        "described multicopter": list_causes(copter_plant(4, 1.0, 0.2, DESCRIBED)),
         "flow_device": causes_of(DEVICES["pumps"]),
         "flow_network": network.setup(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),

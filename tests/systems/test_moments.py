@@ -10,21 +10,19 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.causes.scene import Commands
 from diffsim.copter.dynamics import flight
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter import readings
-from diffsim.systems.multicopter.candidates import flight_cause, usual_scales
-from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.motion import FlightMotion
-from diffsim.systems.multicopter.scene import CopterScene
-from tests.systems.test_multicopter import quadcopter
+from diffsim.systems.multicopter.scene import CopterScene, Flyer, flight_grid, rotor_names
+from tests.systems.test_multicopter import CAUSES, quadcopter
 
 f64 = torch.float64
 THRUSTS = torch.tensor([2.0, 2.5, 1.0, 1.5], dtype=f64)
 COEFFICIENT = 1e-5
 FLOW_MOMENT, CLIMB_MOMENT, RATE_DAMPING, SPIN_UP = (
-    flight_cause(name, usual_scales(1.0, 0.25, 4))
-    for name in ("flow_moment", "climb_moment", "rate_damping", "spin_up")
+    CAUSES[name] for name in ("flow_moment", "climb_moment", "rate_damping", "spin_up")
 )
 
 
@@ -91,9 +89,9 @@ def damped_flight(sensors=("body_rates",), **options):
     vehicle = quadcopter()
     weak = replace(Fleet.of([vehicle]), torque_ratios=torch.full((1, 4), 1e-4, dtype=f64))
     scene = CopterScene(
-        vehicle=weak,
-        commands=torch.full((1, steps, 4), 9.81 / 4, dtype=f64),
-        dt=dt,
+        fleet=weak,
+        commands=Commands.named(rotor_names(4), torch.full((1, 4, steps), 9.81 / 4, dtype=f64)),
+        grid=flight_grid(steps, dt),
         sensors=sensors,
         windows=SimpleNamespace(measured=torch.zeros(1, steps, 3 * len(sensors), dtype=f64)),
         substeps=4,

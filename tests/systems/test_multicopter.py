@@ -9,35 +9,25 @@ import pytest
 import torch
 
 from diffsim import copter
+from diffsim.causes.listing import list_causes
 from diffsim.copter import GRAVITY
 from diffsim.copter.dynamics.sensors import finite_acceleration
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics, Parameter, coarse
-from diffsim.systems.multicopter import flight_model, unknown_wrench
-from diffsim.systems.multicopter.candidates import (
-    Vehicle,
-    candidate_causes,
-    flight_cause,
-    rotor_causes,
-    usual_scales,
-)
-from diffsim.systems.multicopter.flying import Flyer
-from diffsim.systems.multicopter.frames import RecordingFrames
+from diffsim.systems.multicopter import copter_plant, flight_model, unknown_wrench
 from diffsim.systems.multicopter.motion import FlightMotion
+from diffsim.systems.multicopter.scene import Flyer
 from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, Windows
-from diffsim.systems.registry import library
+from labs.systems.copter import causes
 from tests.diagnose.gate import score_error, typical
 
 DT, SAMPLES = 0.02, 110
 NAMES = ["u0", "u1", "u2", "u3"]
 SD = torch.tensor(np.repeat([2e-3, 5e-3, 1e-2, 0.1], 3))
 HOVER = GRAVITY / 4
-EFFECTS = library("copter", num_rotors=4)
-CAUSES = {e.name: e for e in EFFECTS} | {
-    name: flight_cause(name, usual_scales(1.0, 0.25, 4)) for name in ("ground_scale", "battery_sag")
-}
+EFFECTS = causes()
 PLAIN = (
     Parameter("thrust_gain", 1.0, 0.05, log=True),
     Parameter("inertia_gain", 1.0, 0.1, log=True),
@@ -50,6 +40,18 @@ def tensor(value):
 
 def size(*values):
     return tensor(values)
+
+
+def causes_with(*facts):
+    """Causes of a quadcopter by name."""
+    return {e.name: e for e in list_causes(copter_plant(4, 1.0, 0.25, facts))}
+
+
+CAUSES = {
+    **causes_with("sees_position", "sees_velocity", "speeds"),
+    **{e.name: e for e in EFFECTS},
+    "battery_sag": causes_with()["battery_sag"],
+}
 
 
 def quadcopter():
@@ -261,8 +263,8 @@ def straight_up(effect, at, thrust=1.2 * HOVER, steps=50, velocity=(0.0, 0.0, 0.
     for place, value in start.items():
         x12[0, {"yaw": 5, "p": 9, "q": 10, "r": 11}[place]] = value
     # the thrusts of every sample, not of the one before
-    thrusts = torch.cat([scene.commands, scene.commands[:, -1:]], 1)
-    thrusts = scene.on_their_way(thrusts)
+    thrusts = scene.commands.values
+    thrusts = scene.on_their_way(torch.cat([thrusts, thrusts[..., -1:]], -1))
     with torch.no_grad():
         return Flyer(scene, 1).fly_thrusts(x12[None], thrusts[:, None, 1:])[0, 0], run.time_s + DT
 
@@ -347,24 +349,13 @@ def test_a_sagging_battery_takes_thrust_with_time():
 
 
 def test_an_unrecorded_battery_is_a_cause_where_commands_are_no_speeds():
-    described = {"battery": None, "has_speed": False}
-    for change, expected in (
-        ({}, {"battery_sag"}),
-        ({"battery": "voltage_V"}, {"voltage_exponent"}),
-        ({"has_speed": True}, set()),
+    for facts, expected in (
+        ((), {"battery_sag"}),
+        (("battery",), {"voltage_exponent"}),
+        (("speeds",), set()),
     ):
-        vehicle = a_vehicle(**{**described, **change})
-        found = {e.name for e in candidate_causes(vehicle)}
+        found = {*causes_with(*facts)}
         assert found & {"battery_sag", "voltage_exponent"} == expected
-
-
-def a_vehicle(**changes) -> Vehicle:
-    facts = {
-        "num_rotors": 4, "mass": 1.0, "arm": 0.25, "frames": RecordingFrames("NED", "FRD"),
-        "sensors": ("position",), "lags_speed": False, "battery": None,
-    }  # fmt: skip
-    has = {f"has_{n}": False for n in ("radius", "lag", "clock", "center", "mass", "speed")}
-    return Vehicle(**{**facts, **has, **changes})
 
 
 def test_drags_slow_down():
@@ -445,9 +436,11 @@ def test_ground_effect_falls_with_the_square_of_the_height():
 def test_needs_and_errors(flown):
     run, _ = flown
     channels = tuple(Channel(f"c{i}", "-", "any") for i in range(12))
+    in_voltage = CAUSES["voltage_exponent"], size(1.0)
     bare = replace(run, command={n: run.command[n] for n in NAMES}, setup={})
     study = Study("s", "copter", channels, (bare,))
-    assert "voltage_V" in CAUSES["voltage_exponent"].needs(study)
+    with pytest.raises(ValueError, match="needs the command voltage_V"):
+        predict(flight_model(quadcopter(), commands=NAMES), bare, *in_voltage)
     assert CAUSES["lag"].needs(study) is None
     with pytest.raises(ValueError, match="did you mean 'position'"):
         flight_model(quadcopter(), commands=NAMES, sensors=["positon", "attitude"])
@@ -464,7 +457,7 @@ def test_needs_and_errors(flown):
 
 
 def test_causes_of_rotors_travel_between_processes():
-    for effect in rotor_causes(4):
+    for effect in EFFECTS[-16:]:
         again = pickle.loads(pickle.dumps(effect))
         assert again.name == effect.name and str(again.apply) == str(effect.apply)
 

@@ -9,7 +9,6 @@ import torch
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Numerics
-from diffsim.systems import library
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.scene import Moment
 from tests.diagnose.gate import score_error, typical
@@ -315,11 +314,6 @@ def test_unknown_force_of_even_knots_is_weight():
     found = predict(model, RUN, unknown, knots.flatten())
     want = predict(model, RUN, CAUSES["weight"], size(0.5))
     torch.testing.assert_close(found, want, atol=1e-9, rtol=0)
-
-
-def test_a_library_of_no_system_is_refused():
-    with pytest.raises(ValueError, match="system must be one of"):
-        library("soft_bdy")
 
 
 def held_run(load_kg=0.0, until_s=0.2):

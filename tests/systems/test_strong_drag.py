@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from diffsim.core.errors import ConvergenceError
-from diffsim.systems.multicopter import flying
+from diffsim.systems.multicopter import scene as flying
 from diffsim.systems.multicopter.effects import drag_by_square
-from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.scene import Flyer
 from tests.systems.test_moments import damped_flight
 
 f64 = torch.float64

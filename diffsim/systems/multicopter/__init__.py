@@ -1,6 +1,6 @@
 """Multicopters under recorded commands, and what real ones add to the model."""
 
-from diffsim.systems.multicopter.candidates import copter_library
+from diffsim.systems.multicopter.causes import copter_plant
 from diffsim.systems.multicopter.extended import ExtendedCopter
 from diffsim.systems.multicopter.model import CopterModel, flight_model, flight_nuisances
 from diffsim.systems.multicopter.scene import CopterScene
@@ -10,7 +10,7 @@ __all__ = [
     "CopterModel",
     "CopterScene",
     "ExtendedCopter",
-    "copter_library",
+    "copter_plant",
     "flight_model",
     "flight_nuisances",
     "unknown_wrench",

@@ -17,14 +17,14 @@ from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.copter.vehicle.rotor import RotorModel, rotor_model
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
-from diffsim.systems.multicopter.described import ESTIMATOR_GAINS, DescribedFlights
-from diffsim.systems.multicopter.flight import AXES, rotor_names
-from diffsim.systems.multicopter.frames import RecordingFrames
+from diffsim.systems.multicopter.described import DescribedFlights
+from diffsim.systems.multicopter.effects import ESTIMATOR_GAINS
+from diffsim.systems.multicopter.frames import AXES, RecordingFrames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
+from diffsim.systems.multicopter.scene import rotor_names
 from diffsim.systems.multicopter.sensing import sensing_of
 from diffsim.systems.multicopter.shooting import SPREAD
 from diffsim.systems.multicopter.spectrum import strongest_frequency
@@ -33,7 +33,6 @@ from diffsim.systems.multicopter.thrust_law import ThrustLaw
 VEHICLE, GUST = "vehicle", "gust"  # places of their magnitudes in the record
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
 _PUSH = 0.2  # per mass: a force that is no surprise, as of wind [m/s^2]
-_WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
@@ -174,46 +173,6 @@ def with_shapes(
         more |= {f"estimator_{k}": getattr(of.estimator, k) for k in ESTIMATOR_GAINS}
     quantities = {**flights.parameters.quantities, **more}
     return replace(flights, parameters=BaseParameters(quantities, study.runs))
-
-
-def vehicle_of(
-    of: MulticopterKeys,
-    flights: DescribedFlights,
-    scales: Scales,
-    *,
-    states_sensors: bool = False,
-) -> Vehicle:
-    """What decides which causes there are.
-
-    Args:
-        of: Description of the multicopter.
-        flights: The same, assembled.
-        scales: Usual magnitudes.
-        states_sensors: Whether channels say which sensor shows them.
-    """
-    q = flights.parameters.quantities
-    fleet = flights.nominal_fleet()
-    return Vehicle(
-        num_rotors=fleet.num_rotors,
-        mass=scales.plain[VEHICLE]["mass"],
-        arm=scales.plain[VEHICLE]["arm"],
-        frames=flights.cutter.frames,
-        sensors=flights.cutter.sensors,
-        has_radius=bool((fleet.radii > 0.0).all()),
-        has_lag="motor_lag" in q and q["motor_lag"].is_fitted,
-        has_clock="clock" in q,
-        has_center=not of.causes_act_in
-        and any(q[f"center_of_mass_{axis}"].is_fitted for axis in "xy"),
-        has_mass=not of.causes_act_in
-        and q["mass"].is_fitted
-        and (q["mass"].percent or 0.0) >= _WIDE,
-        has_speed=of.commands.meaning == "speed" and flights.law.is_squared,
-        lags_speed=flights.lags_speed,
-        battery=of.battery,
-        has_estimator=of.estimator is not None,
-        states_sensors=states_sensors,
-        has_thrust=of.commands.meaning == "thrust",
-    )
 
 
 def _list_quantities(

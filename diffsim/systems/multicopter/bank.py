@@ -13,8 +13,8 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.paths import PATHS, Path
-from diffsim.systems.multicopter.readings import SensedRecord, read
-from diffsim.systems.multicopter.scene import CopterScene
+from diffsim.systems.multicopter.readings import RecordedScene, SensedRecord, read
+from diffsim.systems.multicopter.scene import flight_grid
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 
 _SECONDS, _RATE_HZ = 4.0, 100.0
@@ -106,10 +106,8 @@ def _read_channels(
     cutter, count, n = flights.cutter, len(thrusts), vehicle.num_rotors
     nothing = torch.full((1, count, len(cutter.sd)), torch.nan, dtype=torch.float64)
     start = torch.zeros(1, RIGID + n, dtype=torch.float64)
-    scene = CopterScene(
-        vehicle=flights.nominal_fleet(),
-        commands=thrusts[None],
-        dt=dt,
+    scene = RecordedScene(
+        grid=flight_grid(count, dt),
         sensors=cutter.sensors,
         windows=Windows(start, nothing, cutter.sd),
         columns=cutter.columns,

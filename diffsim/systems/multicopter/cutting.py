@@ -14,8 +14,7 @@ from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo
 from diffsim.data.study import Run
-from diffsim.systems.multicopter.flight import SENSORS
-from diffsim.systems.multicopter.frames import RecordingFrames
+from diffsim.systems.multicopter.frames import SENSORS, RecordingFrames
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import PAST_SPREAD, SPREAD, Windows, filled
 from diffsim.systems.multicopter.starts import acceleration_of, states_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -9,6 +10,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from diffsim.causes.scene import Commands
 from diffsim.causes.signals import held_delayed, held_lagged
 from diffsim.copter import Multicopter
 from diffsim.copter.vehicle.fleet import Fleet
@@ -17,14 +19,15 @@ from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in
 from diffsim.systems.multicopter.cutting import MOST_RUNS, Cutter, spacing, thrusts_before
+from diffsim.systems.multicopter.effects import ESTIMATOR_GAINS
 from diffsim.systems.multicopter.keys import RotorKeys
 from diffsim.systems.multicopter.lag import speed_lagged
-from diffsim.systems.multicopter.scene import CopterScene
+from diffsim.systems.multicopter.scene import CopterScene, flight_grid, rotor_names
 from diffsim.systems.multicopter.shooting import Windows
 from diffsim.systems.multicopter.thrust_law import ThrustLaw, described_fleet, designed_fleet
-from diffsim.systems.multicopter.vectors import stack_points, vector_of
 
-ESTIMATOR_GAINS = ("velocity", "tilt", "heading")
+_OFFSET = re.compile(r"(attitude|body_rates|specific_force)_offset_[xyz]")
+_SHAPES = ("sling_length", "gust_frequency", *(f"estimator_{name}" for name in ESTIMATOR_GAINS))
 PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
 
 
@@ -136,10 +139,16 @@ class DescribedFlights:
             torque_ratios=fleet.torque_ratios * v["torque_gain"].reshape(-1, 1),
             max_thrusts=torch.full_like(fleet.max_thrusts, self.full_thrust),
         )
+        numbers = {
+            name.replace("specific_force", "accelerometer"): value
+            for name, value in v.items()
+            if name in _SHAPES or _OFFSET.fullmatch(name)
+        }
         scene = CopterScene(
-            vehicle=fleet,
-            commands=self.asked(run, v),
-            dt=spacing(run),
+            grid=flight_grid(len(run.time_s), spacing(run)),
+            numbers=numbers,
+            commands=Commands.named(rotor_names(fleet.num_rotors), self.asked(run, v).mT),
+            fleet=fleet,
             sensors=self.cutter.sensors,
             windows=windows,
             columns=self.cutter.columns,
@@ -147,16 +156,6 @@ class DescribedFlights:
             substeps=max(1, round(self.substeps / numerics.time_step)),
             terrain_height=fact_in(run, TERRAIN, "m"),
             thrust_coefficient=self.thrust_coefficient,
-            attitude_offset=vector_of(v, "attitude_offset"),
-            body_rates_offset=vector_of(v, "body_rates_offset"),
-            accelerometer_offset=vector_of(v, "specific_force_offset"),
-        )
-        scene = scene.changed(
-            sling_length=v["sling_length"].reshape(-1) if "sling_length" in v else None,
-            gust_frequency=v["gust_frequency"].reshape(-1) if "gust_frequency" in v else None,
-            estimator_gains=stack_points(v[f"estimator_{name}"] for name in ESTIMATOR_GAINS)
-            if "estimator_velocity" in v
-            else None,
         )
         return self._delay_signals(scene, v)
 

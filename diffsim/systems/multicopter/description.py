@@ -3,43 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.causes.channel_groups import WHOLE, channels_of, clock_problems
-from diffsim.causes.plant import IN_TIME, Place, Plant
-from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.channel_groups import clock_problems
+from diffsim.causes.listing import list_causes
+from diffsim.causes.plant import Plant
+from diffsim.causes.scales import SCALES
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
-from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.multicopter.assembly import (
     assembled,
     usual_magnitudes,
-    vehicle_of,
     with_gust,
     with_shapes,
 )
 from diffsim.systems.multicopter.bank import flights_to_record
-from diffsim.systems.multicopter.candidates import (
-    Vehicle,
-    acting_in,
-    candidate_causes,
-    offered_causes,
-)
-from diffsim.systems.multicopter.described import DescribedFlights
-from diffsim.systems.multicopter.flight import AXES, rotor_names
+from diffsim.systems.multicopter.causes import acting_in, plant_of
 from diffsim.systems.multicopter.frames import FRAMES
-from diffsim.systems.multicopter.instruments import instrument_causes, states_sensors
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
-from diffsim.systems.multicopter.numbers import NUMBERS
 from diffsim.systems.multicopter.sampling import evenly_sampled
 from diffsim.systems.multicopter.sensing import are_means, sensor_problems
 from diffsim.systems.multicopter.unknown import wrench_of
@@ -71,11 +60,8 @@ class MulticopterDescription(MulticopterKeys):
         study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
         flights = assembled(self, study)
         scales = usual_magnitudes(flights, study)
-        vehicle = vehicle_of(self, flights, scales, states_sensors=states_sensors(study))
-        library = self._list_causes(study, flights, scales, vehicle)
-        effects = chosen_effects(
-            library, self.effects, study, self._make_plant(study, flights, scales)
-        )
+        plant = plant_of(self, flights, study, scales)
+        effects = chosen_effects(list_causes(plant), self.effects, study, plant)
         names = [e.name for e in effects]
         if "gust" in names and self.gust_frequency is None:
             scales = with_gust(flights, study, scales)
@@ -87,7 +73,7 @@ class MulticopterDescription(MulticopterKeys):
         return DiagnosisSetup(
             model,
             effects,
-            (wrench_of(study.runs, vehicle.mass * GRAVITY),),
+            (wrench_of(study.runs, plant.magnitudes["mass"] * GRAVITY),),
             flights_to_record(flights, study.runs),
             settings_with(DiagnosisSettings(), self.effort),
             study=study,
@@ -98,32 +84,7 @@ class MulticopterDescription(MulticopterKeys):
         them."""
         study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
         flights = assembled(self, study)
-        return self._make_plant(study, flights, usual_magnitudes(flights, study))
-
-    def _make_plant(self, study: Study, flights: DescribedFlights, scales: Scales) -> Plant:
-        rotors = rotor_names(flights.nominal_fleet().num_rotors)
-        return Plant(
-            kind="multicopter",
-            scales=scales,
-            channels=study.channels,
-            commands=dict.fromkeys(rotors, "held"),
-            numbers=NUMBERS,
-            places={axis: Place(scales.plain[axis]) for axis in AXES},
-            facts={IN_TIME: True},
-        )
-
-    def _list_causes(
-        self, study: Study, flights: DescribedFlights, scales: Scales, vehicle: Vehicle
-    ) -> tuple[Effect, ...]:
-        """Causes that are judged, and those that are where ``effects.only`` asks for them."""
-        clocks = [channels_of(study.channels, name) for name in self.clocks]
-        judge = partial(instrument_causes, study, flights.cutter, clocks, scales)
-        judged = (*candidate_causes(vehicle), *judge())
-        if not self.effects.only:
-            return judged
-        known = {e.name for e in judged}
-        offered = (*offered_causes(vehicle, scales), *judge(causes=WHOLE))
-        return (*judged, *(e for e in offered if e.name not in known))
+        return plant_of(self, flights, study, usual_magnitudes(flights, study))
 
     def _find_command_beyond(self, values: NDArray[np.float64]) -> str:
         """How a throttle lies outside of its range for half of the samples; empty: it does not."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import torch
 from torch import Tensor
 
@@ -11,10 +9,11 @@ from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.estimator import BlindEstimator
-from diffsim.systems.multicopter.flight import AXES
 from diffsim.systems.multicopter.motion import FlightMotion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
+from diffsim.systems.multicopter.vectors import stack_points
 
+ESTIMATOR_GAINS = ("velocity", "tilt", "heading")  # numbers, as ``BlindEstimator`` has them
 VOLTAGE = "voltage_V"  # command that is the battery's, where none is named
 _WAKE_SPEED = 3.0  # forward speed at which half of the wake's loss is there [m/s]
 _LEAST_HEIGHT = 0.5  # of a hub above the ground, in radii
@@ -105,7 +104,7 @@ def tilt_axes(scene: CopterScene, turns: Tensor) -> CopterScene:
     turns, axes = torch.broadcast_tensors(scene.frames.in_body(turns), scene.vehicle.directions)
     turned = axes + torch.linalg.cross(turns, axes)
     turned = turned / turned.norm(dim=-1, keepdim=True)
-    return scene.changed(vehicle=scene.vehicle.replace(directions=turned))
+    return scene.changed(fleet=scene.fleet.replace(directions=turned))
 
 
 def tilt_rotors(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
@@ -149,16 +148,10 @@ def push_near_ground(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
 
 
 def estimate_without_drag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-    assert scene.estimator_gains is not None
     drag, record = amount(size, 0), scene.windows
-    points = max(len(drag), len(scene.estimator_gains))
-    known = drag.expand(points), scene.estimator_gains.expand(points, -1)
+    gains = stack_points(scene.number(f"estimator_{name}") for name in ESTIMATOR_GAINS)
+    points = max(len(drag), len(gains))
+    known = drag.expand(points), gains.expand(points, -1)
     force = scene.force_by_record()
     blind = BlindEstimator.of(record.states, record.acceleration, force, scene.dt, known)
     return scene.changed(estimator=blind)
-
-
-def add_to_vector(scene: CopterScene, size: Tensor, run: Run, *, vector: str) -> CopterScene:
-    for i, axis in enumerate(AXES):
-        scene = scene.with_number(f"{vector}_{axis}", partial(torch.add, size[..., i]))
-    return scene

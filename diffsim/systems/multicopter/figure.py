@@ -9,7 +9,9 @@ from torch import Tensor
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
 from diffsim.identify.shape import MovingShape
-from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
+from diffsim.systems.multicopter.frames import SENSORS
+from diffsim.systems.multicopter.readings import RecordedScene
+from diffsim.systems.multicopter.scene import CopterScene
 
 Array = NDArray[np.float64]
 
@@ -19,7 +21,7 @@ _BARE = 0.4  # of an arm: radius of a propeller whose size nobody states
 _UP = np.diag([1.0, -1.0, -1.0])  # z up from north-east-down
 
 
-def figure_of(scene: CopterFlight, channels: Tensor) -> MovingShape | None:
+def figure_of(scene: CopterScene, channels: Tensor) -> MovingShape | None:
     """The vehicle at the poses that channels show.
 
     Args:
@@ -41,7 +43,7 @@ def figure_of(scene: CopterFlight, channels: Tensor) -> MovingShape | None:
     )
 
 
-def _pick_group(scene: CopterFlight, channels: Tensor, group: str) -> Tensor | None:
+def _pick_group(scene: RecordedScene, channels: Tensor, group: str) -> Tensor | None:
     """Readings of a group, (num_samples, width); None where one of them is not recorded."""
     if group not in scene.sensors:
         return None
@@ -53,7 +55,7 @@ def _pick_group(scene: CopterFlight, channels: Tensor, group: str) -> Tensor | N
     return channels[:, [known.index(column) for column in wanted]]
 
 
-def _pick_rotation(scene: CopterFlight, channels: Tensor) -> Tensor | None:
+def _pick_rotation(scene: RecordedScene, channels: Tensor) -> Tensor | None:
     """World from body as recorded, (num_samples, 3, 3)."""
     turns = _pick_group(scene, channels, "quaternion")
     if turns is not None:

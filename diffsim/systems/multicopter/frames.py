@@ -26,6 +26,18 @@ _TURNS = {
 }
 WORLDS = ("NED", "ENU", "NWU")
 BODIES = ("FRD", "FLU")
+AXES = ("x", "y", "z")  # of the recording's world: places at which forces may act
+#: Readings of each group.
+SENSORS = {
+    "position": ("x_m", "y_m", "z_m"),
+    "attitude": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "body_rates": ("p_rad_s", "q_rad_s", "r_rad_s"),
+    "accelerometer": ("ax_m_s2", "ay_m_s2", "az_m_s2"),
+    "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
+    "quaternion": ("qw", "qx", "qy", "qz"),
+    "specific_force_in_world": ("fx_m_s2", "fy_m_s2", "fz_m_s2"),
+    "acceleration": ("ax_world_m_s2", "ay_world_m_s2", "az_world_m_s2"),
+}
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ def hang_load(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     vehicle; the string pulls with m g / l d to the side and with m (g - a_z) downwards.
     """
     mass, dt = amount(size, 2), scene.dt
-    length = torch.full_like(mass, SLING_M) if scene.sling_length is None else scene.sling_length
+    length = scene.numbers.get("sling_length", torch.full_like(mass, SLING_M))
     stiffness = GRAVITY / length.reshape(-1, 1, 1)
     swing = _swing_pendulum(scene.windows.acceleration, dt, stiffness.sqrt())
     sideways = mass * stiffness * swing * swing.new_tensor([1.0, 1.0, 0.0])
@@ -53,9 +53,8 @@ def _swing_pendulum(acceleration: Tensor, dt: float, rate: Tensor) -> Tensor:
 
 def push_in_gusts(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Force in the world along x and y: sines and cosines of 2 pi f t, t the recording's clock."""
-    assert scene.gust_frequency is not None
     middle = torch.as_tensor(run.time_s, dtype=torch.float64) + 0.5 * scene.dt
-    angle = 2.0 * torch.pi * scene.gust_frequency.reshape(-1, 1) * middle
+    angle = 2.0 * torch.pi * scene.number("gust_frequency").reshape(-1, 1) * middle
     parts = size.reshape(-1, 4)[:, None]
     sine, cosine = angle.sin()[..., None], angle.cos()[..., None]
     across = parts[..., 0::2] * sine + parts[..., 1::2] * cosine

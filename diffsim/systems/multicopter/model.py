@@ -12,6 +12,7 @@ from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.scene import Commands
 from diffsim.causes.signals import held_lagged
 from diffsim.copter import Multicopter
 from diffsim.copter.vehicle.fleet import Fleet
@@ -34,9 +35,8 @@ from diffsim.systems.multicopter.cutting import (
     thrusts_before,
 )
 from diffsim.systems.multicopter.figure import figure_of
-from diffsim.systems.multicopter.scene import CopterScene
+from diffsim.systems.multicopter.scene import CopterScene, flight_grid, rotor_names
 from diffsim.systems.multicopter.shooting import RIGID, Windows
-from diffsim.systems.multicopter.vectors import vector_of
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -334,17 +334,16 @@ class Flights:
 
         gain = (of("thrust_gain") * of(f"thrust_gain@{run.name}"))[:, None, None]
         limits = self.vehicle.max_thrusts[:, None]
+        asked = _stack_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain
         scene = CopterScene(
-            vehicle=self.vehicle.replace(
+            grid=flight_grid(len(run.time_s), spacing(run)),
+            numbers={n: v for n, v in values.items() if n.rpartition("_")[0] in _OFFSETS},
+            commands=Commands.named(rotor_names(self.vehicle.num_rotors), asked.mT),
+            fleet=self.vehicle.replace(
                 mass=self.vehicle.mass * of("mass_gain") + float(run.setup.get("payload_kg", 0.0)),
                 inertia=self.vehicle.inertia * of("inertia_gain")[:, None, None],
                 torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
             ),
-            commands=_stack_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
-            attitude_offset=vector_of(values, "attitude_offset"),
-            body_rates_offset=vector_of(values, "body_rates_offset"),
-            accelerometer_offset=vector_of(values, "accelerometer_offset"),
-            dt=spacing(run),
             sensors=self.cutter.sensors,
             windows=windows,
             substeps=max(1, round(self.substeps / numerics.time_step)),

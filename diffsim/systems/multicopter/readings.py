@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.signals import Grid
+from diffsim.causes.ports import SignalChange
+from diffsim.causes.scene import Scene
+from diffsim.causes.signals import Grid, SignalMap, change_rows, lagged
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import (
@@ -20,10 +22,61 @@ from diffsim.core.rotation import (
     rpy_from_matrix,
 )
 from diffsim.systems.multicopter.estimator import BlindEstimator
-from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, change_some
+from diffsim.systems.multicopter.frames import SENSORS, RecordingFrames
+from diffsim.systems.multicopter.lag import lagged_in_windows
 from diffsim.systems.multicopter.motion import FlightMotion, turned, turned_back
+from diffsim.systems.multicopter.shooting import Windows
+from diffsim.systems.multicopter.vectors import vector_of
 
 _CIRCLE = 2.0 * torch.pi
+#: Numbers that are one until a cause changes them: shown over true [-].
+SCALES = ("position_scale", "ground_scale", "accelerometer_scale")
+_ONE = torch.ones(1, dtype=torch.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedScene(Scene):
+    """A flight as its record shows it: what sensors read, in which frames, in which windows.
+
+    Numbers of the sensors are ``SCALES``, the vectors ``placement`` (of the captured point, in the
+    body frame [m]), ``sensor_tilt`` (a small rotation of the inertial unit [rad]) and
+    ``attitude_offset``, ``body_rates_offset``, ``accelerometer_offset`` (added to what these show
+    [rad], [rad/s], [m/s^2]), all in the recording's frames; ``camera_delay``, the age of the
+    position, velocity and attitude that are shown [s].
+
+    Attributes:
+        windows: The record in windows, whose initial states are fitted away.
+        sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
+        columns: Which reading each channel is, counted over the groups; None: all, in order.
+        frames: Frames that the record is written in.
+        estimator: Errors of one that shows velocity and attitude; None: none.
+    """
+
+    numbers: Mapping[str, Tensor] = field(default_factory=dict)
+    windows: Windows
+    sensors: tuple[str, ...]
+    columns: tuple[int, ...] | None = None
+    frames: RecordingFrames = field(default_factory=RecordingFrames)
+    estimator: BlindEstimator | None = None
+
+    @property
+    def dt(self) -> float:
+        """Time between two samples [s]."""
+        return float(self.grid.times[1] - self.grid.times[0])
+
+    def number(self, name: str) -> Tensor:
+        """A number as it is in this run, () or (points,)."""
+        if name in SCALES and name not in self.numbers:
+            return _ONE
+        return super().number(name)
+
+    def scalar(self, name: str) -> Tensor:
+        """A number, (points,)."""
+        return self.number(name).reshape(-1)
+
+    def vector(self, name: str) -> Tensor:
+        """Numbers along the axes of the recording, (points, 3)."""
+        return vector_of(self.numbers, name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +148,7 @@ class _ShownStates:
             None: none.
     """
 
-    scene: CopterFlight
+    scene: RecordedScene
     record: SensedRecord
     position: Tensor
     velocity: Tensor
@@ -104,12 +157,14 @@ class _ShownStates:
     turn: Tensor | None = None
 
     @classmethod
-    def of(cls, scene: CopterFlight, record: SensedRecord) -> _ShownStates:
+    def of(cls, scene: RecordedScene, record: SensedRecord) -> _ShownStates:
         states = record.position, record.velocity, record.rotation, record.quaternion
         shown = cls(scene, record, *(state[:, :, 1:] for state in states))
         if scene.estimator is not None:
             shown = shown._estimate(scene.estimator)
-        return shown if scene.camera_delay is None else shown._delay(_widen(scene.camera_delay))
+        if "camera_delay" not in scene.numbers:
+            return shown
+        return shown._delay(_widen(scene.scalar("camera_delay")))
 
     @property
     def body_rates(self) -> Tensor:
@@ -161,19 +216,21 @@ class _ShownStates:
 
     def in_unit(self, value: Tensor) -> Tensor:
         """A body vector in the axes of the inertial unit."""
-        tilt, value = torch.broadcast_tensors(_widen(self.scene.imu_tilt), value)
+        tilt = self.scene.frames.in_body(self.scene.vector("sensor_tilt"))
+        tilt, value = torch.broadcast_tensors(_widen(tilt), value)
         return value - torch.linalg.cross(tilt, value)
 
     def shown_position(self) -> Tensor:
         """Place of the marker in the recording's world."""
         scene = self.scene
-        seen = self.position + turned(self.rotation, _widen(scene.marker))
-        scale = scene.position_scale[:, None] * self._make_axis_scale()
+        marker = scene.frames.in_body(scene.vector("placement"))
+        seen = self.position + turned(self.rotation, _widen(marker))
+        scale = scene.scalar("position_scale")[:, None] * self._make_axis_scale()
         return scene.frames.in_world(_widen(scale) * seen)
 
     def _make_axis_scale(self) -> Tensor:
         """Scale of the three axes by what holds along the ground alone, (points, 3)."""
-        along = self.scene.ground_scale[:, None]
+        along = self.scene.scalar("ground_scale")[:, None]
         return torch.cat([along, along, torch.ones_like(along)], -1)
 
     def shown_velocity(self) -> Tensor:
@@ -183,13 +240,13 @@ class _ShownStates:
     def shown_attitude(self) -> Tensor:
         """Roll, pitch, yaw; whole turns as in the record."""
         rpy = rpy_from_matrix(self.scene.frames.rotation(self.rotation))
-        rpy = rpy + _widen(self.scene.attitude_offset)
+        rpy = rpy + _widen(self.scene.vector("attitude_offset"))
         measured = self._pick_measured("attitude")
         return rpy + _CIRCLE * ((measured - rpy) / _CIRCLE).nan_to_num(0.0).round().detach()
 
     def shown_quaternion(self) -> Tensor:
         """Quaternion of the recorded sign and length: neither says anything of the attitude."""
-        back = quaternion_from_rotation_vector(_widen(self.scene.attitude_offset))
+        back = quaternion_from_rotation_vector(_widen(self.scene.vector("attitude_offset")))
         shown = quaternion_product(self.scene.frames.quaternion(self.quaternion), back)
         measured = self._pick_measured("quaternion")
         sign = (measured * shown.detach()).nan_to_num(0.0).sum(-1, keepdim=True)
@@ -200,15 +257,15 @@ class _ShownStates:
     def shown_body_rates(self) -> Tensor:
         """Gyro in the recording's body frame."""
         rates = self.scene.frames.in_body(self.in_unit(self.body_rates))
-        return rates + _widen(self.scene.body_rates_offset)
+        return rates + _widen(self.scene.vector("body_rates_offset"))
 
     def shown_specific_force(self) -> Tensor:
         """Accelerometer in the recording's body frame, mean over the step before."""
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         specific = turned_back(self.halfway, self.acceleration - gravity)
-        scale = _widen(self.scene.accelerometer_scale)[..., None]
+        scale = _widen(self.scene.scalar("accelerometer_scale"))[..., None]
         shown = self.scene.frames.in_body(scale * self.in_unit(specific))
-        return shown + _widen(self.scene.accelerometer_offset)
+        return shown + _widen(self.scene.vector("accelerometer_offset"))
 
     def shown_specific_force_in_world(self) -> Tensor:
         """The accelerometer's reading, turned into the recording's world."""
@@ -259,7 +316,7 @@ class WindowGrid(Grid):
     starts: Tensor
 
     @classmethod
-    def of_flight(cls, scene: CopterFlight) -> WindowGrid:
+    def of_flight(cls, scene: RecordedScene) -> WindowGrid:
         """That of a flight's readings."""
         windows, length = scene.windows.measured.shape[:2]
         starts = scene.dt * length * torch.arange(windows, dtype=torch.float64)
@@ -272,22 +329,29 @@ class WindowGrid(Grid):
         return self.starts + self.times
 
 
-def read(scene: CopterFlight, record: SensedRecord) -> Tensor:
+def read(scene: RecordedScene, record: SensedRecord) -> Tensor:
     """Readings of the sensors, (points, num_windows, length, num_channels)."""
     out = _show_at_once(scene, record, range(scene.windows.measured.shape[-1]))
-    for channels, delay in delays_of(scene.late).items():
+    for channels, delay in delays_of(scene.instruments.clocks).items():
         out = _replace_channels(
             out, channels, _show_at_once(scene, record.before(delay, scene.dt), channels)
         )
-    if not scene.readers:
+    if not scene.instruments.readings:
         return out
     grid, signals = WindowGrid.of_flight(scene), out.permute(1, 0, 3, 2)
-    for channels, change in scene.readers:
-        signals = change_some(signals, channels, change, grid)
+    for channels, change in scene.instruments.readings:
+        signals = change_rows(signals, channels, _in_windows(change), grid)
     return signals.permute(1, 0, 3, 2)
 
 
-def _show_at_once(scene: CopterFlight, record: SensedRecord, channels: Sequence[int]) -> Tensor:
+def _in_windows(change: SignalMap) -> SignalMap:
+    """A map of readings; a lag enters each window in a steady slope: windows begin in motion."""
+    if isinstance(change, SignalChange) and change.map is lagged:
+        return replace(change, map=lagged_in_windows)
+    return change
+
+
+def _show_at_once(scene: RecordedScene, record: SensedRecord, channels: Sequence[int]) -> Tensor:
     """What some channels would show at once, (points, num_windows, length, len(channels))."""
     shown = _ShownStates.of(scene, record)
     columns = channels if scene.columns is None else [scene.columns[k] for k in channels]

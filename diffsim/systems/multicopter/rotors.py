@@ -74,5 +74,4 @@ def _mark_rotor(scene: CopterScene, index: int) -> Tensor:
 
 def _scale_torques(scene: CopterScene, factor: Tensor) -> CopterScene:
     """A copy whose reaction torques per thrust are larger by factors, (points, n_rotors)."""
-    vehicle = scene.vehicle
-    return scene.changed(vehicle=vehicle.replace(torque_ratios=vehicle.torque_ratios * factor))
+    return scene.with_number("torque_ratio", lambda ratios: ratios * factor.mT)

@@ -12,7 +12,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
-from diffsim.systems.multicopter.flight import SENSORS
+from diffsim.systems.multicopter.frames import SENSORS
 from diffsim.systems.multicopter.keys import SensorKeys
 
 # Key of the description -> group of readings, unit, noise while a channel states none.

@@ -34,7 +34,7 @@ def _push_vehicle(
     """
     knots = size.reshape(-1, 6, num_knots)
     # half a step before the record (which starts one early), then in the middle of steps
-    times = scene.dt * (torch.arange(scene.commands.shape[1] + 1, dtype=torch.float64) - 0.5)
+    times = scene.dt * (torch.arange(scene.num_samples + 1, dtype=torch.float64) - 0.5)
     hats = straight(torch.eye(num_knots, dtype=torch.float64), spacing, times)
     wrench = hats @ knots.mT
     more = _TORQUE_PER_FORCE * wrench[..., 3:] @ torque_allocation(scene.vehicle).mT
