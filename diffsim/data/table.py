@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
+from diffsim.data.plain_csv import plain_numbers
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -146,6 +147,17 @@ def _number_rows(
         yield line, row
 
 
+def all_numbers(path: Path, header_line: int, skipped: int, count: int) -> Array | None:
+    """Cells of a large file of numbers alone, (num_rows, num_columns); None of any other file."""
+    with open_text(path) as file:
+        if file.encoding.lower() not in ("utf-8", "utf-8-sig"):
+            return None
+        for _ in range(header_line - 1):
+            next(file, "")
+        mark = delimiter_of(file.readline(MAX_LINE))
+    return plain_numbers(path, mark, skipped, count)
+
+
 def time_column(path: Path, header: list[str]) -> int:
     """Index of ``time_s``; a column that looks like it is named in the message."""
     if "time_s" not in header:
@@ -214,6 +226,8 @@ class Table:
         self._numbers: dict[str, Array] = {}
         self.used: set[str] = set()
         self._cells: list[list[str]] = []
+        self._plain: Array | None = None
+        self._layout = {"header_line": header_line, "first_line": first_line}
         self._arrays: Columns = read_columns(path) if is_container(path) else {}
         self.left_out = left_out_of(path) if self._arrays else []
         if self._arrays:
@@ -222,6 +236,11 @@ class Table:
             return
         with open_table(path, what, header_line=header_line, first_line=first_line) as (head, rows):
             self.header = head
+            skipped = (first_line or header_line + 1) - 1
+            self._plain = all_numbers(path, header_line, skipped, len(head))
+            if self._plain is not None:
+                self.lines = list(range(skipped + 1, skipped + 1 + len(self._plain)))
+                return
             numbered = list(rows)
         if not numbered:
             raise ValueError(f"{path}: no rows below the header; was the export cut short?")
@@ -234,7 +253,8 @@ class Table:
         made = cls.__new__(cls)
         made.path, made.used, made.header = path, set(), list(columns)
         made.left_out = list(left_out)
-        made._numbers, made._cells, made._arrays = {}, [], columns
+        made._numbers, made._cells, made._arrays, made._plain = {}, [], columns, None
+        made._layout = {}
         made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
         return made
 
@@ -273,6 +293,9 @@ class Table:
                 line = self.lines[int(np.argmax(np.isinf(values)))]
                 raise ValueError(f"{self.path}, row {line}, column {name}: not a finite number")
             self._numbers[name] = values
+        if name not in self._numbers and self._plain is not None:
+            self.require(name)
+            self._numbers[name] = np.ascontiguousarray(self._plain[:, self.header.index(name)])
         if name not in self._numbers:
             cells = self.texts(name)
             try:
@@ -305,7 +328,10 @@ class Table:
     def is_number(self) -> dict[str, bool]:
         """Whether a column holds numbers, by name; one without any cell does not."""
         return {
-            name: self._is_array(name) or _all_numbers(self._column(name)) for name in self.header
+            name: self._plain is not None
+            or self._is_array(name)
+            or _all_numbers(self._column(name))
+            for name in self.header
         }
 
     def _is_array(self, name: str) -> bool:
@@ -315,6 +341,9 @@ class Table:
         if name in self._arrays:
             return [str(cell).strip() for cell in self._arrays[name].tolist()]
         at = self.header.index(name)
+        if self._plain is not None and not self._cells:  # as they are written: 007 is no 7
+            with open_table(self.path, "table", **self._layout) as (_, rows):
+                self._cells = [row for _, row in rows]
         return [row[at].strip() for row in self._cells]
 
     def seconds(self, column: str | None, factor: float | None, step: float | None) -> Array:
