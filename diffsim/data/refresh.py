@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.progress import say_stage
+
 Array = NDArray[np.float64]
 WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
 SHORTEST, LONGEST = 0.3, 2.5  # periods that are looked for, in usual steps between samples
@@ -119,6 +121,7 @@ def refresh_period(records: Iterable[tuple[Array, Array]]) -> float | None:
     Args:
         records: Times (num_samples,) [s] and readings (num_samples,) of each record.
     """
+    say_stage("clocks of sensors")
     whole = list(records)
     if any(len(times) > PART for times, _ in whole):
         found = _best_period([_most_moving(times, readings) for times, readings in whole])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from diffsim.core.progress import say_stage
 from diffsim.data.shared_rows import SHARED_BITS, STRETCH, Shared, bits_of, shared_stretches
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
@@ -79,6 +80,7 @@ def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
     found: dict[tuple[int, int], list[str]] = {}
     runs = study.runs
     for c, channel in enumerate(study.channels):
+        say_stage(f"comparing channel {channel.name} between uses")
         bits: dict[tuple[int, int], float] = {}
         for one in shared_stretches(
             [run.measured[:, [c]] for run in runs],
