@@ -17,6 +17,7 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
+from diffsim.data.record import record_findings
 from diffsim.data.runs_guess import GuessedQuantity, GuessedRun
 from diffsim.data.study_check import TODO
 from diffsim.data.study_file import load_study
@@ -84,6 +85,8 @@ def init(
         print(f"{out} was written, but must be mended", file=sys.stderr)
         raise
     print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
+    for found in record_findings(study):
+        print(f"record: {found.where}: {found}")
     print(f"still to be stated: the model, and {len(guess.todo)} more; see {TODO} in the file, or")
     print(f"    diffsim diagnose check {out}")
     return out

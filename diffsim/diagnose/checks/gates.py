@@ -193,6 +193,7 @@ CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
+LEAST_FREEDOM = 3  # samples beyond the numbers of a model, for a law to be one
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
 
@@ -333,6 +334,16 @@ def law_gate(steps: float) -> GateResult:
     """
     note = f"laws that nobody listed were not looked for, as half of {steps:,.0f} steps was spent"
     return GateResult(LAWS, False, 0.0, 0.0, note, applies=False)
+
+
+def few_samples_gate(freedom: int) -> GateResult:
+    """Laws that nobody listed were not looked for, as so few samples tell none.
+
+    Args:
+        freedom: Samples that were fitted, less the numbers of the plain model.
+    """
+    note = f"no law was looked for: {freedom} more samples than numbers of the model tell none"
+    return GateResult(LAWS, False, float(freedom), float(LEAST_FREEDOM), note, applies=False)
 
 
 def unsimulable_gate(error: Exception) -> GateResult:
