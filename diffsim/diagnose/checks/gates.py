@@ -258,7 +258,10 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
         first, second = pairs[0]
         note = f"run {second.name} goes on where run {first.name} ends: it tests little"
     scatter = "runs of one command" if repeats else "no repeated run: repeatability is not judged"
+    count = float(len(study.mended))
+    done = [GateResult("record", True, count, count, "; ".join(study.mended))] if count else []
     return (
+        *done,
         GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),
         GateResult("held_out", tests >= 1, tests, 1, seen_once, applies=tests > 0),
         GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0),
