@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from diffsim.cli.arguments import DIAGNOSES, FULL, QUICK, fact, names, positive
@@ -211,8 +212,7 @@ def command(args: argparse.Namespace) -> None:
         StudyError: the study has errors, printed above.
         ValueError: names that the setup does not have.
     """
-    if args.step == "init":
-        _refuse_early(args)
+    _refuse_early(args)
     from diffsim.cli.diagnose_steps import run_step
 
     run_step(args)
@@ -220,6 +220,15 @@ def command(args: argparse.Namespace) -> None:
 
 def _refuse_early(args: argparse.Namespace) -> None:
     """What needs no simulator to be refused: PyTorch takes seconds to load."""
-    from diffsim.cli.init_target import require_target
+    if args.step == "init":
+        from diffsim.cli.init_target import require_target
 
-    require_target(args.folder, args.out, force=args.force)
+        require_target(args.folder, args.out, force=args.force)
+    given = getattr(args, "study", None)
+    if given is not None and (os.sep in given or given.endswith((".yaml", ".yml"))):
+        path = Path(given)
+        file = path / "study.yaml" if path.is_dir() else path
+        if not file.is_file():
+            raise FileNotFoundError(
+                f"{file}: no such study; give study.yaml or the folder that has it"
+            )

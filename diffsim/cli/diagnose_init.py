@@ -20,6 +20,7 @@ from diffsim.core.schema_keys import Key, keys_of
 from diffsim.data.folder_rules import guess_study
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun
 from diffsim.data.joined_files import Kind
+from diffsim.data.record import record_findings
 from diffsim.data.study_check import TODO
 from diffsim.data.study_file import load_study
 from diffsim.systems.registry import DESCRIPTIONS
@@ -86,6 +87,8 @@ def init(
         print(f"{out} was written, but must be mended", file=sys.stderr)
         raise
     print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
+    for found in record_findings(study):
+        print(f"record: {found.where}: {found}")
     print(f"still to be stated: the model, and {len(guess.todo)} more; see {TODO} in the file, or")
     print(f"    diffsim diagnose check {out}")
     return out

@@ -16,6 +16,7 @@ from typing import Any
 from tqdm import tqdm
 
 PERIOD_S = 10.0  # between two lines, whichever bars they are of
+STAGE_S = 2.0  # between two lines of what has no bar
 
 
 class Pace:
@@ -163,12 +164,23 @@ class ProgressLines:
 
 
 _hidden = False
+_stages: Pace | None = None
 
 
 def hide_progress(hidden: bool) -> None:
     """Show no progress of this process from now on, or show it again: ``--quiet``."""
-    global _hidden
-    _hidden = hidden
+    global _hidden, _stages
+    _hidden, _stages = hidden, Pace(STAGE_S)
+    _stages.begin_anew()
+
+
+def say_stage(text: str) -> None:
+    """A line on standard error with what a command is at, one in ``STAGE_S``; else nothing.
+
+    Of a program that has not asked for progress (:func:`hide_progress`) nothing is said.
+    """
+    if not _hidden and _stages is not None and _stages.take_turn():
+        print(f"{text} ...", file=sys.stderr, flush=True)
 
 
 def show_progress(

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.progress import say_stage
+
 Array = NDArray[np.float64]
 WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
 SHORTEST, LONGEST = 0.3, 2.5  # periods that are looked for, in usual steps between samples
@@ -24,7 +26,7 @@ TINY = 1e-300  # keeps ratios of nothing finite
 MOST = 4  # records in which the period is looked for: those that move most
 CANDIDATES = 3  # beats whose sawteeth are tried
 PHASES = 24  # that are tried of a record
-PART = 1500  # samples of a record that are looked at first
+PART = 800  # samples of a record that are looked at first
 HINT = 0.5  # of what is asked for, from which on all samples are looked at
 EXPLAINED = 0.5  # share of the squared lags from which on a clock is one
 MISREAD = 3.0  # usual greatest steps: what lies further from its neighbors was misread
@@ -119,6 +121,7 @@ def refresh_period(records: Iterable[tuple[Array, Array]]) -> float | None:
     Args:
         records: Times (num_samples,) [s] and readings (num_samples,) of each record.
     """
+    say_stage("clocks of sensors")
     whole = list(records)
     if any(len(times) > PART for times, _ in whole):
         found = _best_period([_most_moving(times, readings) for times, readings in whole])
@@ -158,12 +161,13 @@ def _best_period(records: Iterable[tuple[Array, Array]]) -> tuple[float, float] 
     tried = [1.0 / r for r in rates if 1.0 / LONGEST < r * step < 1.0 / SHORTEST]
     if not tried:
         return None
-    rate = 1.0 / max(tried, key=lambda period: _explained(found, period))
+    first, period = max((_explained(found, period), period) for period in tried)
+    if first < HINT * EXPLAINED:
+        return period, first
+    rate = 1.0 / period
     ways = [1.0 / (rate + k * fine / 4.0) for k in range(-3, 4)]
-    shares = [_explained(found, period) for period in ways]
-    best = int(np.argmax(shares))
     # the coarse period decides whether there is a clock: refining only makes it exact
-    return ways[best], shares[3]
+    return max(ways, key=lambda period: _explained(found, period)), first
 
 
 def _spectrum(found: list[_Lags], step: float) -> tuple[Array, Array]:

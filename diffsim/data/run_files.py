@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.progress import say_stage
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns_beside import choose_columns, numeric_columns
 from diffsim.data.formula import names_in
@@ -129,6 +130,7 @@ class RunReader:
 
     def _table(self, path: Path, form: TableFormat = _WITH_HEADER) -> Table:
         if path not in self.tables:
+            say_stage(f"reading {path.name}")
             self.tables[path] = Table(path, "run", **dict(form))
             further = (s for s in self.tables[path].left_out if s not in self.left_out)
             self.left_out += further
@@ -210,6 +212,7 @@ class RunReader:
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
         samples = samples.with_facts(facts)
         raw: dict[str, tuple[str, Array]] = {}
+        say_stage(f"reading run {name}")
         channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
         if entry.missing_if is not None:

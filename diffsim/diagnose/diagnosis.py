@@ -14,10 +14,12 @@ from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
+    LEAST_FREEDOM,
     GateResult,
     budget_gates,
     cuts_gate,
     data_gate,
+    few_samples_gate,
     law_gate,
     repeatability_gate,
     unsimulable_gate,
@@ -112,7 +114,10 @@ def diagnose(
     found = None
     if laws is not None and answer.lacks_something:
         budget = _budget_of_laws(answer, begun)
-        if budget.steps == 0.0:
+        if answer.freedom < LEAST_FREEDOM:
+            gates = (*answer.frozen.gates, few_samples_gate(answer.freedom))
+            answer = replace(answer, frozen=replace(answer.frozen, gates=gates))
+        elif budget.steps == 0.0:
             answer = _without_laws(answer)
         else:
             fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
@@ -186,6 +191,12 @@ class _Answer:
         """What was searched."""
         assert self.found is not None
         return self.found
+
+    @property
+    def freedom(self) -> int:
+        """Samples that were fitted, less the numbers of the plain model."""
+        fit = self.search.null.fit
+        return fit.num_samples - len(fit.problem.names)
 
     @property
     def lacks_something(self) -> bool:

@@ -6,6 +6,8 @@ which rows and values, and which keys of study.yaml mend it.
 
 from __future__ import annotations
 
+from diffsim.core.memo import Memo
+from diffsim.core.progress import say_stage
 from diffsim.data.record.clocks import find_drift, find_gaps, find_unstamped
 from diffsim.data.record.columns import (
     find_copies,
@@ -77,23 +79,31 @@ _EXPLAINS = {
 """Rules that are silent on a channel or run of which another rule has spoken."""
 
 
-def record_findings(study: Study) -> list[Finding]:
+_KNOWN: Memo[tuple[Finding, ...]] = Memo(1)  # a command asks for the same study again
+
+
+def record_findings(study: Study) -> tuple[Finding, ...]:
     """All faults of a record, those that stop first.
 
     Args:
         study: Study as it was read, test runs too: of these only what is no physics is looked at.
     """
+    return _KNOWN(study, lambda: _find(study))
+
+
+def _find(study: Study) -> tuple[Finding, ...]:
     record = Record.of(study)
     out: list[Finding] = []
     silent: set[str] = set()
     for rule in RULES:
         if rule.name in silent:
             continue
+        say_stage(f"record: {rule.sees}")
         found = list(rule.find(record))
         out += found
         if found:
             silent |= set(_EXPLAINS.get(rule.name, ()))
-    return sorted(out, key=lambda finding: not finding.stops)
+    return tuple(sorted(out, key=lambda finding: not finding.stops))
 
 
 __all__ = ["RULES", "Finding", "RecordRule", "record_findings"]

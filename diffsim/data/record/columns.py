@@ -387,17 +387,24 @@ def _shift_at(of: Sequence[Samples]) -> int | None:
         if not 15 < k < len(loudest) - 15:
             continue
         sources: dict[int, int] = {}
-        for a, now in enumerate(of):
+        leaping = [a for a, now in enumerate(of) if _leaps(now, k)]
+        for a in leaping:
+            now = of[a]
             own = _distance(now, now, k)
-            if own < 6.0:
-                continue  # it goes on
             ways = [(_distance(now, before, k), b) for b, before in enumerate(of) if b != a]
             least, b = min(ways)
             if least < 4.0 and own > 5.0 * max(least, 0.3):
                 sources[a] = b
-        if len(sources) >= 2 and len(set(sources.values())) == len(sources):
+        if len(leaping) == len(sources) == len(set(sources.values())) >= 2:
             return k
     return None
+
+
+def _leaps(samples: Samples, k: int) -> bool:
+    """Whether a column leaps before a row, by far more than it moves on either side."""
+    before = np.abs(samples.changes[max(k - 12, 0) : k - 1])
+    after = np.abs(samples.changes[k : k + 11])
+    return bool(abs(samples.changes[k - 1]) > 4.0 * max(before.max(), after.max()))
 
 
 def _distance(now: Samples, before: Samples, k: int) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from diffsim.core.progress import say_stage
 from diffsim.data.shared_rows import SHARED_BITS, STRETCH, Shared, bits_of, shared_stretches
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
@@ -79,6 +80,7 @@ def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
     found: dict[tuple[int, int], list[str]] = {}
     runs = study.runs
     for c, channel in enumerate(study.channels):
+        say_stage(f"comparing channel {channel.name} between uses")
         bits: dict[tuple[int, int], float] = {}
         for one in shared_stretches(
             [run.measured[:, [c]] for run in runs],
@@ -191,6 +193,7 @@ CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
+LEAST_FREEDOM = 3  # samples beyond the numbers of a model, for a law to be one
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
 
@@ -255,7 +258,10 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
         first, second = pairs[0]
         note = f"run {second.name} goes on where run {first.name} ends: it tests little"
     scatter = "runs of one command" if repeats else "no repeated run: repeatability is not judged"
+    count = float(len(study.mended))
+    done = [GateResult("record", True, count, count, "; ".join(study.mended))] if count else []
     return (
+        *done,
         GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),
         GateResult("held_out", tests >= 1, tests, 1, seen_once, applies=tests > 0),
         GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0),
@@ -331,6 +337,16 @@ def law_gate(steps: float) -> GateResult:
     """
     note = f"laws that nobody listed were not looked for, as half of {steps:,.0f} steps was spent"
     return GateResult(LAWS, False, 0.0, 0.0, note, applies=False)
+
+
+def few_samples_gate(freedom: int) -> GateResult:
+    """Laws that nobody listed were not looked for, as so few samples tell none.
+
+    Args:
+        freedom: Samples that were fitted, less the numbers of the plain model.
+    """
+    note = f"no law was looked for: {freedom} more samples than numbers of the model tell none"
+    return GateResult(LAWS, False, float(freedom), float(LEAST_FREEDOM), note, applies=False)
 
 
 def unsimulable_gate(error: Exception) -> GateResult:
