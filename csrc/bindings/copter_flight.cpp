@@ -2,6 +2,7 @@
 #include <nanobind/stl/string.h>
 
 #include "bindings/bindings.h"
+#include "bindings/python_stop.h"
 #include "kernels/copter/flight.h"
 
 namespace diffsim {
@@ -80,9 +81,10 @@ void bind_copter_flight(nb::module_& m) {
       "flight_rollout",
       [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
          const FlightArrays& inputs, Address records, int num_threads) {
-        nb::gil_scoped_release release;
-        flight_rollout(num_rotors, batch, steps, options, inputs.inputs(), out(records),
-                       num_threads);
+        run_interruptibly([&](Stop& stop) {
+          flight_rollout(num_rotors, batch, steps, options, inputs.inputs(), out(records),
+                         num_threads, stop);
+        });
       },
       nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "records"_a,
       "num_threads"_a);
@@ -91,9 +93,10 @@ void bind_copter_flight(nb::module_& m) {
       [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
          const FlightArrays& inputs, Address records, Address grad_records,
          const FlightArrays& grads, int num_threads) {
-        nb::gil_scoped_release release;
-        flight_rollout_vjp(num_rotors, batch, steps, options, inputs.inputs(), in(records),
-                           in(grad_records), grads.grads(inputs), num_threads);
+        run_interruptibly([&](Stop& stop) {
+          flight_rollout_vjp(num_rotors, batch, steps, options, inputs.inputs(), in(records),
+                             in(grad_records), grads.grads(inputs), num_threads, stop);
+        });
       },
       nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "records"_a,
       "grad_records"_a, "grads"_a, "num_threads"_a);
@@ -102,9 +105,10 @@ void bind_copter_flight(nb::module_& m) {
       [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
          const FlightArrays& inputs, const FlightArrays& directions, Address rates,
          int num_threads) {
-        nb::gil_scoped_release release;
-        flight_rollout_tangent(num_rotors, batch, steps, options, inputs.inputs(),
-                               directions.inputs(), out(rates), num_threads);
+        run_interruptibly([&](Stop& stop) {
+          flight_rollout_tangent(num_rotors, batch, steps, options, inputs.inputs(),
+                                 directions.inputs(), out(rates), num_threads, stop);
+        });
       },
       nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "directions"_a,
       "rates"_a, "num_threads"_a);

@@ -1,5 +1,6 @@
 // Initial value problems given by tapes; diffsim/ode/_ops.py checks the arguments.
 #include "bindings/bindings.h"
+#include "bindings/python_stop.h"
 #include "kernels/ode/integrate.h"
 
 namespace diffsim {
@@ -67,9 +68,10 @@ void bind_ode(nb::module_& m) {
       "ode_integrate",
       [](const OdeAddresses& problem, Address start, Address inputs, Address parameters,
          Address readings, Address states, int num_threads) {
-        nb::gil_scoped_release release;
-        integrate(problem.problem(), in(start), in(inputs), in(parameters), out(readings),
-                  out(states), num_threads);
+        run_interruptibly([&](Stop& stop) {
+          integrate(problem.problem(), in(start), in(inputs), in(parameters), out(readings),
+                    out(states), num_threads, stop);
+        });
       },
       nb::arg("problem"), nb::arg("start"), nb::arg("inputs"), nb::arg("parameters"),
       nb::arg("readings"), nb::arg("states"), nb::arg("num_threads"));
@@ -78,10 +80,11 @@ void bind_ode(nb::module_& m) {
       [](const OdeAddresses& problem, Address inputs, Address parameters, Address states,
          Address grad_readings, Address grad_states, Address grad_start, Address grad_inputs,
          Address grad_parameters, int num_threads) {
-        nb::gil_scoped_release release;
-        integrate_vjp(problem.problem(), in(inputs), in(parameters), in(states), in(grad_readings),
-                      in(grad_states), out(grad_start), out(grad_inputs), out(grad_parameters),
-                      num_threads);
+        run_interruptibly([&](Stop& stop) {
+          integrate_vjp(problem.problem(), in(inputs), in(parameters), in(states),
+                        in(grad_readings), in(grad_states), out(grad_start), out(grad_inputs),
+                        out(grad_parameters), num_threads, stop);
+        });
       },
       nb::arg("problem"), nb::arg("inputs"), nb::arg("parameters"), nb::arg("states"),
       nb::arg("grad_readings"), nb::arg("grad_states"), nb::arg("grad_start"),
@@ -91,10 +94,11 @@ void bind_ode(nb::module_& m) {
       [](const OdeAddresses& problem, Address start, Address inputs, Address parameters,
          Address d_start, Address d_inputs, Address d_parameters, Address d_readings,
          Address d_states, int num_threads) {
-        nb::gil_scoped_release release;
-        integrate_tangent(problem.problem(), in(start), in(inputs), in(parameters), in(d_start),
-                          in(d_inputs), in(d_parameters), out(d_readings), out(d_states),
-                          num_threads);
+        run_interruptibly([&](Stop& stop) {
+          integrate_tangent(problem.problem(), in(start), in(inputs), in(parameters), in(d_start),
+                            in(d_inputs), in(d_parameters), out(d_readings), out(d_states),
+                            num_threads, stop);
+        });
       },
       nb::arg("problem"), nb::arg("start"), nb::arg("inputs"), nb::arg("parameters"),
       nb::arg("d_start"), nb::arg("d_inputs"), nb::arg("d_parameters"), nb::arg("d_readings"),

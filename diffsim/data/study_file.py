@@ -86,7 +86,10 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     root = _root(path, stated)
     given = [Path(run["file"]) for run in more_runs if "file" in run]
     reader = RunReader(stated, root, given)
-    runs = reader.runs()
+    try:
+        runs = reader.runs()
+    except MemoryError as error:
+        raise ValueError(f"{path}: its files need more memory than there is") from error
     if reader.problems:
         raise Mistakes(_prefix_path(path, reader.problems), MAX_LINES)
     return Study(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.core.threads import one_thread
+from diffsim.core.yaml_text import read_text
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
@@ -33,6 +35,7 @@ from diffsim.identify.numerics import Numerics
 
 Array = NDArray[np.float64]
 CORRELATED = 0.8
+EXTEND_FILE = "extend.json"  # beside the model that it writes
 SETTLED = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open
 
 
@@ -104,6 +107,7 @@ class Extension:
         gain: Gain on test runs; None without any.
         verdict: Verdict of the diagnosis that made the model.
         band: What bands of unseen runs are made from; None: nothing tells of them.
+        start: Values that the fit began at, by name.
     """
 
     study: Study
@@ -112,6 +116,7 @@ class Extension:
     gain: Gain | None
     verdict: str
     band: Band | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
 
     def model(self) -> ExtendedModel:
         """The extended model at the refitted values."""
@@ -125,8 +130,9 @@ class Extension:
             "chi2_extended": self.fit.chi2,
             "null": fit_to_dict(self.null),
             "extended": fit_to_dict(self.fit),
+            "start": self.start,
         }
-        write_json_atomic(folder / "extend.json", content)
+        write_json_atomic(folder / EXTEND_FILE, content)
         return save_model(
             self.fit,
             self.null,
@@ -149,11 +155,25 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     """
     effects = effects_of(saved, inputs.setup.effects)
     null = fit_null(inputs, saved.numerics)
-    refitted = refit(null, effects, inputs, saved.values)
+    start = _start_of(saved)
+    refitted = refit(null, effects, inputs, start)
     runs = inputs.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
     band = band_of(refitted, null.study.channels, null.noise.sd, null.study.select_runs)
-    return Extension(null.study, null.fit, refitted, gained, saved.verdict, band)
+    return Extension(null.study, null.fit, refitted, gained, saved.verdict, band, start)
+
+
+def _start_of(saved: SavedModel) -> Mapping[str, float]:
+    """Where a refit begins: at the values, or, of a model that ``extend`` wrote, where that began.
+
+    A fit that begins at its own end moves in the last digits; so twice is the same as once.
+    """
+    path = saved.path.parent / EXTEND_FILE
+    if path.is_file():
+        content = json.loads(read_text(path))
+        if content["extended"]["values"] == dict(saved.values) and content.get("start"):
+            return {str(name): float(value) for name, value in content["start"].items()}
+    return saved.values
 
 
 def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:

@@ -21,7 +21,7 @@ from diffsim.diagnose.judge.gain import held_out_residual
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.refit import extend, fit_null
 from diffsim.identify import DiagnosisSetup, Numerics, fit, save_extended
-from diffsim.identify.model_file import SavedModel, read_extended, rebuilt
+from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended, rebuilt
 from tests.diagnose import toy, toy_setup
 
 SETUP = str(Path(toy_setup.__file__))
@@ -41,6 +41,16 @@ def model_folder(study, tmp_path_factory):
     drag = SavedModel(out, {"drag": 0.2}, {}, (), ("drag",), "named")
     extend(inputs, drag).save(out)
     return out
+
+
+def test_extend_twice_is_extend_once(study, model_folder, tmp_path):
+    """Begun at its own end, a fit moved in the last digits."""
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    extend(inputs, read_extended(model_folder)).save(tmp_path)
+    assert (tmp_path / MODEL_FILE).read_bytes() == (model_folder / MODEL_FILE).read_bytes()
+    extend(inputs, read_extended(tmp_path)).save(tmp_path)
+    for name in (MODEL_FILE, "extend.json"):
+        assert (tmp_path / name).read_bytes() == (model_folder / name).read_bytes()
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,16 @@
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
+import torch
 
+from diffsim.copter import load_design
+from diffsim.copter.dynamics.flight import fly
+from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.core.interrupts import postponed_interrupts
+from diffsim.ode import Ode
 
 pytestmark = pytest.mark.serial  # interrupts processes
 
@@ -68,3 +74,41 @@ def test_it_is_heard_while_a_package_loads_that_swallows_exceptions(name):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
         assert done.returncode == expected, done.stderr
         assert ("interrupted" in done.stderr) != ("went on" in done.stdout)
+
+
+def solve():
+    ode = Ode(rates={"x": "v", "v": "-k*x"}, readings={"p": "x"}, inputs=[], parameters=["k"])
+    times = torch.tensor([0.0, 1e3], dtype=torch.float64)
+    start, k = torch.ones(2, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+    return lambda: ode.solve(times, start, times.new_empty(2, 0), k, num_steps=400_000_000)
+
+
+def gradient_of_solve():
+    ode = Ode(rates={"x": "-k*x"}, readings={"p": "x"}, inputs=[], parameters=["k"])
+    times = torch.linspace(0.0, 1.0, 50_001, dtype=torch.float64)
+    k = torch.ones(1, dtype=torch.float64, requires_grad=True)
+    start, inputs = times.new_ones(1), times.new_empty(len(times), 0)
+    return ode.solve(times, start, inputs, k, num_steps=100)[0].sum().backward
+
+
+def fly_long():
+    vehicle = load_design("quadcopter").multicopter()
+    commands = torch.full((1, 2, vehicle.num_rotors), 1.0, dtype=torch.float64)
+    start = FlightState.at_rest(torch.zeros(1, 3, dtype=torch.float64))
+    return lambda: fly(vehicle, start, commands, dt=1.0, substeps=50_000_000)
+
+
+@pytest.mark.parametrize("prepare", [solve, gradient_of_solve, fly_long])
+def test_ctrl_c_is_heard_within_a_long_kernel(prepare):
+    """A flight of 10^8 steps was interrupted when it had ended, after minutes."""
+    call = prepare()
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    began = time.monotonic()
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with pytest.raises(KeyboardInterrupt):
+            call()
+        assert time.monotonic() - began < 3.0
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

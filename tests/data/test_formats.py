@@ -481,3 +481,20 @@ def test_a_folder_of_json_logs_gives_a_first_study(tmp_path, capsys):
     assert [c.name for c in study.channels] == ["position"]
     assert {"goal_position"} == set(study.runs[0].command)
     assert [run.setup["mass"] for run in study.runs] == [0.5, 1.0, 1.5]
+
+
+def test_messages_in_blocks_are_the_columns_of_all(monkeypatch):
+    """Read at once, 400,000 messages of 62 numbers took more than 2.5 GB."""
+    from diffsim.data.formats import columns
+
+    messages = [{"q": k, "w": [0.5 * k, 1]} for k in range(7)]
+    messages += [{"q": k, "said": f"m{k}"} for k in range(7, 12)]
+    messages += [{"said": k, "late": {"x": 1.5}} for k in range(3)]
+    whole = columns.of_messages(messages)
+    assert whole["q"].dtype.kind == "f" and whole["said"].tolist()[6:8] == ["", "m7"]
+    monkeypatch.setattr(columns, "_BLOCK", 4)
+    parts = columns.of_messages(iter(messages))
+    assert list(parts) == list(whole)
+    for name, values in whole.items():
+        np.testing.assert_array_equal(parts[name], values)
+        assert parts[name].dtype.kind == values.dtype.kind

@@ -37,7 +37,7 @@ struct Kept {
 };
 
 void fly(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptions& options,
-         const FlightInputs& inputs, double* records) {
+         const FlightInputs& inputs, double* records, Stop& stop) {
   const int size = flight.record();
   const Kept kept(records, steps, size, options);
   const auto save = [&](std::int64_t step, const V* x) {
@@ -46,16 +46,16 @@ void fly(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptio
   Record x;
   load_row(inputs.start, crew, 0, size, x);
   save(0, x);
-  for (std::int64_t step = 0; step < steps; ++step) {
+  for (std::int64_t step = 0; step < steps && !stop.asked(); ++step) {
     flight.command(step, x);
-    for (int k = 0; k < options.substeps; ++k) flight.step(x);
+    for (int k = 0; k < options.substeps && !stop.asked(); ++k) flight.step(x);
     save(step + 1, x);
   }
 }
 
 /// Rates of the records along a direction in the inputs.
 void fly_along(Flying<MovingRows>& flight, const MovingRows& rows, std::int64_t steps,
-               const FlightOptions& options, double* rates) {
+               const FlightOptions& options, double* rates, Stop& stop) {
   const int size = flight.record();
   const Crew& crew = rows.crew;
   const Kept kept(rates, steps, size, options);
@@ -65,15 +65,16 @@ void fly_along(Flying<MovingRows>& flight, const MovingRows& rows, std::int64_t 
   Moving x[kBody + kMaxRotors];
   rows.load(&FlightInputs::start, 0, size, x);
   save(0, x);
-  for (std::int64_t step = 0; step < steps; ++step) {
+  for (std::int64_t step = 0; step < steps && !stop.asked(); ++step) {
     flight.command(step, x);
-    for (int k = 0; k < options.substeps; ++k) flight.step(x);
+    for (int k = 0; k < options.substeps && !stop.asked(); ++k) flight.step(x);
     save(step + 1, x);
   }
 }
 
 void fly_back(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptions& options,
-              const double* records, const double* grad_records, const FlightInputGrads& grads) {
+              const double* records, const double* grad_records, const FlightInputGrads& grads,
+              Stop& stop) {
   const int size = flight.record(), n = size - kBody;
   const FlightRows kept{records, (steps + 1) * size, size};
   const FlightRows cotangents{grad_records, (options.end_alone ? 1 : steps + 1) * size,
@@ -83,16 +84,16 @@ void fly_back(Flight& flight, const Crew& crew, std::int64_t steps, const Flight
   std::vector<V> path(static_cast<std::size_t>(options.substeps * size));
   Record grad_x, cotangent, x;
   load_row(cotangents, crew, steps, size, grad_x);
-  for (std::int64_t step = steps - 1; step >= 0; --step) {
+  for (std::int64_t step = steps - 1; step >= 0 && !stop.asked(); --step) {
     load_row(kept, crew, step, size, x);
     flight.command(step, x);
     V* at = path.data();
-    for (int k = 0; k < options.substeps; ++k, at += size) {
+    for (int k = 0; k < options.substeps && !stop.asked(); ++k, at += size) {
       for (int j = 0; j < size; ++j) at[j] = x[j];
       if (k + 1 < options.substeps) flight.step(x);
     }
     V grad_command[kMaxRotors] = {}, grad_wind[3] = {};
-    for (int k = options.substeps - 1; k >= 0; --k) {
+    for (int k = options.substeps - 1; k >= 0 && !stop.asked(); --k) {
       flight.step_vjp(path.data() + k * size, grad_x, grad_command, grad_wind, grad_P.data());
     }
     flight.command_vjp(step, path.data(), grad_command, grad_wind, grad_x, grad_P.data(),
@@ -126,33 +127,34 @@ void for_crews(std::int64_t batch, int num_threads, F&& f) {
 
 void flight_rollout(int num_rotors, std::int64_t batch, std::int64_t steps,
                     const FlightOptions& options, const FlightInputs& inputs, double* records,
-                    int num_threads) {
+                    int num_threads, Stop& stop) {
   const std::int64_t kept = options.end_alone ? 1 : steps + 1;
   on_huge_pages(records,
                 sizeof(double) * static_cast<std::size_t>(batch * kept * (kBody + num_rotors)));
   flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
     flight::Flight one(num_rotors, options, inputs, crew);
-    flight::fly(one, crew, steps, options, inputs, records);
+    flight::fly(one, crew, steps, options, inputs, records, stop);
   });
 }
 
 void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
                         const FlightOptions& options, const FlightInputs& inputs,
                         const double* records, const double* grad_records,
-                        const FlightInputGrads& grads, int num_threads) {
+                        const FlightInputGrads& grads, int num_threads, Stop& stop) {
   flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
     flight::Flight one(num_rotors, options, inputs, crew);
-    flight::fly_back(one, crew, steps, options, records, grad_records, grads);
+    flight::fly_back(one, crew, steps, options, records, grad_records, grads, stop);
   });
 }
 
 void flight_rollout_tangent(int num_rotors, std::int64_t batch, std::int64_t steps,
                             const FlightOptions& options, const FlightInputs& inputs,
-                            const FlightInputs& directions, double* rates, int num_threads) {
+                            const FlightInputs& directions, double* rates, int num_threads,
+                            Stop& stop) {
   flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
     const flight::MovingRows rows{inputs, directions, crew};
     flight::Flying<flight::MovingRows> one(num_rotors, options, rows);
-    flight::fly_along(one, rows, steps, options, rates);
+    flight::fly_along(one, rows, steps, options, rates, stop);
   });
 }
 

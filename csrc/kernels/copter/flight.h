@@ -9,6 +9,7 @@
 #include <cstdint>
 
 #include "kernels/copter/flight_layout.h"
+#include "kernels/stop.h"
 
 namespace diffsim {
 
@@ -56,7 +57,7 @@ struct FlightInputGrads {
 ///                     end_alone (batch, 1, kBody + num_rotors)
 void flight_rollout(int num_rotors, std::int64_t batch, std::int64_t steps,
                     const FlightOptions& options, const FlightInputs& inputs, double* records,
-                    int num_threads);
+                    int num_threads, Stop& stop);
 
 /// Adjoint of flight_rollout.
 /// @param[in] records      all of them, as checkpoints
@@ -64,13 +65,14 @@ void flight_rollout(int num_rotors, std::int64_t batch, std::int64_t steps,
 void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
                         const FlightOptions& options, const FlightInputs& inputs,
                         const double* records, const double* grad_records,
-                        const FlightInputGrads& grads, int num_threads);
+                        const FlightInputGrads& grads, int num_threads, Stop& stop);
 
 /// Records along one direction in the inputs.
 /// @param[in]  directions  of the same sizes, with strides of their own
 /// @param[out] rates       same shape as what flight_rollout writes
 void flight_rollout_tangent(int num_rotors, std::int64_t batch, std::int64_t steps,
                             const FlightOptions& options, const FlightInputs& inputs,
-                            const FlightInputs& directions, double* rates, int num_threads);
+                            const FlightInputs& directions, double* rates, int num_threads,
+                            Stop& stop);
 
 }  // namespace diffsim

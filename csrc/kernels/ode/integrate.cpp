@@ -17,8 +17,9 @@ template <int Lanes>
 class Sweep {
  public:
   Sweep(const OdeProblem& problem, std::int64_t first, const double* inputs,
-        const double* parameters)
+        const double* parameters, Stop& stop)
       : p_(problem),
+        stop_(stop),
         first_(first),
         inputs_(inputs),
         registers_(std::max(p_.rates.num_registers(), p_.readings.num_registers()) * Lanes),
@@ -45,7 +46,10 @@ class Sweep {
           readings[((first_ + l) * p_.num_samples + k) * p_.num_channels + c] =
               registers_[p_.reading_out[c] * Lanes + l];
       if (k + 1 == p_.num_samples) break;
-      for (std::int64_t j = 0; j < p_.num_steps; ++j) step(k, j, x.data());
+      for (std::int64_t j = 0; j < p_.num_steps; ++j) {
+        if (stop_.asked()) return;
+        step(k, j, x.data());
+      }
     }
   }
 
@@ -78,6 +82,7 @@ class Sweep {
       if (k + 1 == p_.num_samples) break;
       const double h = width(k), steps = static_cast<double>(p_.num_steps);
       for (std::int64_t j = 0; j < p_.num_steps; ++j) {
+        if (stop_.asked()) return;
         for (int r = 0; r < 4; ++r) {
           rate(k, j, r, stage(r, h, x.data()));
           for (std::int64_t i = 0; i < size; ++i)
@@ -109,11 +114,14 @@ class Sweep {
       if (k + 1 < p_.num_samples) {
         load(states, k, path.data());
         for (std::int64_t j = 0; j + 1 < p_.num_steps; ++j) {
+          if (stop_.asked()) return;
           std::copy_n(&path[j * n * Lanes], n * Lanes, &path[(j + 1) * n * Lanes]);
           step(k, j, &path[(j + 1) * n * Lanes]);
         }
-        for (std::int64_t j = p_.num_steps - 1; j >= 0; --j)
+        for (std::int64_t j = p_.num_steps - 1; j >= 0; --j) {
+          if (stop_.asked()) return;
           reverse_step(k, j, &path[j * n * Lanes], g.data());
+        }
       }
       load(states, k, path.data());
       read(k, path.data());
@@ -266,6 +274,7 @@ class Sweep {
   static constexpr double kWeight[4] = {1.0, 2.0, 2.0, 1.0};
 
   const OdeProblem& p_;
+  Stop& stop_;
   std::int64_t first_;
   const double* inputs_;
   double* grad_inputs_ = nullptr;
@@ -295,9 +304,10 @@ void each_group(std::int64_t batch, int num_threads, F&& f) {
 }  // namespace
 
 void integrate(const OdeProblem& problem, const double* start, const double* inputs,
-               const double* parameters, double* readings, double* states, int num_threads) {
+               const double* parameters, double* readings, double* states, int num_threads,
+               Stop& stop) {
   each_group(problem.batch, num_threads, [&](auto lanes, std::int64_t first) {
-    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters)
+    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters, stop)
         .forward(start, readings, states);
   });
 }
@@ -305,10 +315,10 @@ void integrate(const OdeProblem& problem, const double* start, const double* inp
 void integrate_vjp(const OdeProblem& problem, const double* inputs, const double* parameters,
                    const double* states, const double* grad_readings, const double* grad_states,
                    double* grad_start, double* grad_inputs, double* grad_parameters,
-                   int num_threads) {
+                   int num_threads, Stop& stop) {
   std::fill_n(grad_inputs, problem.batch * problem.num_samples * problem.num_inputs, 0.0);
   each_group(problem.batch, num_threads, [&](auto lanes, std::int64_t first) {
-    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters)
+    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters, stop)
         .backward(states, grad_readings, grad_states, grad_start, grad_inputs, grad_parameters);
   });
 }
@@ -316,9 +326,9 @@ void integrate_vjp(const OdeProblem& problem, const double* inputs, const double
 void integrate_tangent(const OdeProblem& problem, const double* start, const double* inputs,
                        const double* parameters, const double* d_start, const double* d_inputs,
                        const double* d_parameters, double* d_readings, double* d_states,
-                       int num_threads) {
+                       int num_threads, Stop& stop) {
   each_group(problem.batch, num_threads, [&](auto lanes, std::int64_t first) {
-    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters)
+    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters, stop)
         .tangent(start, d_start, d_inputs, d_parameters, d_readings, d_states);
   });
 }

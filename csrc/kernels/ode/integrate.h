@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "kernels/ode/tape.h"
+#include "kernels/stop.h"
 
 namespace diffsim {
 
@@ -34,7 +35,8 @@ struct OdeProblem {
 /// @param[out] readings   (batch, num_samples, num_channels)
 /// @param[out] states     (batch, num_samples, num_states)
 void integrate(const OdeProblem& problem, const double* start, const double* inputs,
-               const double* parameters, double* readings, double* states, int num_threads);
+               const double* parameters, double* readings, double* states, int num_threads,
+               Stop& stop);
 
 /// dL/d(start, inputs, parameters) from dL/d(readings, states).
 /// @param[in]  states          as `integrate` gave them
@@ -44,7 +46,7 @@ void integrate(const OdeProblem& problem, const double* start, const double* inp
 void integrate_vjp(const OdeProblem& problem, const double* inputs, const double* parameters,
                    const double* states, const double* grad_readings, const double* grad_states,
                    double* grad_start, double* grad_inputs, double* grad_parameters,
-                   int num_threads);
+                   int num_threads, Stop& stop);
 
 /// Readings and states along one direction of start, inputs and parameters.
 /// @param[in]  d_start, d_inputs, d_parameters  of the sizes of start, inputs and parameters
@@ -53,6 +55,6 @@ void integrate_vjp(const OdeProblem& problem, const double* inputs, const double
 void integrate_tangent(const OdeProblem& problem, const double* start, const double* inputs,
                        const double* parameters, const double* d_start, const double* d_inputs,
                        const double* d_parameters, double* d_readings, double* d_states,
-                       int num_threads);
+                       int num_threads, Stop& stop);
 
 }  // namespace diffsim

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import zlib
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from functools import lru_cache
 from pathlib import Path
@@ -95,7 +96,7 @@ def mcap_parts(path: Path) -> list[str]:
 
 def read_mcap(path: Path, part: str) -> Columns:
     """Columns of a topic: JSON messages, and ROS 2 ones where ``mcap-ros2-support`` is there."""
-    times, messages = [], []
+    times: list[float] = []
     with path.open("rb") as file:
         summary = _summary(file)
         start = summary.statistics.message_start_time
@@ -103,17 +104,22 @@ def read_mcap(path: Path, part: str) -> Columns:
         # without chunks the reader that seeks would check nothing
         kind = _mcap().SeekingReader if summary.chunk_indexes else _mcap().NonSeekingReader
         file.seek(0)
-        for schema, channel, message in kind(file, validate_crcs=True).iter_messages(topics=[part]):
-            times.append((message.log_time - start) / 1e9)
-            messages.append(_decode_message(schema, channel, message))
-            counts[channel.id] = counts.get(channel.id, 0) + 1
+
+        def messages() -> Iterator[Any]:
+            reader = kind(file, validate_crcs=True)
+            for schema, channel, message in reader.iter_messages(topics=[part]):
+                times.append((message.log_time - start) / 1e9)
+                counts[channel.id] = counts.get(channel.id, 0) + 1
+                yield _decode_message(schema, channel, message)
+
+        columns = of_messages(messages())
     stated = summary.statistics.channel_message_counts
     if any(stated.get(channel, 0) != count for channel, count in counts.items()):
         raise ValueError(
             f"{part} has {sum(counts.values())} messages, its summary says another number; "
             "`mcap recover` writes what can be read"
         )
-    return {TIME: np.array(times), **of_messages(messages)}
+    return {TIME: np.array(times), **columns}
 
 
 def _summary(file: BinaryIO) -> Any:
@@ -150,13 +156,17 @@ def rosbag_parts(path: Path) -> list[str]:
 
 def read_rosbag(path: Path, part: str) -> Columns:
     """Columns of a topic."""
-    times, messages = [], []
+    times: list[float] = []
     with _rosbag(path) as bag:
-        wanted = [c for c in bag.connections if c.topic == part]
-        for connection, stamp, raw in bag.messages(connections=wanted):
-            times.append((stamp - bag.start_time) / 1e9)
-            messages.append(_flatten_message(bag.deserialize(raw, connection.msgtype)))
-    return {TIME: np.array(times), **of_messages(messages)}
+
+        def messages() -> Iterator[Any]:
+            wanted = [c for c in bag.connections if c.topic == part]
+            for connection, stamp, raw in bag.messages(connections=wanted):
+                times.append((stamp - bag.start_time) / 1e9)
+                yield _flatten_message(bag.deserialize(raw, connection.msgtype))
+
+        columns = of_messages(messages())
+    return {TIME: np.array(times), **columns}
 
 
 def rosbag_left_out(path: Path, part: str) -> list[str]:
