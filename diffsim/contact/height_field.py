@@ -9,6 +9,7 @@ from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.core.check import require, require_constant
 from diffsim.core.layer import custom_op
+from diffsim.core.numbers import require_unmapped
 from diffsim.core.values import Vector, dot, scalar, vector
 
 # Catmull-Rom cubics of the four neighbors, by rising powers of t: interpolating, C1
@@ -60,6 +61,7 @@ class HeightField(Shape):
         self.origin = vector("origin", origin)
 
     def _solid(self, x: Tensor) -> Pair:
+        require_unmapped(x=x, heights=self.heights, origin=self.origin)
         p = x.reshape(-1, 3) - self.origin
         padded = _pad_by_extrapolation(self.heights)
         with torch.no_grad():

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
 from diffsim.core.check import require, require_range
+from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
 from diffsim.core.values import Number, Vector, friction_coefficient, scalar, vector
 
@@ -123,7 +124,7 @@ class Obstacle:
         if torch.compiler.is_compiling():  # moving by zero changes no bit
             return True
         both = (self.velocity, self.angular_velocity)
-        return any(w.requires_grad or bool(w.any()) for w in both)
+        return any(w.requires_grad or anywhere(w != 0) for w in both)
 
     def point_velocity(self, x: Tensor) -> Tensor:
         """Velocity of the obstacle's material at world points (..., 3) [m] -> (..., 3) [m/s]."""
@@ -195,11 +196,13 @@ def box(size: Vector, **options: Any) -> Obstacle:
 def _rotation(value: Vector) -> Tensor:
     if isinstance(value, Tensor) and value.shape == (3, 3):
         matrix = require("rotation", value, (3, 3))
-        off = float((matrix.detach() @ matrix.detach().T - torch.eye(3)).abs().max())
-        if off > 1e-6 or float(torch.linalg.det(matrix.detach())) < 0:
+        still = matrix.detach()
+        off = float(values_of(still @ still.T - torch.eye(3)).abs().max())
+        turned = float(values_of(torch.linalg.det(still)).min())
+        if off > 1e-6 or turned < 0:
             raise ValueError(
                 "rotation must be a rotation vector (3,) or a rotation matrix (3, 3); R R' differs "
-                f"from the identity by {off:.2g}, det R = {float(torch.linalg.det(matrix)):.3g}"
+                f"from the identity by {off:.2g}, det R = {turned:.3g}"
             )
         return matrix
     return matrix_from_rotation_vector(vector("rotation", value))

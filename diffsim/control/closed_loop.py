@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import all_finite, require, require_constant, require_count, require_number
+from diffsim.core.numbers import require_unmapped
 
 
 class Normalizer(nn.Module):
@@ -53,6 +54,7 @@ class Normalizer(nn.Module):
             + rows.var(0, unbiased=False) * new
             + away.square() * self.count * new / total
         )
+        require_unmapped(observations=observations)
         if not all_finite(squares):
             raise ValueError(
                 "observations must leave room for their squares in float64, got up to "

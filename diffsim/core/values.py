@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number, require_range
+from diffsim.core.numbers import values_of
 
 Number = float | Tensor
 Vector = Sequence[float] | Tensor
@@ -28,6 +29,15 @@ def scalar(name: str, value: Number, *, hint: str = "", **limits: float) -> Tens
     if isinstance(value, Tensor):
         return require_range(name, require(name, value, ()), hint=hint, **limits)
     return torch.tensor(require_number(name, value, hint=hint, **limits), dtype=torch.float64)
+
+
+def amounts(name: str, value: Number, *, hint: str = "", **limits: float) -> Tensor:
+    """Finite numbers within limits, one or a tensor of any shape, as a float64 tensor; gradients
+    are kept."""
+    given = require(name, as_array(name, value), ("...",))
+    if limits and not torch.compiler.is_compiling():
+        require_range(name, given, hint=hint, **limits)
+    return given
 
 
 def vector(name: str, value: Vector) -> Tensor:
@@ -84,7 +94,8 @@ def friction_coefficient(value: Number) -> Tensor:
         mu = torch.tensor(float(value), dtype=torch.float64)
     else:
         raise TypeError(f"friction must be a number, got {type(value).__name__}")
-    bad = mu.detach()[~(mu.detach() >= 0.0)]  # NaN is not
+    numbers = values_of(mu)
+    bad = numbers[~(numbers >= 0.0)]  # NaN is not
     if len(bad):
         raise ValueError(
             f"friction must lie in [0, inf], got {float(bad[0]):g}; "

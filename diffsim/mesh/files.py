@@ -18,6 +18,7 @@ from torch import Tensor
 from diffsim.core.check import require, require_number
 from diffsim.core.errors import MeshError
 from diffsim.core.files import replacing
+from diffsim.core.numbers import to_numpy
 from diffsim.core.values import as_array
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import VTK_FROM_HEX
@@ -184,14 +185,14 @@ def _write_volume(
     x: Tensor,
     data: dict[str, dict[str, np.ndarray]],
 ) -> None:
-    elements = mesh.elements.numpy()
+    elements = to_numpy("elements", mesh.elements)
     name = "tetra"
     if mesh.kind == "hex":
         elements, name = elements[:, VTK_FROM_HEX], "hexahedron"
     import meshio
 
     content = meshio.Mesh(
-        x.numpy(),
+        to_numpy("x", x),
         [(name, elements)],
         point_data=data["node_data"],
         cell_data={key: [value] for key, value in data["element_data"].items()},

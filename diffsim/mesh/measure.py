@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.layer import on_constants
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import (
@@ -105,6 +106,7 @@ class Quality:
         return "\n".join(lines)
 
 
+@on_constants()
 def quality(mesh: HexMesh | TetMesh) -> Quality:
     """Volumes, scaled Jacobians, aspect ratios and dihedral angles of a mesh."""
     volume = element_volumes(mesh).numpy()

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.layer import on_constants
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import (
@@ -42,6 +43,7 @@ class ShapeGradients:
     class_idx: Tensor
 
 
+@on_constants()
 def shape_gradients(mesh: HexMesh | TetMesh) -> ShapeGradients:
     """Shape-function gradients of a mesh at rest.
 
@@ -58,6 +60,7 @@ def shape_gradients(mesh: HexMesh | TetMesh) -> ShapeGradients:
     return _freeze(grad[:, None], weight[:, None], np.arange(mesh.num_elements, dtype=np.int64))
 
 
+@on_constants()
 def nodal_shares(mesh: HexMesh | TetMesh) -> Tensor:
     """Volume of each element lumped to its nodes: the integrals of its shape functions.
 
@@ -74,6 +77,7 @@ def nodal_shares(mesh: HexMesh | TetMesh) -> Tensor:
     return share[shape.class_idx]
 
 
+@on_constants()
 def nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
     """Volume lumped to the nodes, see :func:`nodal_shares`.
 

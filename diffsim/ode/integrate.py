@@ -17,10 +17,10 @@ from diffsim.core.check import (
     require_choice,
     require_constant,
     require_threads,
-    values_of,
 )
 from diffsim.core.errors import IntegrationError
 from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.numbers import values_of
 from diffsim.ode import _ops
 from diffsim.ode.tape import Tapes, make_tapes
 

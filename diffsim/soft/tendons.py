@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_constant, require_number
+from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle
@@ -74,12 +76,17 @@ class Tendon(Float64Module):
             raise ValueError(f"path must have at least two corners, got {corners.shape[0]}")
         if bool((corners.diff(dim=0).norm(dim=1) == 0).any()):
             raise ValueError("path must not repeat a corner: every segment needs a length")
+        self.slack = bool(slack)
+        with on_constants():
+            self._lay(mesh, values_of(corners))
+
+    def _lay(self, mesh: HexMesh | TetMesh, corners: Tensor) -> None:
+        """Find the pieces of the path, and what their stretch depends on."""
         found = route(mesh, corners.numpy())
         elements = torch.from_numpy(found.elements)
         length = torch.from_numpy(found.length)
         direction = torch.from_numpy(found.direction)
         self.rest_length = float(length.sum())
-        self.slack = bool(slack)
         self.muscle = Muscle(
             elements=elements,
             direction=direction,

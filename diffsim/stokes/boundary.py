@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice
+from diffsim.core.layer import on_constants
 from diffsim.stokes.grid import Grid
 
 WALLS = ("no_slip", "slip")
@@ -80,6 +81,7 @@ class Boundary:
         open_faces: Names of the open faces.
     """
 
+    @on_constants()
     def __init__(self, grid: Grid, conditions: Iterable[Inlet | Open | Wall] = ()):
         self.grid = grid
         self.fixed = torch.zeros(grid.num_nodes, grid.dim, dtype=torch.bool)

@@ -8,8 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import has_values, require, require_choice, require_number
+from diffsim.core.check import require, require_choice, require_number
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import has_values, require_unmapped, values_of
 from diffsim.core.record import Solve, warn
 from diffsim.stokes import _ops_flow
 from diffsim.stokes._ended import STATS, solve_of
@@ -185,7 +186,9 @@ class StokesFlow(Float64Module):
         Args:
             phi: Level set at the nodes, (*node_shape,) float64.
         """
-        phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
+        phi = require("phi", phi, self.grid.node_shape, torch.float64).reshape(-1)
+        require_unmapped(phi=phi)
+        phi = values_of(phi)
         with self._context.lock:
             report = self._context.system(phi, self.num_threads).report
         names = [name for name in dir(report) if not name.startswith("_") and name != "iterative"]

@@ -28,10 +28,10 @@ from diffsim.core.check import (
     require_count,
     require_number,
     require_threads,
-    values_of,
 )
 from diffsim.core.errors import DiffsimError
 from diffsim.core.module import loadable
+from diffsim.core.numbers import values_of
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -68,20 +68,20 @@ class MotorOutputs:
 
     def thrusts(self, pwm: Tensor, voltage: Tensor) -> Tensor:
         """Settled thrusts at pulse widths, (n_rotors,) [us] and a voltage () [V]."""
-        thrusts = torch.zeros_like(pwm)
-        for rotor, idx in self._groups:
-            thrusts[idx] = rotor.thrust(rotor.speed_at(pwm[idx], voltage))
-        return thrusts
+        return self._each(lambda rotor, idx: rotor.thrust(rotor.speed_at(pwm[idx], voltage)))
 
     def command(self, wanted: Tensor, voltage: Tensor) -> Outputs:
         """Pulse widths for wanted thrusts, (n_rotors,) [N], at a voltage () [V]."""
         limits = self.limits(voltage)
         thrusts = torch.minimum(wanted.clamp(min=0.0), limits)
-        pwm = torch.empty_like(wanted)
-        for rotor, idx in self._groups:
-            pwm[idx] = rotor.signal(thrusts[idx], voltage)
+        pwm = self._each(lambda rotor, idx: rotor.signal(thrusts[idx], voltage))
         pwm = pwm.clamp(max=self.pwm_max)
         return Outputs(pwm, torch.minimum(self.thrusts(pwm, voltage), limits), wanted >= limits)
+
+    def _each(self, of: Callable[[RotorModel, Tensor], Tensor]) -> Tensor:
+        """What each group of equal rotors gives, in the order of the rotors, (n_rotors,)."""
+        order = torch.cat([idx for _, idx in self._groups]).argsort()
+        return torch.cat([of(rotor, idx) for rotor, idx in self._groups])[order]
 
     def standing(self) -> Outputs:
         """All motors off."""

@@ -13,6 +13,8 @@ from torch import Tensor
 from diffsim.copter.vehicle.effects import BatterySag
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.check import require_count, require_number
+from diffsim.core.numbers import anywhere, values_of
+from diffsim.core.values import scalar
 
 # Resting voltage of a lithium-polymer cell against its charge: the table that hobby chargers and
 # battery alarms print, 0 to 100 % in steps of 5 %.
@@ -49,9 +51,9 @@ class Battery:
                 "open_circuit_coefficients must have shape (4,), got "
                 f"{tuple(self.open_circuit_coefficients.shape)}"
             )
-        require_number("capacity", float(self.capacity.detach()), above=0.0)
-        require_number("resistance", float(self.resistance.detach()), at_least=0.0)
-        require_number("nominal_voltage", float(self.nominal_voltage.detach()), above=0.0)
+        scalar("capacity", self.capacity, above=0.0, hint="unit is A s")
+        scalar("resistance", self.resistance, at_least=0.0, hint="unit is ohm")
+        scalar("nominal_voltage", self.nominal_voltage, above=0.0, hint="unit is V")
 
     @classmethod
     def lipo(cls, *, cells: int, capacity_mah: float, resistance: float = 0.012) -> Battery:
@@ -94,11 +96,11 @@ class Battery:
         """
         open_circuit = self.open_circuit(charge)
         inside = open_circuit**2 - 4.0 * self.resistance * power
-        if bool((inside < 0.0).any()):
-            limit = float((open_circuit**2 / (4.0 * self.resistance)).min())
+        if anywhere(inside < 0.0):
+            limit = float(values_of(open_circuit**2 / (4.0 * self.resistance)).min())
             raise ValueError(
-                f"power must not exceed E^2 / (4 R) = {limit:.0f} W of the battery, got "
-                f"{float(power.max()):.0f} W; lower it or take a battery of less resistance"
+                f"power must not exceed E^2 / (4 R) = {limit:.0f} W of the battery, got up to "
+                f"{float(values_of(power).max()):.0f} W; lower it or take one of less resistance"
             )
         return 2.0 * power / (open_circuit + torch.sqrt(inside))
 

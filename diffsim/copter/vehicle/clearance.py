@@ -8,6 +8,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.numbers import to_numpy
 
 _TOUCH = 1e-9  # distance, in radii, below which discs count as cutting each other
 _MAX_ITERS = 20000
@@ -36,7 +37,7 @@ def disc_clearances(copter: Multicopter) -> Tensor:
     between = torch.linalg.vector_norm(first[0] - second[0], dim=-1)
     if len(i) == 0:
         return between
-    discs = [tuple(t.detach().numpy() for t in disc) for disc in (first, second)]
+    discs = [tuple(to_numpy("copter", t) for t in disc) for disc in (first, second)]
     p, q = _closest_points(*discs[0], *discs[1])
     # The closest points, as material points of their discs, move with the design; that they also
     # slide does not change the distance to first order.

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from diffsim.core.numbers import anywhere
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 
@@ -57,7 +58,7 @@ def _integrals_and_area(field: FlowField, faces: Sequence[str], nodal: Tensor) -
         values = on_face(grid, nodal, face)
         ones = values.new_ones(1, *values.shape[1:])
         total = total + integral(field, face, torch.cat([values, ones]))
-    if not float(total[-1].detach()) > 0:
+    if anywhere(~(total[-1] > 0)):
         raise ValueError(f"no fluid at the outlets {list(faces)}: the design closes them")
     return total
 
@@ -84,7 +85,7 @@ def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None 
     """
     weight = torch.ones_like(field.phi) if region is None else region.to(field.phi.dtype)
     share = mean(field, faces, weight[None])
-    if not float(share.detach()) > 0:
+    if anywhere(~(share > 0)):
         raise ValueError(f"no fluid at an outlet on {list(faces)}: the design closes it")
     parts = [mean(field, faces, weight * field.velocity[..., a]) for a in range(field.grid.dim)]
     return torch.stack(parts, -1) / share[:, None]

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import Number, scalar
 
 LevelSet = Callable[[Tensor], Tensor]
@@ -69,7 +70,7 @@ class Shape(Float64Module):
         flat = require("points", points, ("...", "d" if self.dim is None else self.dim))
         flat = flat.reshape(-1, flat.shape[-1])
         phi = self.level(flat)
-        if not bool(torch.isfinite(phi.detach()).all()):
+        if anywhere(~torch.isfinite(phi)):
             raise ValueError(
                 f"{type(self).__name__} gives no finite phi at {_first_bad(flat, phi)}; "
                 "look for NaN in its parameters"
@@ -202,4 +203,6 @@ def outwards(fluid: str) -> float:
 
 
 def _first_bad(points: Tensor, phi: Tensor) -> tuple[float, ...]:
-    return tuple(points.detach()[~torch.isfinite(phi.detach())][0].tolist())
+    at, numbers = values_of(points), values_of(phi)
+    which = int(torch.nonzero(~torch.isfinite(numbers).flatten())[0, 0])
+    return tuple(at.reshape(-1, points.shape[-1])[which % len(points)].tolist())

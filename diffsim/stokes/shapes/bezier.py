@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_constants, require_range
+from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.bernstein import basis
@@ -73,6 +74,7 @@ class BezierCurve2d(Shape):
         num_curves = (num - (0 if closed else 1)) // self.degree
         start = self.degree * torch.arange(num_curves)[:, None]
         self._index = (start + torch.arange(self.degree + 1)) % num  # (num_curves, degree + 1)
+        require_unmapped(**self._shape())
         drawn = self.polyline().detach()
         self._side(self._chain())
         place = crossing(drawn)
@@ -101,11 +103,17 @@ class BezierCurve2d(Shape):
         require_constants(
             hint, points=points, control_points=self.control_points, weights=self.weights
         )
+        require_unmapped(points=points)
         rays = self._rays()
         rays = None if rays is None else rays.detach()
         return self._chain().closest(require("points", points, ("N", 2)).detach(), rays)[0]
 
+    def _shape(self) -> dict[str, Tensor]:
+        weights = {} if self.weights is None else {"weights": self.weights}
+        return {"control_points": self.control_points, **weights}
+
     def level(self, points: Tensor) -> Tensor:
+        require_unmapped(points=points, **self._shape())
         chain, rays = self._chain(), self._rays()
         tau, normal = chain.closest(points.detach(), None if rays is None else rays.detach())
         foot = self._on_curve(*chain.split(tau))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
+from diffsim.core.numbers import anywhere, require_unmapped
 from diffsim.stokes.shapes.base import LevelSet, Vector, as_shape, vector
 
 
@@ -46,7 +47,7 @@ def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
         ValueError: NaN; or no node in the fluid.
     """
     phi = as_shape("shape", shape)(nodes)
-    if phi.numel() and not bool((phi.detach() > 0).any()):
+    if phi.numel() and not anywhere(phi > 0):
         raise ValueError(
             "the grid is solid everywhere (phi < 0 is solid); check the fluid's side, or use "
             "Complement"
@@ -70,6 +71,7 @@ def interface(phi: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     d = nodes.shape[-1]
     nodes = require("nodes", nodes, ("...", d))
     phi = require("phi", phi, nodes.shape[:-1]).reshape(-1)
+    require_unmapped(phi=phi, nodes=nodes)
     simplices = _simplices(nodes.shape[:-1])
     pieces = _cut(phi.detach() >= 0, simplices)
     edges, which = torch.unique(pieces.reshape(-1, 2).sort(1).values, dim=0, return_inverse=True)
