@@ -13,6 +13,7 @@ from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.contact.shapes import Shape
 from diffsim.contact.sweep import first_entry, first_entry_in_graph
 from diffsim.core.check import require, require_number
+from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere
 from diffsim.core.values import dot
 
@@ -40,8 +41,9 @@ class ContactPlanes(NamedTuple):
     distance: Tensor
 
 
+@checked
 def detect(
-    obstacles: Sequence[Obstacle],
+    obstacles: Sequence[Obstacle] | Obstacle,
     x_start: Tensor,
     x_end: Tensor,
     dt: float,

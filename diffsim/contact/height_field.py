@@ -7,7 +7,7 @@ from torch import Tensor
 
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
-from diffsim.core.check import require, require_constant
+from diffsim.core.check import require, require_constant, require_range
 from diffsim.core.layer import custom_op
 from diffsim.core.numbers import require_unmapped
 from diffsim.core.values import Vector, dot, scalar, vector
@@ -51,6 +51,7 @@ class HeightField(Shape):
     ):
         super().__init__(inside_out)
         self.heights = require("heights", heights, ("nx", "ny"))
+        require_range("heights", self.heights, at_least=-1e100, at_most=1e100, hint="unit is m")
         if min(heights.shape) < 3:
             raise ValueError(f"heights must be at least 3 x 3, got {tuple(heights.shape)}")
         both = spacing if isinstance(spacing, (tuple, list)) else (spacing, spacing)

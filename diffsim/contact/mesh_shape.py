@@ -8,6 +8,7 @@ from torch import Tensor
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.contact.triangles import feature_distance
+from diffsim.core.checked import checked
 from diffsim.core.layer import custom_op
 from diffsim.core.numbers import to_numpy
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, to_trimesh
@@ -36,6 +37,7 @@ class MeshShape(Shape):
         self.distance = SurfaceDistance(surface)
         self._corners = torch.from_numpy(self.distance.x[self.distance.faces])
 
+    @checked(x=("N", 3))
     def nearest(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Closest face, its feature, side and pseudonormal of points (N, 3) [m]; no gradient."""
         near = self.distance.nearest(to_numpy("x", x))

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
-from diffsim.core.check import require, require_range
+from diffsim.core.check import require, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
 from diffsim.core.values import Number, Vector, friction_coefficient, scalar, vector
@@ -92,10 +93,12 @@ class Obstacle:
         phi, normal = self.shape.evaluate(self.to_local(require("x", x, ("...", 3))))
         return phi, normal @ self.rotation.T
 
+    @checked(x=("...", 3))
     def to_local(self, x: Tensor) -> Tensor:
         """World points (..., 3) [m] in the shape's frame."""
         return (x - self.position) @ self.rotation
 
+    @checked(y=("...", 3))
     def to_world(self, y: Tensor) -> Tensor:
         """Points of the shape's frame (..., 3) [m] in the world."""
         return y @ self.rotation.T + self.position
@@ -126,13 +129,16 @@ class Obstacle:
         both = (self.velocity, self.angular_velocity)
         return any(w.requires_grad or anywhere(w != 0) for w in both)
 
+    @checked(x=("...", 3))
     def point_velocity(self, x: Tensor) -> Tensor:
         """Velocity of the obstacle's material at world points (..., 3) [m] -> (..., 3) [m/s]."""
         w = self.angular_velocity.expand_as(x)
         return self.velocity + torch.linalg.cross(w, x - self.position)
 
+    @checked(x=("...", 3))
     def displacement(self, x: Tensor, dt: float) -> Tensor:
         """How far the obstacle's material now at x (..., 3) [m] moves in ``dt``, (..., 3) [m]."""
+        dt = require_number("dt", dt)
         turned = rotation_offset(self.angular_velocity * dt, x - self.position)
         return self.velocity * dt + turned
 
@@ -168,6 +174,7 @@ def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle
     return many
 
 
+@checked
 def floor(height: float | Tensor = 0.0, **options: Any) -> Obstacle:
     """Solid below z = height [m]; options as in :class:`Obstacle`."""
     return Obstacle(Plane((0.0, 0.0, 1.0), height), **options)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from diffsim.contact.handles import new_handle
 from diffsim.core.check import require, require_range
+from diffsim.core.checked import checked
 from diffsim.core.layer import may_be_differentiated, outside_of_graphs
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
@@ -52,6 +53,7 @@ class Shape:
         """Whether the solid is convex, so that phi is convex along every straight path."""
         return self._solid_is_convex and not self.inside_out
 
+    @checked(x=("...", 3))
     def distance_normal(self, x: Tensor) -> Pair:
         """Signed distance and outward unit normal.
 
@@ -64,6 +66,7 @@ class Shape:
         """
         return self.evaluate(require("x", x, ("...", 3)))
 
+    @checked(x=("...", 3))
     def __call__(self, x: Tensor) -> Tensor:
         """Signed distance alone, so that meshes and flows can be made of the shape, too.
 

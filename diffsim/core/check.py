@@ -174,6 +174,10 @@ def all_finite(value: Tensor) -> bool:
     return math.isfinite(float(value.sum())) or bool(torch.isfinite(value).all())
 
 
+LARGEST = 1e150
+"""Squares of larger numbers are none."""
+
+
 def require_number(
     name: str,
     value: float,

@@ -19,6 +19,7 @@ from diffsim.core.check import (
 from diffsim.core.errors import FactorizationError
 from diffsim.core.layer import on_constants
 from diffsim.core.numbers import values_of
+from diffsim.core.values import as_array
 from diffsim.linalg._ops_cholesky import SparseFactor
 
 if TYPE_CHECKING:
@@ -84,9 +85,8 @@ class SparseCholesky:
         self._check_values(csr)
         if coords is not None:
             require_constant("coords", coords, "they order unknowns")
-            coords = torch.as_tensor(coords)
-            coords = require("coords", coords, (self.shape[0] // block, 3), torch.float64)
-            coords = values_of(coords)
+            coords = as_array("coords", coords)
+            coords = values_of(require("coords", coords, (self.shape[0] // block, 3)))
         with on_constants():
             self._factor = SparseFactor(
                 torch.as_tensor(self._pattern.indptr),

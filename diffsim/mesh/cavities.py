@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
@@ -13,6 +14,7 @@ from diffsim.mesh.reference import IntArray
 from diffsim.mesh.surface import surface_triangles
 
 
+@checked
 @on_constants()
 def cavities(mesh: HexMesh | TetMesh) -> list[Tensor]:
     """Surfaces of the mesh's inner voids, the largest void first.

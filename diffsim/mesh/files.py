@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.files import replacing
 from diffsim.core.numbers import to_numpy
@@ -140,6 +141,7 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     return surface
 
 
+@checked
 def save(
     mesh: HexMesh | TetMesh,
     path: str | Path,

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.core.numbers import to_numpy
 from diffsim.mesh.core import HexMesh, TetMesh
@@ -32,6 +33,7 @@ class Surface:
     element_idx: Tensor
 
 
+@checked
 @on_constants()
 def surface_triangles(mesh: HexMesh | TetMesh) -> Surface:
     """Boundary triangles; a hexahedron's quad (a, b, c, d) gives (a, b, c) and (a, c, d)."""
@@ -42,6 +44,7 @@ def surface_triangles(mesh: HexMesh | TetMesh) -> Surface:
     return Surface(triangles, quads.element_idx.repeat_interleave(2))
 
 
+@checked
 @on_constants()
 def surface_quads(mesh: HexMesh) -> Surface:
     """Boundary quads of a hexahedral mesh."""
@@ -52,6 +55,7 @@ def surface_quads(mesh: HexMesh) -> Surface:
     return _boundary(mesh.hexes.numpy(), HEX_FACES)
 
 
+@checked
 @on_constants()
 def surface_vertices(mesh: HexMesh | TetMesh) -> Tensor:
     """Nodes on the boundary, ascending, (num_surface_vertices,) int64."""
@@ -59,6 +63,7 @@ def surface_vertices(mesh: HexMesh | TetMesh) -> Tensor:
     return torch.unique(faces.faces)
 
 
+@checked(x=("num_nodes", 3))
 def to_trimesh(mesh: HexMesh | TetMesh, x: Tensor | None = None) -> trimesh.Trimesh:
     """The boundary as a `trimesh.Trimesh` with its own numbering.
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_indices, require_number, require_tensor
+from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import amounts
@@ -88,6 +89,7 @@ class PressureChamber:
         """Whether the faces enclose the chamber without lids."""
         return not self.lids
 
+    @checked(x=("...", 3))
     def volume(self, x: Tensor) -> Tensor:
         """Volume of the chamber, lids included.
 

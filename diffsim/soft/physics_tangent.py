@@ -10,11 +10,13 @@ import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.numbers import require_unmapped
 from diffsim.soft.physics import Physics
 from diffsim.soft.solid import Solid
 
 
+@checked
 def physics_directions(
     body: Solid, values: Mapping[str, Tensor], directions: Mapping[str, Tensor]
 ) -> Physics:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_constant, require_number
+from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import values_of
@@ -106,10 +107,12 @@ class Tendon(Float64Module):
         self.register_buffer("_along", along, persistent=False)
         self.register_buffer("_share", weight / weight.sum(1, keepdim=True), persistent=False)
 
+    @checked
     def activation(self, length_command: Tensor | float) -> Tensor:
         """a = commanded length / rest length, any shape [-]. Gradient: length_command [m]."""
         return torch.as_tensor(length_command, dtype=torch.float64) / self.rest_length
 
+    @checked(x=("...", 3))
     def stretch(self, x: Tensor) -> Tensor:
         """s_e of each piece at x (..., num_nodes, 3) [m], (..., num_pieces). Gradient: x."""
         x = require("x", x, ("...", self._num_nodes, 3))
@@ -127,6 +130,7 @@ class Tendon(Float64Module):
         """
         return (self.stretch(x) * self.piece_length).sum(-1)
 
+    @checked
     def tension(
         self, x: Tensor, activation: Tensor | float, axial_stiffness: Tensor | None = None
     ) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, require_unmapped
 from diffsim.core.record import Solve
 from diffsim.stokes import _ops_cut
@@ -101,6 +102,7 @@ class FlowField:
         imbalance = constant.mass_report()["imbalance"]
         return dataclasses.replace(self, stats={**self.stats, "imbalance": imbalance})
 
+    @checked
     def sample(self, points: Tensor) -> Tensor:
         """Velocity at points, multilinear between the nodes.
 

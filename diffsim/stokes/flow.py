@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import has_values, require_unmapped, values_of
 from diffsim.core.record import Solve, warn
@@ -64,6 +65,7 @@ class StokesFlow(Float64Module):
         >>> field = flow(phi, inlet=torch.tensor([0.01, 0.0], dtype=torch.float64))
     """
 
+    @checked
     def __init__(
         self,
         grid: Grid,
@@ -110,6 +112,7 @@ class StokesFlow(Float64Module):
         )
         self.handle = self._context.handle
 
+    @checked
     def forward(
         self,
         phi: Tensor,
@@ -180,6 +183,7 @@ class StokesFlow(Float64Module):
         require_choice("name", name, self.boundary.inlets)
         return self.grid.nodes.reshape(-1, self.grid.dim)[self.boundary.inlets[name]]
 
+    @checked
     def report(self, phi: Tensor) -> dict[str, float | str]:
         """Solver, sizes and wall times [s] of a level set's prepared system, made if not kept.
 

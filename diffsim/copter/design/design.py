@@ -24,6 +24,7 @@ from diffsim.copter.vehicle.mass import rigid_body
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.parts import RotorMount
 from diffsim.core.check import require, require_choice, require_constant
+from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.core.numbers import to_numpy, values_of
 
@@ -148,6 +149,7 @@ class Design:
             self._require_feasible(values_of(self._free(s)))
         return self.all_values(s)
 
+    @checked
     def value(self, name: str, s: Tensor | None = None) -> float:
         """One parameter by name [m]."""
         values = to_numpy("s", self.all_values(s))

@@ -16,8 +16,10 @@ from torch import Tensor
 from diffsim.copter.dynamics._thrust_lp import max_scale
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.core.check import require, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.numbers import anywhere, require_unmapped, values_of
+from diffsim.core.values import as_array
 
 _RANK_DROP = 1e-9  # singular value, relative to the largest, that counts as zero
 
@@ -36,6 +38,7 @@ class Controllability(NamedTuple):
     condition: Tensor
 
 
+@checked(A=("n", "n"))
 def controllability(A: Tensor, B: Tensor) -> Controllability:
     """Rank and singular values of [B, A B, ..., A^(n-1) B] (thesis 3.4.1).
 
@@ -58,6 +61,7 @@ def controllability(A: Tensor, B: Tensor) -> Controllability:
     return Controllability(rank, values, condition)
 
 
+@checked
 def hover_map_singular_value(copter: Multicopter) -> Tensor:
     """Smallest singular value of thrusts to lift, roll, pitch and yaw, () [-].
 
@@ -73,6 +77,7 @@ def hover_map_singular_value(copter: Multicopter) -> Tensor:
     return values[-1] if copter.num_rotors >= 4 else 0.0 * values[-1]
 
 
+@checked
 def max_hover_weight(
     copter: Multicopter,
     *,
@@ -106,6 +111,7 @@ def max_hover_weight(
     return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
 
 
+@checked(load=())
 def control_authority(
     copter: Multicopter,
     *,
@@ -144,6 +150,7 @@ def control_authority(
     return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
 
 
+@checked(load=())
 def rotor_out_margins(copter: Multicopter, *, load: float | Tensor = 0.0) -> Tensor:
     """Largest weight that can be held without each rotor in turn, yaw free, over the weight.
 
@@ -169,6 +176,7 @@ def rotor_out_margins(copter: Multicopter, *, load: float | Tensor = 0.0) -> Ten
     return torch.stack(margins)
 
 
+@checked(A=("n", "n"))
 def response_time(A: Tensor, B: Tensor, K: Tensor, *, within: float = math.exp(-1.0)) -> Tensor:
     """Time in which the slowest mode of x' = (A - B K) x falls to a share of its start.
 
@@ -210,8 +218,6 @@ def _corners() -> Tensor:
 
 
 def _require_box(torque: Tensor | tuple[float, float, float]) -> Tensor:
-    if not isinstance(torque, Tensor):
-        torque = torch.tensor(torque, dtype=torch.float64)
-    box = require("torque", torque, (3,))
+    box = require("torque", as_array("torque", torque), (3,))
     require_unmapped(torque=box)
     return require_range("torque", box, at_least=0.0, hint="unit is N m")

@@ -16,6 +16,7 @@ from diffsim.core.check import (
     require_range,
     require_threads,
 )
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module, loadable
 from diffsim.core.numbers import values_of
 from diffsim.core.record import Solve
@@ -81,6 +82,7 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     return X.reshape(*batch, n, n)
 
 
+@checked
 def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> LqrGain:
     """The gain that minimizes the integral of x' Q x + u' R u along x' = A x + B u.
 
@@ -111,6 +113,7 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     return LqrGain(torch.linalg.solve(R, B.mT @ P), P)
 
 
+@checked
 def lqr_stats(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> LqrStats:
     """What the solver reports on the Riccati equation of ``lqr``; tracked arguments are refused."""
     require_constants("reports have no gradient", A=A, B=B, Q=Q, R=R)

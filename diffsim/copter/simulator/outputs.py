@@ -19,6 +19,7 @@ from diffsim.copter.vehicle.rotor import (
     rotor_names,
 )
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 SAFE_PWM = 1800.0  # the thesis's clamp, Fig. 3-9 [us]
 
@@ -46,6 +47,7 @@ class MotorOutputs:
         pwm_max: No pulse is longer [us].
     """
 
+    @checked
     def __init__(
         self, rotors: Sequence[RotorModel], max_thrusts: Tensor, *, pwm_max: float = SAFE_PWM
     ):
@@ -61,15 +63,18 @@ class MotorOutputs:
             for name in dict.fromkeys(names)
         ]
 
+    @checked(voltage=())
     def limits(self, voltage: Tensor) -> Tensor:
         """Largest thrusts at a battery voltage () [V], (n_rotors,) [N]."""
         pwm = torch.full_like(self.max_thrusts, self.pwm_max)
         return torch.minimum(self.thrusts(pwm, voltage), self.max_thrusts)
 
+    @checked(pwm=("n_rotors",), voltage=())
     def thrusts(self, pwm: Tensor, voltage: Tensor) -> Tensor:
         """Settled thrusts at pulse widths, (n_rotors,) [us] and a voltage () [V]."""
         return self._each(lambda rotor, idx: rotor.thrust(rotor.speed_at(pwm[idx], voltage)))
 
+    @checked(wanted=("n_rotors",), voltage=())
     def command(self, wanted: Tensor, voltage: Tensor) -> Outputs:
         """Pulse widths for wanted thrusts, (n_rotors,) [N], at a voltage () [V]."""
         limits = self.limits(voltage)
@@ -88,6 +93,7 @@ class MotorOutputs:
         none = torch.zeros_like(self.max_thrusts)
         return Outputs(torch.full_like(none, SIGNAL_LOW), none, none > 0.0)
 
+    @checked(thrusts=("...", "n_rotors"))
     def power(self, thrusts: Tensor) -> Tensor:
         """Electrical power of all motors (...) [W] at thrusts (..., n_rotors) [N]."""
         power = thrusts.new_zeros(thrusts.shape[:-1])
@@ -96,6 +102,7 @@ class MotorOutputs:
         return power
 
 
+@checked
 def flight_rotors(vehicle: Multicopter) -> tuple[RotorModel, ...]:
     """One bench model per rotor; those of sizes never measured are scaled, and say so.
 

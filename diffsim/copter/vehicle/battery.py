@@ -13,6 +13,7 @@ from torch import Tensor
 from diffsim.copter.vehicle.effects import BatterySag
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.check import require_count, require_number
+from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import scalar
 
@@ -27,6 +28,7 @@ LIPO_NOMINAL = 3.7  # [V] per cell
 USUAL_SAG_EXPONENT = 1.77
 
 
+@checked(open_circuit_coefficients=(4,))
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Battery:
     """A battery pack: voltage = open_circuit(charge) - resistance current.
@@ -79,15 +81,18 @@ class Battery:
             nominal_voltage=_tensor(cells * LIPO_NOMINAL),
         )
 
+    @checked
     def open_circuit(self, charge: Tensor) -> Tensor:
         """Voltage without load [V] at a charge, 0 to 1, any shape."""
         c = self.open_circuit_coefficients
         return c[0] + charge * (c[1] + charge * (c[2] + charge * c[3]))
 
+    @checked
     def voltage(self, charge: Tensor, current: Tensor) -> Tensor:
         """Voltage [V] at a charge, 0 to 1, and a current [A]."""
         return self.open_circuit(charge) - self.resistance * current
 
+    @checked
     def current_for_power(self, charge: Tensor, power: Tensor) -> Tensor:
         """Current [A] that delivers a power [W]: the smaller root of (E - R I) I = P.
 
@@ -104,6 +109,7 @@ class Battery:
             )
         return 2.0 * power / (open_circuit + torch.sqrt(inside))
 
+    @checked(power=())
     def endurance(self, power: Tensor, *, reserve: float = 0.05, num_points: int = 200) -> Tensor:
         """Time [s] at a constant power until the charge has fallen from 1 to ``reserve``.
 

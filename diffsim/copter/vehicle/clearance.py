@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.numbers import to_numpy
 
@@ -14,6 +15,7 @@ _TOUCH = 1e-9  # distance, in radii, below which discs count as cutting each oth
 _MAX_ITERS = 20000
 
 
+@checked
 def disc_clearances(copter: Multicopter) -> Tensor:
     """Shortest distance between the discs of every two propellers.
 
@@ -49,6 +51,7 @@ def disc_clearances(copter: Multicopter) -> Tensor:
     return torch.where(apart, distance, between - first[2] - second[2])
 
 
+@checked
 def min_clearance(copter: Multicopter) -> Tensor:
     """The smallest of ``disc_clearances``, () [m]; infinite for one propeller."""
     clearances = disc_clearances(copter)

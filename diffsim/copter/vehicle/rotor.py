@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.copter._shipped import read_shipped, shipped
 from diffsim.copter.vehicle.effects import MotorLag, ThrustCurve
+from diffsim.core.checked import checked
 from diffsim.core.values import amounts, scalar
 from diffsim.core.yaml_text import load_yaml
 
@@ -89,7 +90,7 @@ class RotorModel:
 
     def thrust(self, speed: Number) -> Tensor:
         """Thrust [N] at a speed [rad/s], any shape; zero at standstill."""
-        speed = amounts("speed", speed)
+        speed = amounts("speed", speed, at_most=1e100, hint="unit is rad/s")
         thrust = self.thrust_coefficient * speed**self.thrust_exponent + self.thrust_offset
         return torch.where(speed > 0.0, thrust.clamp(min=0.0), 0.0)
 
@@ -114,6 +115,7 @@ class RotorModel:
         """Electrical power [W] at a thrust [N]."""
         return self.nominal_voltage * self.current(thrust)
 
+    @checked
     def current(self, thrust: Number, voltage: Number | None = None) -> Tensor:
         """Current [A] at a thrust [N]; at another voltage [V] the power stays the same."""
         thrust = amounts("thrust", thrust)
@@ -124,6 +126,7 @@ class RotorModel:
             return current
         return current * self.nominal_voltage / self._voltage(voltage)
 
+    @checked
     def speed_at(self, signal: Number, voltage: Number | None = None) -> Tensor:
         """Speed [rad/s] at a pulse width [us] and battery voltage [V], nominal by default."""
         voltage = self._voltage(voltage)
@@ -133,6 +136,7 @@ class RotorModel:
         speed = self.speed_coefficient * torch.where(turning, passed, 1.0) ** self.speed_exponent
         return torch.where(turning, speed, 0.0)
 
+    @checked
     def signal(self, thrust: Number, voltage: Number | None = None) -> Tensor:
         """Pulse width [us] for a thrust [N], 1000 to 2000: what is beyond is out of reach."""
         voltage = self._voltage(voltage)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
@@ -40,6 +41,7 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     return dataclasses.replace(field, velocity=carrier).flux(axis, -side)
 
 
+@checked
 def area(field: FlowField, faces: Sequence[str]) -> Tensor:
     """Fluid area of faces, scalar [m^(dim-1)]; refuses closed ones."""
     return _integrals_and_area(field, faces, field.phi.new_zeros(0, *field.grid.node_shape))[-1]
@@ -74,6 +76,7 @@ def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -
     return mean(field, faces, ((field.velocity - target) ** 2).sum(-1)).mean()
 
 
+@checked
 def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None = None) -> Tensor:
     """Average velocity over the fluid part of faces, (cases, dim) [m/s].
 

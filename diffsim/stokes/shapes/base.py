@@ -17,7 +17,8 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.check import LARGEST, require, require_choice, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import Number, scalar
@@ -55,6 +56,7 @@ class Shape(Float64Module):
 
     dim: int | None = None
 
+    @checked
     def forward(self, points: Tensor) -> Tensor:
         """Level set at points.
 
@@ -190,11 +192,11 @@ def vector(name: str, value: Vector, dims: tuple[int, ...]) -> Tensor:
         try:
             numbers = [require_number(name, float(number)) for number in value]
             v = torch.tensor(numbers, dtype=torch.float64)
-        except TypeError:
+        except (TypeError, ValueError):
             v = torch.empty(0, dtype=torch.float64)
     if len(v) not in dims:
         raise ValueError(f"{name} must be {' or '.join(map(str, dims))} numbers, got {value!r}")
-    return v
+    return require_range(name, v, at_least=-LARGEST, at_most=LARGEST)
 
 
 def outwards(fluid: str) -> float:

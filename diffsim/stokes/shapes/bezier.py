@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_constants, require_range
+from diffsim.core.checked import checked
 from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
@@ -75,6 +76,7 @@ class BezierCurve2d(Shape):
         start = self.degree * torch.arange(num_curves)[:, None]
         self._index = (start + torch.arange(self.degree + 1)) % num  # (num_curves, degree + 1)
         require_unmapped(**self._shape())
+        require_range("control_points", control_points, at_least=-1e100, at_most=1e100)
         drawn = self.polyline().detach()
         self._side(self._chain())
         place = crossing(drawn)
@@ -85,6 +87,7 @@ class BezierCurve2d(Shape):
                 stacklevel=2,
             )
 
+    @checked(tau=("N",))
     def point(self, tau: Tensor) -> Tensor:
         """Points (N, 2) of the curve; tau (N,) in [0, num_curves]. Gradients: shape."""
         curve, t = self._chain().split(tau)
@@ -97,6 +100,7 @@ class BezierCurve2d(Shape):
         curve = (tau.long()).clamp(max=len(self._index) - 1)
         return self._on_curve(curve, tau - curve)
 
+    @checked
     def closest(self, points: Tensor) -> Tensor:
         """Parameters tau (N,) of the closest points; beyond the ends -s and num_curves + s [m]."""
         hint = "the distance has a gradient, its foot has none; or call it under torch.no_grad()"

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceWarning
 from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
@@ -98,12 +99,14 @@ class NurbsSurface(Shape):
             raise ValueError(f"samples must be at least 2 per span, got {samples}")
         self.samples = samples
         require_unmapped(**self._shape())
+        require_range("control_points", control_points, at_least=-1e100, at_most=1e100)
         self._side(self._patch())
 
     def _shape(self) -> dict[str, Tensor]:
         weights = {} if self.weights is None else {"weights": self.weights}
         return {"control_points": self.control_points, **weights}
 
+    @checked(uv=("N", 2))
     def point(self, uv: Tensor) -> Tensor:
         """Points (N, 3) of the surface, uv (N, 2) in [0, 1]; gradients: shape."""
         h = self._homogeneous()

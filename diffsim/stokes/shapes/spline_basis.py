@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere
 
 
@@ -31,6 +32,7 @@ class SplineBasis:
         kinks: Parameters at which the derivative may jump (knots repeated ``degree`` times).
     """
 
+    @checked
     def __init__(
         self,
         num: int,
@@ -63,6 +65,7 @@ class SplineBasis:
         active = torch.tensor(spans)[:, None] - degree + torch.arange(degree + 1)
         self.active = active % num
 
+    @checked(u=("N",))
     def __call__(self, u: Tensor, order: int = 2) -> Tensor:
         """Values and derivatives up to an order <= 2, (order + 1, N, num), at u (N,)."""
         inside = torch.remainder(u, 1.0) if self.periodic else u.clamp(0.0, 1.0)
