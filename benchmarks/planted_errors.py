@@ -11,6 +11,7 @@ in the plan. A suite that became shorter should catch as many as before::
     python -m benchmarks.planted_errors --only svd-gap-sign --fresh
     python -m benchmarks.planted_errors --against v0.1        # the same errors in another commit
     python -m benchmarks.planted_errors --table               # of what docs/planted_errors holds
+    python -m benchmarks.planted_errors --draw 7 --num 60     # errors nobody chose, from a seed
 
 What is done is kept until the error, the file it is planted in, or a test of its selection
 changes; what a change elsewhere does is seen with ``--fresh``. Errors in ``csrc`` need nanobind and
@@ -55,6 +56,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from benchmarks import drawn_errors
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from labs.machine import machine
@@ -584,6 +586,24 @@ def commit_of(reference: str | None) -> str:
     return done.stdout.strip()
 
 
+def drawn_plan(args: argparse.Namespace) -> tuple[Planted, ...]:
+    """Errors drawn from ``--draw``, whose record is a file of its own."""
+    drawn = drawn_errors.draw(args.draw, args.num, args.nearest)
+    args.out = args.out.with_name(f"drawn_errors_{args.draw}.json")
+    return tuple(Planted(**error._asdict()) for error in drawn)
+
+
+def share_caught(record: Record, harmless: Mapping[str, str]) -> str:
+    """Which share of drawn errors was caught, without those that change no answer."""
+    tried = {n: r for n, r in record.errors.items() if r["state"] in (CAUGHT, MISSED)}
+    counted = [r["state"] for n, r in tried.items() if n not in harmless]
+    share = 100.0 * counted.count(CAUGHT) / max(len(counted), 1)
+    return (
+        f"caught {counted.count(CAUGHT)} of {len(counted)} ({share:.0f} %); "
+        f"{len(tried) - len(counted)} change no answer ({drawn_errors.HARMLESS.name})"
+    )
+
+
 def main(given: Sequence[str] | None = None) -> int:
     """Run the plan, or show a table of what was run; 1 if the plan has errors of its own."""
     parser = argparse.ArgumentParser(
@@ -593,6 +613,11 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="errors at a time (default: 1)")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="of one run of tests [s]")
     parser.add_argument("--against", metavar="REF", help="plant them in the tree of a commit")
+    parser.add_argument("--draw", type=int, metavar="SEED", help="errors drawn over all files")
+    parser.add_argument("--num", type=int, default=60, help="number of drawn ones (default: 60)")
+    parser.add_argument(
+        "--nearest", type=int, metavar="N", help="of drawn ones: only the N nearest test files"
+    )
     parser.add_argument("--fresh", action="store_true", help="run again what is kept")
     parser.add_argument("--out", type=Path, default=Path("runs/planted_errors.json"))
     parser.add_argument(
@@ -607,7 +632,7 @@ def main(given: Sequence[str] | None = None) -> int:
         print(table(read_records(args.table or sorted(KEPT.glob("*.json")))))
         return 0
     try:
-        plan = read_plan()
+        plan = read_plan() if args.draw is None else drawn_plan(args)
         if args.only:
             known = {e.name for e in plan} | {e.room for e in plan}
             if unknown := set(args.only) - known:
@@ -624,6 +649,8 @@ def main(given: Sequence[str] | None = None) -> int:
         return 1
     record.save()
     print(f"\n{table({args.out.stem: {'errors': record.errors}})}\n\nwritten to {args.out}")
+    if args.draw is not None:
+        print(share_caught(record, drawn_errors.read_harmless()))
     return int(any(record.errors[e.name]["state"] == UNFIT for e in plan))
 
 

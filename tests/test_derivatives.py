@@ -6,6 +6,7 @@ has an example in ``tests.derivatives``.
 
 from __future__ import annotations
 
+import gc
 import re
 
 import pytest
@@ -13,6 +14,7 @@ import torch
 
 pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
 
+from diffsim import copter, mesh, soft, stokes
 from tests.derivatives import models  # noqa: F401 fills the tables
 from tests.derivatives.check import check
 from tests.derivatives.examples import ABSTRACT, CALL, FACTORIES, LATER, LOOK, MAKE, USE
@@ -34,7 +36,7 @@ def example_of(public: Public):
 
     def called(given):
         if kind is None:
-            out = public.function(**given["call"])
+            out = FACTORIES.get(names[0], public.function)(**given["call"])
             return LOOK[names[0]](out) if names[0] in LOOK else out
         made = FACTORIES.get(kind, kind)
         return getattr(made(**given["make"]) if of_kind else made, method)(**given["call"])
@@ -84,3 +86,27 @@ def test_what_has_an_example_is_public():
 def test_what_is_silent_is_found(function, words):
     with pytest.raises((AssertionError, RuntimeError), match=words):
         check(function, {"x": torch.tensor([1.5, 0.5], dtype=torch.float64)})
+
+
+def test_what_is_made_within_torch_func_serves_outside():
+    """A mesh, a design's matrices, a kernel's masks: made within, kept, and free of wrappers."""
+    design, kept = copter.load_design("x_quadcopter"), []
+
+    def inside(p):
+        bar = mesh.hex_box((2, 1, 1))
+        grid = stokes.Grid((2, 2), 0.5)
+        kept.extend(
+            [
+                bar,
+                soft.Tendon(bar, [[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]], axial_stiffness=1.0),
+                soft.PressureChamber(mesh.surface_triangles(bar).faces),
+                stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")]),
+            ]
+        )
+        return design.multicopter(p).mass
+
+    torch.func.grad(inside)(design.values)
+    gc.collect()
+    is_wrapped = torch._C._functorch.is_functorch_wrapped_tensor
+    assert not [o for o in gc.get_objects() if type(o) is torch.Tensor and is_wrapped(o)]
+    assert kept[1].length(kept[0].x_rest) == pytest.approx(0.8)

@@ -9,7 +9,9 @@ from torch import Tensor
 
 from diffsim.contact.triangles import feature_distance
 from diffsim.core.check import require
+from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import require_unmapped, to_numpy
 from diffsim.core.values import Number, dot, scalar
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, surface_triangles
 
@@ -76,6 +78,7 @@ class BodyContact(Float64Module):
         v_a = require("v_a", v_a, tuple(x_a.shape))
         x_b = require("x_b", x_b, (*x_a.shape[:-2], self._b.num_nodes, 3))
         v_b = require("v_b", v_b, tuple(x_b.shape))
+        require_unmapped(x_a=x_a, x_b=x_b)
         if x_a.ndim == 2:
             return self._pair(x_a, v_a, x_b, v_b)
         flat = [t.reshape(-1, *t.shape[-2:]) for t in (x_a, v_a, x_b, v_b)]
@@ -125,6 +128,7 @@ class BodyContact(Float64Module):
 class _Skin:
     """Surface of one body: triangles, nodes, and each node's share of the rest area."""
 
+    @on_constants()
     def __init__(self, name: str, mesh: _Mesh):
         if not isinstance(mesh, (HexMesh, TetMesh)):
             raise TypeError(f"{name} must be a HexMesh or TetMesh, got {type(mesh).__name__}")
@@ -152,8 +156,8 @@ class _Skin:
         rows = torch.nonzero(((p >= box[0]) & (p <= box[1])).all(1)).flatten()
         if not len(rows):
             return None
-        surface = SurfaceDistance.of_triangles(y[self.vertices].numpy(), self._local_faces)
-        near = surface.nearest(p[rows].numpy())
+        surface = SurfaceDistance.of_triangles(to_numpy("x", y[self.vertices]), self._local_faces)
+        near = surface.nearest(to_numpy("x", p[rows]))
         inside = torch.from_numpy(near.sign < 0)
         if not bool(inside.any()):
             return None

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.core.check import require, require_number
+from diffsim.core.numbers import values_of
 from diffsim.mesh import HexMesh, TetMesh, surface_vertices
 
 
@@ -41,10 +42,10 @@ def check_clear(
     points = torch.cat([x[interior], x[mesh.elements].mean(1)])
     for k, obstacle in enumerate(many):
         phi, _ = obstacle.distance_normal(points)
-        inside = int((phi < -tolerance).sum())
+        inside = int(values_of(phi < -tolerance).sum())
         if inside:
             raise ValueError(
                 f"obstacle {obstacle.label(k)} starts inside the body: {inside} of {len(points)} "
                 "interior nodes and element centroids lie in it, the deepest "
-                f"{-float(phi.min()):.3g} m; move one of them away before starting"
+                f"{-float(values_of(phi).min()):.3g} m; move one of them away before starting"
             )

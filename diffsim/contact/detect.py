@@ -13,6 +13,8 @@ from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.contact.shapes import Shape
 from diffsim.contact.sweep import first_entry, first_entry_in_graph
 from diffsim.core.check import require, require_number
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere
 from diffsim.core.values import dot
 
 
@@ -39,8 +41,9 @@ class ContactPlanes(NamedTuple):
     distance: Tensor
 
 
+@checked
 def detect(
-    obstacles: Sequence[Obstacle],
+    obstacles: Sequence[Obstacle] | Obstacle,
     x_start: Tensor,
     x_end: Tensor,
     dt: float,
@@ -232,7 +235,7 @@ def _planes(
         for value in (obstacle.friction, obstacle.restitution)
     )
     bounces = torch.compiler.is_compiling() or restitution.requires_grad  # one graph has both
-    if bounces or bool((restitution > 0).any()):
+    if bounces or anywhere(restitution > 0):
         approach = dot(normal, end - reference)
         bounce = -restitution * approach
         inside = phi.detach() < 0

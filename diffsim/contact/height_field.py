@@ -7,8 +7,9 @@ from torch import Tensor
 
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
-from diffsim.core.check import require, require_constant
+from diffsim.core.check import require, require_constant, require_range
 from diffsim.core.layer import custom_op
+from diffsim.core.numbers import require_unmapped
 from diffsim.core.values import Vector, dot, scalar, vector
 
 # Catmull-Rom cubics of the four neighbors, by rising powers of t: interpolating, C1
@@ -50,6 +51,7 @@ class HeightField(Shape):
     ):
         super().__init__(inside_out)
         self.heights = require("heights", heights, ("nx", "ny"))
+        require_range("heights", self.heights, at_least=-1e100, at_most=1e100, hint="unit is m")
         if min(heights.shape) < 3:
             raise ValueError(f"heights must be at least 3 x 3, got {tuple(heights.shape)}")
         both = spacing if isinstance(spacing, (tuple, list)) else (spacing, spacing)
@@ -60,6 +62,7 @@ class HeightField(Shape):
         self.origin = vector("origin", origin)
 
     def _solid(self, x: Tensor) -> Pair:
+        require_unmapped(x=x, heights=self.heights, origin=self.origin)
         p = x.reshape(-1, 3) - self.origin
         padded = _pad_by_extrapolation(self.heights)
         with torch.no_grad():

@@ -8,7 +8,9 @@ from torch import Tensor
 from diffsim.contact.handles import shape_of
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.contact.triangles import feature_distance
+from diffsim.core.checked import checked
 from diffsim.core.layer import custom_op
+from diffsim.core.numbers import to_numpy
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, to_trimesh
 from diffsim.mesh.closed_surface import SurfaceLike
 
@@ -35,9 +37,10 @@ class MeshShape(Shape):
         self.distance = SurfaceDistance(surface)
         self._corners = torch.from_numpy(self.distance.x[self.distance.faces])
 
+    @checked(x=("N", 3))
     def nearest(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Closest face, its feature, side and pseudonormal of points (N, 3) [m]; no gradient."""
-        near = self.distance.nearest(x.detach().numpy())
+        near = self.distance.nearest(to_numpy("x", x))
         found = (near.face, near.feature, near.sign, near.normal)
         face, feature, sign, normal = (torch.from_numpy(array) for array in found)
         return face, feature, sign, normal

@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
-from diffsim.core.check import require, require_range
+from diffsim.core.check import require, require_number, require_range
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
 from diffsim.core.values import Number, Vector, friction_coefficient, scalar, vector
 
@@ -91,10 +93,12 @@ class Obstacle:
         phi, normal = self.shape.evaluate(self.to_local(require("x", x, ("...", 3))))
         return phi, normal @ self.rotation.T
 
+    @checked(x=("...", 3))
     def to_local(self, x: Tensor) -> Tensor:
         """World points (..., 3) [m] in the shape's frame."""
         return (x - self.position) @ self.rotation
 
+    @checked(y=("...", 3))
     def to_world(self, y: Tensor) -> Tensor:
         """Points of the shape's frame (..., 3) [m] in the world."""
         return y @ self.rotation.T + self.position
@@ -123,15 +127,18 @@ class Obstacle:
         if torch.compiler.is_compiling():  # moving by zero changes no bit
             return True
         both = (self.velocity, self.angular_velocity)
-        return any(w.requires_grad or bool(w.any()) for w in both)
+        return any(w.requires_grad or anywhere(w != 0) for w in both)
 
+    @checked(x=("...", 3))
     def point_velocity(self, x: Tensor) -> Tensor:
         """Velocity of the obstacle's material at world points (..., 3) [m] -> (..., 3) [m/s]."""
         w = self.angular_velocity.expand_as(x)
         return self.velocity + torch.linalg.cross(w, x - self.position)
 
+    @checked(x=("...", 3))
     def displacement(self, x: Tensor, dt: float) -> Tensor:
         """How far the obstacle's material now at x (..., 3) [m] moves in ``dt``, (..., 3) [m]."""
+        dt = require_number("dt", dt)
         turned = rotation_offset(self.angular_velocity * dt, x - self.position)
         return self.velocity * dt + turned
 
@@ -167,6 +174,7 @@ def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle
     return many
 
 
+@checked
 def floor(height: float | Tensor = 0.0, **options: Any) -> Obstacle:
     """Solid below z = height [m]; options as in :class:`Obstacle`."""
     return Obstacle(Plane((0.0, 0.0, 1.0), height), **options)
@@ -195,11 +203,13 @@ def box(size: Vector, **options: Any) -> Obstacle:
 def _rotation(value: Vector) -> Tensor:
     if isinstance(value, Tensor) and value.shape == (3, 3):
         matrix = require("rotation", value, (3, 3))
-        off = float((matrix.detach() @ matrix.detach().T - torch.eye(3)).abs().max())
-        if off > 1e-6 or float(torch.linalg.det(matrix.detach())) < 0:
+        still = matrix.detach()
+        off = float(values_of(still @ still.T - torch.eye(3)).abs().max())
+        turned = float(values_of(torch.linalg.det(still)).min())
+        if off > 1e-6 or turned < 0:
             raise ValueError(
                 "rotation must be a rotation vector (3,) or a rotation matrix (3, 3); R R' differs "
-                f"from the identity by {off:.2g}, det R = {float(torch.linalg.det(matrix)):.3g}"
+                f"from the identity by {off:.2g}, det R = {turned:.3g}"
             )
         return matrix
     return matrix_from_rotation_vector(vector("rotation", value))

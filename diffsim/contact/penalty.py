@@ -10,6 +10,7 @@ from torch import Tensor
 from diffsim.contact.detect import require_members
 from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.core.check import require, require_indices, require_number
+from diffsim.core.numbers import anywhere
 from diffsim.core.values import Number, direction, dot, friction_coefficient, scalar
 
 _EPS = 2.2e-16
@@ -100,7 +101,7 @@ def _force(
         mu = mu[..., None]
         drag = cap.expand_as(fn)
         slides = mu.isfinite()  # an infinite coefficient leaves the cap alone
-        if bool(slides.any()):
+        if anywhere(slides):
             most = torch.where(slides, mu, 0.0) * fn / (speed + _EPS)
             drag = torch.where(slides, torch.minimum(drag, most), drag)
         drag = torch.where(inside, drag, 0.0)

@@ -12,8 +12,10 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.handles import new_handle
-from diffsim.core.check import require
+from diffsim.core.check import require, require_range
+from diffsim.core.checked import checked
 from diffsim.core.layer import may_be_differentiated, outside_of_graphs
+from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
 from diffsim.mesh import primitive
 from diffsim.mesh.sdf import Sdf
@@ -51,6 +53,7 @@ class Shape:
         """Whether the solid is convex, so that phi is convex along every straight path."""
         return self._solid_is_convex and not self.inside_out
 
+    @checked(x=("...", 3))
     def distance_normal(self, x: Tensor) -> Pair:
         """Signed distance and outward unit normal.
 
@@ -63,6 +66,7 @@ class Shape:
         """
         return self.evaluate(require("x", x, ("...", 3)))
 
+    @checked(x=("...", 3))
     def __call__(self, x: Tensor) -> Tensor:
         """Signed distance alone, so that meshes and flows can be made of the shape, too.
 
@@ -97,7 +101,7 @@ class Plane(Shape):
     def __init__(self, normal: Vector, offset: Number = 0.0, *, inside_out: bool = False):
         super().__init__(inside_out)
         n = vector("normal", normal)
-        if not float(n.detach().norm()) > 0:
+        if anywhere(~(n.norm() > 0)):
             raise ValueError("normal must not be zero; (0, 0, 1) is a floor")
         self.normal, self.offset = n / n.norm(), scalar("offset", offset)
 
@@ -157,8 +161,7 @@ class Box(Shape):
     def __init__(self, size: Vector, *, inside_out: bool = False):
         super().__init__(inside_out)
         self.size = vector("size", size)
-        if not bool((self.size > 0).all()):
-            raise ValueError(f"size must be positive, got {tuple(self.size.tolist())}")
+        require_range("size", self.size, above=0.0, hint="unit is m")
 
     def _solid(self, x: Tensor) -> Pair:
         return primitive.box(x, self.size)
@@ -192,13 +195,13 @@ class Trough(Shape):
         self.radius = scalar("radius", radius, above=0.0)
         self.angle = scalar("angle", angle, above=0.0, below=2.0 * torch.pi, hint="unit is rad")
         a, s = vector("axis", axis), vector("start", start)
-        if not (float(a.detach().norm()) > 0 and float(s.detach().norm()) > 0):
+        if anywhere(~((a.norm() > 0) & (s.norm() > 0))):
             raise ValueError("axis and start must not be zero")
         self.axis, self.start = a / a.norm(), s / s.norm()
-        if abs(float(dot(self.axis, self.start).detach())) > 1e-9:
+        cosine = values_of(dot(self.axis, self.start))
+        if float(cosine.abs().max()) > 1e-9:
             raise ValueError(
-                "start must be perpendicular to axis, got cosine "
-                f"{float(dot(self.axis, self.start).detach()):.3g}"
+                f"start must be perpendicular to axis, got cosine {float(cosine.abs().max()):.3g}"
             )
 
     def _solid(self, x: Tensor) -> Pair:
@@ -244,6 +247,11 @@ class Custom(Shape):
         return outside_of_graphs(self._by_gradient)(x)
 
     def _by_gradient(self, x: Tensor) -> Pair:
+        if torch._C._functorch.maybe_current_level() is not None:
+            raise NotImplementedError(
+                "Custom takes its normal from torch.autograd, which torch.func cannot look into: "
+                "ask torch.autograd for the derivative, or use a shape with a normal of its own"
+            )
         flat = x.reshape(-1, 3)
         keep = may_be_differentiated()
         with torch.enable_grad():

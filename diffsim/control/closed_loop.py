@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import all_finite, require, require_constant, require_count, require_number
+from diffsim.core.checked import checked
+from diffsim.core.numbers import require_unmapped
 
 
 class Normalizer(nn.Module):
@@ -53,6 +55,7 @@ class Normalizer(nn.Module):
             + rows.var(0, unbiased=False) * new
             + away.square() * self.count * new / total
         )
+        require_unmapped(observations=observations)
         if not all_finite(squares):
             raise ValueError(
                 "observations must leave room for their squares in float64, got up to "
@@ -64,6 +67,7 @@ class Normalizer(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         """Normalized, (..., size)."""
+        require("observation", observation, ("...", len(self.mean)), self.mean.dtype)
         scaled = (observation - self.mean) / (self.variance + 1e-8).sqrt()
         return scaled.clamp(-self.clip, self.clip)
 
@@ -84,6 +88,7 @@ class MLPController(nn.Module):
         input_gains: Factors on the first layer's weights, one per observation; None: ones.
     """
 
+    @checked
     def __init__(
         self,
         num_observations: int,
@@ -96,8 +101,11 @@ class MLPController(nn.Module):
         input_gains: Tensor | None = None,
     ):
         super().__init__()
-        self.normalizer = Normalizer(num_observations) if normalize else None
         sizes = [num_observations, *hidden, num_commands]
+        for k, size in enumerate(sizes):
+            name = {0: "num_observations", len(sizes) - 1: "num_commands"}.get(k, "hidden")
+            require_count(name, size, at_least=1)
+        self.normalizer = Normalizer(num_observations) if normalize else None
         generator = torch.Generator().manual_seed(seed)
         layers: list[nn.Module] = []
         for k, (a, b) in enumerate(pairwise(sizes)):
@@ -123,11 +131,13 @@ class MLPController(nn.Module):
     def forward(self, observation: Tensor, step: int | Tensor = 0) -> Tensor:
         """Commands (..., num_commands)."""
         of_weights = next(self.layers.parameters()).dtype
-        if observation.dtype != of_weights:
+        width = next(self.layers.parameters()).shape[1]
+        if isinstance(observation, Tensor) and observation.dtype != of_weights:
             raise TypeError(
                 f"observation is {observation.dtype}, the controller's weights are {of_weights}; "
                 f"convert one of them, such as by controller.to({observation.dtype})"
             )
+        observation = require("observation", observation, ("...", width), of_weights)
         x = observation if self.normalizer is None else self.normalizer(observation)
         out: Tensor = self.layers(x)
         return out

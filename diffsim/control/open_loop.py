@@ -11,8 +11,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require_constant, require_number
-from diffsim.core.values import as_array
+from diffsim.core.check import require_constant, require_number, require_tensor
+from diffsim.core.checked import checked
+from diffsim.core.values import amounts, as_array
 
 
 class OpenLoop(nn.Module):
@@ -34,10 +35,12 @@ class OpenLoop(nn.Module):
 
     def forward(self, observation: Tensor | None, step: int | Tensor) -> Tensor:
         """Commands (batch, num_commands); (num_commands,) without an observation."""
-        time = torch.as_tensor(step, dtype=torch.float64) * self.dt
+        step = step.to(torch.float64) if isinstance(step, Tensor) else step
+        time = amounts("step", step) * self.dt
         command = self.signal(time)
         if observation is None or command.dim() > 1:
             return command
+        require_tensor("observation", observation, getattr(observation, "dtype", torch.float64))
         return command.expand(*observation.shape[:-1], -1)
 
 
@@ -53,6 +56,7 @@ class Sinusoid(OpenLoop):
         learn_phases: Whether phases are parameters.
     """
 
+    @checked
     def __init__(
         self,
         num_commands: int,
@@ -95,6 +99,7 @@ class Sinusoid(OpenLoop):
         """(num_commands,)."""
         return torch.tanh(self.raw_amplitude)
 
+    @checked
     def signal(self, time: Tensor) -> Tensor:
         """See the class."""
         turn = 2.0 * math.pi * self.frequency * time[..., None]
@@ -112,6 +117,7 @@ class Knots(OpenLoop):
         start: First guess (num_knots, num_commands) in (-1, 1); zero by default.
     """
 
+    @checked
     def __init__(
         self,
         num_commands: int,
@@ -134,6 +140,7 @@ class Knots(OpenLoop):
             )
         self.raw = nn.Parameter(torch.atanh(values.double().clamp(-0.999, 0.999)))
 
+    @checked
     def signal(self, time: Tensor) -> Tensor:
         """See the class."""
         values, count = torch.tanh(self.raw), len(self.raw)

@@ -19,6 +19,7 @@ from diffsim.copter.dynamics.hover import hover
 from diffsim.copter.dynamics.linearize import linearize
 from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.vehicle.effects import FlightEffects, MotorLag
+from diffsim.core.layer import on_constants
 
 Array = NDArray[np.float64]
 # What the controller's numbers weigh, and the states of 12 that share each.
@@ -87,6 +88,7 @@ class WaypointTask:
         )
 
     @cached_property
+    @on_constants()
     def references(self) -> Tensor:
         """Waypoints at every control step, (num_episodes, steps, 3) [m]."""
         rng = np.random.default_rng(self.seed)

@@ -14,24 +14,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from diffsim.core.layer import may_be_differentiated
-
-
-def values_of(value: Tensor) -> Tensor:
-    """The numbers behind the wrappers of ``torch.func``, mapped axes and all: for checks alone.
-
-    A mapped tensor refuses to say whether its entries are, say, finite; the tensor behind it does
-    not, for all items at once.
-    """
-    wrappers = torch._C._functorch  # PyTorch has no public name for what is behind a wrapper
-    while wrappers.is_functorch_wrapped_tensor(value):
-        value = wrappers.get_unwrapped(value)
-    return value.detach()
-
-
-def has_values(value: Tensor) -> bool:
-    """Whether a tensor is one of numbers: not mapped by ``torch.func``, nor without data."""
-    wrapped = torch._C._functorch.is_functorch_wrapped_tensor(value)
-    return not wrapped and value.device.type != "meta"
+from diffsim.core.numbers import require_unmapped, values_of
 
 
 def require(
@@ -128,7 +111,7 @@ def _refuse_default_device() -> None:
 
 
 def require_constant(name: str, value: Any, hint: str = "") -> None:
-    """Refuse tensors that a derivative is asked of, where none would be computed.
+    """Refuse tensors that a derivative is asked of, or that are mapped, where none is computed.
 
     Args:
         name: The argument's name, for the message.
@@ -137,9 +120,13 @@ def require_constant(name: str, value: Any, hint: str = "") -> None:
 
     Raises:
         ValueError: a tensor requires a gradient, or moves in forward mode.
+        NotImplementedError: a tensor is mapped by ``torch.func.vmap``.
     """
     parts = value if isinstance(value, (list, tuple)) else (value,)
-    if any(isinstance(part, Tensor) and _is_followed(part) for part in parts):
+    tensors = [part for part in parts if isinstance(part, Tensor)]
+    for part in tensors:
+        require_unmapped(**{name: part})
+    if any(map(_is_followed, tensors)):
         raise ValueError(
             f"{name} must not require grad: no derivative by it is computed; pass "
             f"{name}.detach(){_hint(hint)}"
@@ -185,6 +172,10 @@ def all_finite(value: Tensor) -> bool:
     """Whether no entry is NaN or infinite."""
     # a sum is the cheapest look at all entries; finite ones may overflow it, and are looked at
     return math.isfinite(float(value.sum())) or bool(torch.isfinite(value).all())
+
+
+LARGEST = 1e150
+"""Squares of larger numbers are none."""
 
 
 def require_number(

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import torch
@@ -57,10 +58,15 @@ def outside_of_graphs(function: Callable[..., Any]) -> Callable[..., Any]:
     return torch.compiler.disable(function) if "torch._dynamo" in sys.modules else function
 
 
-def on_constants() -> Any:
-    """A block that ``torch.func`` does not look into: within one, even a plain tensor's memory is
-    refused. For what is made of constants only, such as a mesh."""
-    return torch._C._DisableFuncTorch()  # PyTorch has no public name
+@contextmanager
+def on_constants() -> Iterator[None]:
+    """A block, or as a decorator a function, that ``torch.func`` does not look into.
+
+    There, even a plain tensor's memory is refused. For what is made of constants only, such as a
+    mesh.
+    """
+    with torch._C._DisableFuncTorch():  # PyTorch has no public name
+        yield
 
 
 class Call(NamedTuple):

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_number, require_range
+from diffsim.core.check import LARGEST, require, require_number, require_range
+from diffsim.core.numbers import values_of
 
 Number = float | Tensor
 Vector = Sequence[float] | Tensor
@@ -26,21 +27,38 @@ _KINDS = {
 def scalar(name: str, value: Number, *, hint: str = "", **limits: float) -> Tensor:
     """A finite number or () tensor within limits as a float64 tensor; gradients are kept."""
     if isinstance(value, Tensor):
-        return require_range(name, require(name, value, ()), hint=hint, **limits)
-    return torch.tensor(require_number(name, value, hint=hint, **limits), dtype=torch.float64)
+        return _not_huge(name, require_range(name, require(name, value, ()), hint=hint, **limits))
+    number = require_number(name, value, hint=hint, **limits)
+    return _not_huge(name, torch.tensor(number, dtype=torch.float64))
+
+
+def _not_huge(name: str, value: Tensor) -> Tensor:
+    """Refuse numbers whose squares are none; in a graph all pass."""
+    if torch.compiler.is_compiling():
+        return value
+    return require_range(name, value, at_least=-LARGEST, at_most=LARGEST)
+
+
+def amounts(name: str, value: Number, *, hint: str = "", **limits: float) -> Tensor:
+    """Finite numbers within limits, one or a tensor of any shape, as a float64 tensor; gradients
+    are kept."""
+    given = require(name, as_array(name, value), ("...",))
+    if limits and not torch.compiler.is_compiling():
+        require_range(name, given, hint=hint, **limits)
+    return given
 
 
 def vector(name: str, value: Vector) -> Tensor:
     """Three finite numbers or a (3,) tensor as a float64 tensor; gradients are kept."""
     if isinstance(value, Tensor):
-        return require(name, value, (3,))
+        return _not_huge(name, require(name, value, (3,)))
     try:
         v = torch.tensor([float(number) for number in value], dtype=torch.float64)
     except (TypeError, ValueError):
         v = torch.empty(0, dtype=torch.float64)
     if v.shape != (3,) or not bool(torch.isfinite(v).all()):
         raise ValueError(f"{name} must be three finite numbers, got {value!r}")
-    return v
+    return _not_huge(name, v)
 
 
 def as_array(name: str, value: Any, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -84,7 +102,8 @@ def friction_coefficient(value: Number) -> Tensor:
         mu = torch.tensor(float(value), dtype=torch.float64)
     else:
         raise TypeError(f"friction must be a number, got {type(value).__name__}")
-    bad = mu.detach()[~(mu.detach() >= 0.0)]  # NaN is not
+    numbers = values_of(mu)
+    bad = numbers[~(numbers >= 0.0)]  # NaN is not
     if len(bad):
         raise ValueError(
             f"friction must lie in [0, inf], got {float(bad[0]):g}; "

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo, memo_field
+from diffsim.core.numbers import anywhere
 from diffsim.data.study import Run
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import (
@@ -170,11 +171,11 @@ class Problem(Coordinates, WhitenedRuns):
             PredictionError: values of base parameters or sizes that are not finite.
         """
         parts = [self.model.values.raw(q), *sizes.values()]
-        if bool(torch.isfinite(torch.cat([p.reshape(-1) for p in parts])).all()):
+        if not anywhere(~torch.isfinite(torch.cat([p.reshape(-1) for p in parts]))):
             return
         values = self.model.values.at(q)
         every = {**values, **{effect.name: size for effect, size in sizes.items()}}
-        bad = [name for name, value in every.items() if not bool(torch.isfinite(value).all())]
+        bad = [name for name, value in every.items() if anywhere(~torch.isfinite(value))]
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
 

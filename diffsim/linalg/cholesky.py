@@ -17,6 +17,9 @@ from diffsim.core.check import (
     require_threads,
 )
 from diffsim.core.errors import FactorizationError
+from diffsim.core.layer import on_constants
+from diffsim.core.numbers import values_of
+from diffsim.core.values import as_array
 from diffsim.linalg._ops_cholesky import SparseFactor
 
 if TYPE_CHECKING:
@@ -82,15 +85,16 @@ class SparseCholesky:
         self._check_values(csr)
         if coords is not None:
             require_constant("coords", coords, "they order unknowns")
-            coords = torch.as_tensor(coords)
-            coords = require("coords", coords, (self.shape[0] // block, 3), torch.float64)
-        self._factor = SparseFactor(
-            torch.as_tensor(self._pattern.indptr),
-            torch.as_tensor(self._pattern.indices),
-            coords,
-            block,
-            self.precision == "float32",
-        )
+            coords = as_array("coords", coords)
+            coords = values_of(require("coords", coords, (self.shape[0] // block, 3)))
+        with on_constants():
+            self._factor = SparseFactor(
+                torch.as_tensor(self._pattern.indptr),
+                torch.as_tensor(self._pattern.indices),
+                coords,
+                block,
+                self.precision == "float32",
+            )
         self._lock = threading.Lock()  # the factor has one workspace
         self._refactor(csr)
 
@@ -151,8 +155,8 @@ class SparseCholesky:
         tensor = torch.as_tensor(b) if isinstance(b, np.ndarray) else b
         ndim = getattr(tensor, "ndim", 1)
         shape = (self.shape[0],) if ndim == 1 else (self.shape[0], "k")
-        tensor = require("b", tensor, shape)
-        with self._lock:
+        tensor = values_of(require("b", tensor, shape))
+        with self._lock, on_constants():
             self._require_usable()
             columns = tensor if ndim == 2 else tensor.unsqueeze(1)
             x = self._factor.solve(columns, self.num_threads)
@@ -182,6 +186,7 @@ class SparseCholesky:
             raise ValueError(f"matrix must be finite, got {csr.data[bad]} at ({row}, {column})")
         self._pattern.require_symmetric(csr.data)
 
+    @on_constants()
     def _refactor(self, csr: sp.csr_matrix) -> None:
         values = torch.as_tensor(self._pattern.blocks(csr.data))
         with self._lock:
@@ -261,8 +266,9 @@ def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
         if matrix.device.type != "cpu":
             raise TypeError(f"matrix must be on the CPU, got device {matrix.device}")
         require_constant("matrix", matrix, _NO_GRADIENT)
-        parts = (matrix.values(), matrix.col_indices(), matrix.crow_indices())
-        matrix = sp.csr_matrix(tuple(p.numpy() for p in parts), shape=tuple(matrix.shape))
+        with on_constants():
+            parts = (matrix.values(), matrix.col_indices(), matrix.crow_indices())
+            matrix = sp.csr_matrix(tuple(p.numpy() for p in parts), shape=tuple(matrix.shape))
     if not sp.issparse(matrix):
         raise TypeError(
             f"matrix must be a scipy sparse matrix or a torch sparse CSR tensor, "

@@ -6,12 +6,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
 from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import IntArray
 from diffsim.mesh.surface import surface_triangles
 
 
+@checked
+@on_constants()
 def cavities(mesh: HexMesh | TetMesh) -> list[Tensor]:
     """Surfaces of the mesh's inner voids, the largest void first.
 

@@ -11,7 +11,9 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_constant
 from diffsim.core.errors import MeshError
+from diffsim.core.layer import on_constants
 from diffsim.core.module import loadable
+from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 from diffsim.mesh import validate
 from diffsim.mesh.reference import HEX_EDGES, TET_EDGES, IntArray
@@ -135,8 +137,13 @@ class Mesh:
             ("num_elements", self.nodes_per_element),
             torch.int64,
         )
-        object.__setattr__(self, "x_rest", x.clone())
-        object.__setattr__(self, field, elements.clone())
+        with on_constants():
+            object.__setattr__(self, "x_rest", values_of(x).clone())
+            object.__setattr__(self, field, values_of(elements).clone())
+            self._check(field)
+
+    def _check(self, field: str) -> None:
+        """Refuse what is no mesh."""
         validate.check_indices(self.elements.numpy(), self.num_nodes, field)
         validate.check_size(self.x_rest.numpy())
         validate.check_nodes(self.x_rest.numpy(), self.elements.numpy(), field)
@@ -173,6 +180,9 @@ class HexMesh(Mesh):
 
     def __post_init__(self) -> None:
         self._own("hexes")
+
+    def _check(self, field: str) -> None:
+        super()._check(field)
         validate.check_hexes(self.x_rest.numpy(), self.hexes.numpy())
 
     @property
@@ -205,6 +215,9 @@ class TetMesh(Mesh):
 
     def __post_init__(self) -> None:
         self._own("tets")
+
+    def _check(self, field: str) -> None:
+        super()._check(field)
         validate.check_tets(self.x_rest.numpy(), self.tets.numpy())
 
     @property

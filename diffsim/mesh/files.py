@@ -17,8 +17,10 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.files import replacing
+from diffsim.core.numbers import to_numpy
 from diffsim.core.values import as_array
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import VTK_FROM_HEX
@@ -143,6 +145,7 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     return surface
 
 
+@checked
 def save(
     mesh: HexMesh | TetMesh,
     path: str | Path,
@@ -188,14 +191,14 @@ def _write_volume(
     x: Tensor,
     data: dict[str, dict[str, np.ndarray]],
 ) -> None:
-    elements = mesh.elements.numpy()
+    elements = to_numpy("elements", mesh.elements)
     name = "tetra"
     if mesh.kind == "hex":
         elements, name = elements[:, VTK_FROM_HEX], "hexahedron"
     import meshio
 
     content = meshio.Mesh(
-        x.numpy(),
+        to_numpy("x", x),
         [(name, elements)],
         point_data=data["node_data"],
         cell_data={key: [value] for key, value in data["element_data"].items()},

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import (
@@ -22,17 +24,20 @@ from diffsim.mesh.reference import (
 from diffsim.mesh.shape import shape_gradients
 
 
+@checked
 def element_volumes(mesh: HexMesh | TetMesh) -> Tensor:
     """Volume of each element, (num_elements,) [m^3]; exact for trilinear and linear geometry."""
     shape = shape_gradients(mesh)
     return shape.weight.sum(dim=1)[shape.class_idx]
 
 
+@checked
 def total_volume(mesh: HexMesh | TetMesh) -> float:
     """Volume of the mesh [m^3]."""
     return float(element_volumes(mesh).sum())
 
 
+@checked
 def element_size(mesh: HexMesh | TetMesh) -> Tensor:
     """Mean edge length of each element, (num_elements,) [m]."""
     return torch.from_numpy(_edge_lengths(mesh).mean(axis=1))
@@ -105,6 +110,8 @@ class Quality:
         return "\n".join(lines)
 
 
+@checked
+@on_constants()
 def quality(mesh: HexMesh | TetMesh) -> Quality:
     """Volumes, scaled Jacobians, aspect ratios and dihedral angles of a mesh."""
     volume = element_volumes(mesh).numpy()

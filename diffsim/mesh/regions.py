@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import did_you_mean, require, require_choice
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.files import mesh_of, read_volume
@@ -25,6 +26,7 @@ _PHYSICAL = "gmsh:physical"
 _Labels = tuple[tuple[str, ...], NDArray[np.int64]]  # names; position in them, -1: in none
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RegionMesh:
     """A mesh whose elements belong to named regions.
@@ -50,6 +52,7 @@ class RegionMesh:
         require_choice("name of a region", name, self.names)
         return torch.nonzero(self.region == self.names.index(name)).flatten()
 
+    @checked
     def values(self, of: Mapping[str, float | Tensor], default: float | None = None) -> Tensor:
         """One value per element, by region: what ``SoftBody`` takes as ``youngs_modulus``.
 

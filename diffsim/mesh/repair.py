@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
+from diffsim.core.numbers import to_numpy, values_of
 from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_MIRROR, IntArray
@@ -38,7 +39,7 @@ def merge_duplicate_nodes(
         Positions without the merged nodes, and elements that use what is left.
     """
     x, elements = _arrays(x, elements)
-    points = x.detach().numpy()
+    points = to_numpy("x", x)
     if tol is not None:
         tol = require_number("tol", tol, at_least=0.0)
     else:
@@ -99,7 +100,7 @@ def repair(x: Tensor, elements: Tensor) -> HexMesh | TetMesh:
 def _arrays(x: Tensor, elements: Tensor) -> tuple[Tensor, Tensor]:
     x = require("x", x, ("num_vertices", 3), torch.float64)
     if x.numel():
-        require_number("x", float(x.detach().abs().max()), at_most=MAX_PLACE, hint="unit is m")
+        require_number("x", float(values_of(x).abs().max()), at_most=MAX_PLACE, hint="unit is m")
     elements = require("elements", elements, ("num_elements", "8 or 4"), torch.int64)
     if elements.shape[1] not in (4, 8):
         raise ValueError(
@@ -120,5 +121,5 @@ def _mirror(width: int) -> IntArray:
 def _both_ways(x: Tensor, elements: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Relative Jacobian or volume of each element as given and mirrored."""
     measure = smallest_hex_jacobian if elements.shape[1] == 8 else relative_tet_volume
-    points, idx = x.detach().numpy(), elements.numpy()
+    points, idx = to_numpy("x", x), to_numpy("elements", elements)
     return measure(points, idx), measure(points, idx[:, _mirror(idx.shape[1])])

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import (
@@ -42,6 +44,8 @@ class ShapeGradients:
     class_idx: Tensor
 
 
+@checked
+@on_constants()
 def shape_gradients(mesh: HexMesh | TetMesh) -> ShapeGradients:
     """Shape-function gradients of a mesh at rest.
 
@@ -58,6 +62,8 @@ def shape_gradients(mesh: HexMesh | TetMesh) -> ShapeGradients:
     return _freeze(grad[:, None], weight[:, None], np.arange(mesh.num_elements, dtype=np.int64))
 
 
+@checked
+@on_constants()
 def nodal_shares(mesh: HexMesh | TetMesh) -> Tensor:
     """Volume of each element lumped to its nodes: the integrals of its shape functions.
 
@@ -74,6 +80,8 @@ def nodal_shares(mesh: HexMesh | TetMesh) -> Tensor:
     return share[shape.class_idx]
 
 
+@checked
+@on_constants()
 def nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
     """Volume lumped to the nodes, see :func:`nodal_shares`.
 

@@ -9,6 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
+from diffsim.core.numbers import to_numpy
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_FACES, TET_FACES, IntArray
 
@@ -30,6 +33,8 @@ class Surface:
     element_idx: Tensor
 
 
+@checked
+@on_constants()
 def surface_triangles(mesh: HexMesh | TetMesh) -> Surface:
     """Boundary triangles; a hexahedron's quad (a, b, c, d) gives (a, b, c) and (a, c, d)."""
     if isinstance(mesh, TetMesh):
@@ -39,6 +44,8 @@ def surface_triangles(mesh: HexMesh | TetMesh) -> Surface:
     return Surface(triangles, quads.element_idx.repeat_interleave(2))
 
 
+@checked
+@on_constants()
 def surface_quads(mesh: HexMesh) -> Surface:
     """Boundary quads of a hexahedral mesh."""
     if not isinstance(mesh, HexMesh):
@@ -48,12 +55,15 @@ def surface_quads(mesh: HexMesh) -> Surface:
     return _boundary(mesh.hexes.numpy(), HEX_FACES)
 
 
+@checked
+@on_constants()
 def surface_vertices(mesh: HexMesh | TetMesh) -> Tensor:
     """Nodes on the boundary, ascending, (num_surface_vertices,) int64."""
     faces = surface_quads(mesh) if isinstance(mesh, HexMesh) else surface_triangles(mesh)
     return torch.unique(faces.faces)
 
 
+@checked(x=("num_nodes", 3))
 def to_trimesh(mesh: HexMesh | TetMesh, x: Tensor | None = None) -> trimesh.Trimesh:
     """The boundary as a `trimesh.Trimesh` with its own numbering.
 
@@ -69,13 +79,16 @@ def to_trimesh(mesh: HexMesh | TetMesh, x: Tensor | None = None) -> trimesh.Trim
     import trimesh
 
     surface = surface_triangles(mesh)
-    vertex_idx, local = torch.unique(surface.faces, return_inverse=True)
-    positions = mesh.x_rest if x is None else x.detach()
+    positions = to_numpy("x", mesh.x_rest if x is None else x)
+    vertex_idx, local = np.unique(to_numpy("faces", surface.faces), return_inverse=True)
     return trimesh.Trimesh(
-        vertices=positions[vertex_idx].numpy(),
-        faces=local.numpy(),
+        vertices=positions[vertex_idx],
+        faces=local.reshape(surface.faces.shape),
         process=False,
-        metadata={"vertex_idx": vertex_idx.numpy(), "element_idx": surface.element_idx.numpy()},
+        metadata={
+            "vertex_idx": vertex_idx,
+            "element_idx": to_numpy("element_idx", surface.element_idx),
+        },
     )
 
 

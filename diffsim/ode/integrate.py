@@ -17,10 +17,11 @@ from diffsim.core.check import (
     require_choice,
     require_constant,
     require_threads,
-    values_of,
 )
+from diffsim.core.checked import checked
 from diffsim.core.errors import IntegrationError
 from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.numbers import values_of
 from diffsim.ode import _ops
 from diffsim.ode.tape import Tapes, make_tapes
 
@@ -28,6 +29,7 @@ TIME = "t"
 INTERPOLATIONS = ("linear", "held")
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Ode:
     """x' = f(t, x, u, p), y = g(t, x, u, p), with f and g as formulas of named quantities.
@@ -96,6 +98,7 @@ class Ode:
                 raise ValueError(f"{what} of {name}: {error}") from None
         return out
 
+    @checked
     def solve(
         self,
         times: Tensor,
@@ -175,6 +178,7 @@ class Ode:
             time=float(times[sample]),
         )
 
+    @checked
     def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
         """Arguments of the ops that do not depend on values."""
         low = [self.limits.get(s, (-math.inf, math.inf))[0] for s in self.rates]

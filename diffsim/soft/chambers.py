@@ -11,6 +11,10 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_indices, require_number, require_tensor
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
+from diffsim.core.numbers import anywhere, values_of
+from diffsim.core.values import amounts
 from diffsim.mesh import HexMesh, TetMesh, cavities, surface_quads, surface_triangles
 from diffsim.mesh.surface import face_keys
 
@@ -45,7 +49,11 @@ class PressureChamber:
     """Nodes of each rim, in the order in which its lid's triangles run through them."""
 
     def __post_init__(self) -> None:
-        faces = require("faces", self.faces, ("num_faces", 3), torch.int64)
+        self._own(values_of(require("faces", self.faces, ("num_faces", 3), torch.int64)))
+
+    @on_constants()
+    def _own(self, faces: Tensor) -> None:
+        """Check the faces, and keep a copy and its lids."""
         if faces.numel() == 0:
             raise ValueError("faces must name at least one triangle, got none")
         if int(faces.min()) < 0:
@@ -81,6 +89,7 @@ class PressureChamber:
         """Whether the faces enclose the chamber without lids."""
         return not self.lids
 
+    @checked(x=("...", 3))
     def volume(self, x: Tensor) -> Tensor:
         """Volume of the chamber, lids included.
 
@@ -107,6 +116,7 @@ class PressureChamber:
 class ChamberSet:
     """All chambers of a body, as the flat arrays that kernels read."""
 
+    @on_constants()
     def __init__(self, chambers: Sequence[PressureChamber], mesh: HexMesh | TetMesh):
         for k, chamber in enumerate(chambers):
             if not isinstance(chamber, PressureChamber):
@@ -162,20 +172,13 @@ def sealed_pressure(
     """
     require_number("ambient_pressure", ambient_pressure, at_least=0.0, hint="unit is Pa")
     require_tensor("volume", volume)
-    if not torch.compiler.is_compiling() and not bool((volume > 0.0).all()):
-        worst = float(volume.min())
+    if not torch.compiler.is_compiling() and anywhere(~(volume > 0.0)):
+        worst = float(values_of(volume).min())
         raise ValueError(f"volume must be positive, got {worst:g}; the chamber has turned over")
-    filled_volume = _amounts("filled_volume", filled_volume)
-    filled_pressure = _amounts("filled_pressure", filled_pressure)
+    filled_volume = amounts("filled_volume", filled_volume)
+    filled_pressure = amounts("filled_pressure", filled_pressure)
     amount = (filled_pressure + ambient_pressure) * filled_volume
     return amount / volume - ambient_pressure
-
-
-def _amounts(name: str, value: Tensor | float) -> Tensor | float:
-    """A number, or a tensor of them, that is finite."""
-    if not isinstance(value, Tensor):
-        return require_number(name, value)
-    return require(name, value, ("...",))
 
 
 def _triple(a: Tensor, b: Tensor, c: Tensor) -> Tensor:

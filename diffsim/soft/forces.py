@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import all_finite, require
+from diffsim.core.checked import checked
 from diffsim.core.layer import is_kernel_alone
 from diffsim.soft import _ops_elastic
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, energy_arrays, flat
@@ -64,6 +65,7 @@ class ElasticGradient:
         return gradient.reshape(x.shape), energy.reshape(x.shape[:-2])
 
 
+@checked
 def elastic_force(
     body: Solid,
     x: Tensor,
@@ -89,6 +91,7 @@ def elastic_force(
     return -elastic_gradient(x, loads)[0]
 
 
+@checked
 def elastic_energy(
     body: Solid,
     x: Tensor,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
@@ -129,6 +130,7 @@ class Hydrodynamics(Float64Module):
         self._warned = False
         self._check_parameters()
 
+    @checked(x=("...", 3), v=("...", 3))
     def forward(self, x: Tensor, v: Tensor, *, water_velocity: Tensor | None = None) -> Tensor:
         """Nodal forces.
 
@@ -166,10 +168,12 @@ class Hydrodynamics(Float64Module):
         ).reshape(x.shape)
         return self._limit_forces(forces)
 
+    @checked
     def drag_coefficient(self, alpha: Tensor) -> Tensor:
         """C_d at angles of attack [rad] in [0, pi/2], any shape."""
         return _bezier(self.drag_coefficients, alpha / (0.5 * math.pi))
 
+    @checked
     def thrust_coefficient(self, alpha: Tensor) -> Tensor:
         """C_t at angles of attack [rad] in [-pi/2, pi/2], any shape."""
         return _bezier(self.thrust_coefficients, alpha / math.pi + 0.5)

@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_range
+from diffsim.core.checked import checked
 from diffsim.mesh import HexMesh, TetMesh, nodal_volume
 from diffsim.soft.hydrodynamics import Hydrodynamics
 from diffsim.soft.parameters import Value, as_tensor
 
 
+@checked
 def added_mass(
     source: HexMesh | TetMesh | Hydrodynamics, coefficient: Value, density: Value | None = None
 ) -> Tensor:
@@ -51,6 +53,7 @@ def added_mass(
     return factor * rho * volume
 
 
+@checked
 def buoyancy(
     volume: HexMesh | TetMesh | Tensor,
     density: Value = 1000.0,

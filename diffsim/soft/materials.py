@@ -35,6 +35,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_range
+from diffsim.core.checked import checked
 from diffsim.soft.parameters import Value
 
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "mooney_rivlin", "stvk")
@@ -102,6 +103,7 @@ class Material:
         """Names of what the law reads besides E and nu."""
         return CONSTANTS.get(self.law, ())
 
+    @checked
     def weights(
         self, youngs_modulus: Tensor, poissons_ratio: Tensor, **constants: Tensor
     ) -> tuple[Tensor, ...]:

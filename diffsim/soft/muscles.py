@@ -17,6 +17,7 @@ from diffsim.core.check import (
     require_number,
     require_range,
 )
+from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import as_array
 
 KINDS = ("length", "contraction", "tendon")
@@ -66,7 +67,7 @@ class Muscle:
             direction = direction.expand(elements.numel(), -1)
         direction = require("direction", direction, (elements.numel(), 3))
         norm = direction.norm(dim=1, keepdim=True)
-        if bool((norm == 0).any()):
+        if anywhere(norm == 0):
             raise ValueError("direction must not be zero")
         require_number("stiffness", self.stiffness, above=0.0, hint="unit is Pa")
         require_choice("kind", self.kind, KINDS)
@@ -74,9 +75,9 @@ class Muscle:
         if self.weights is not None:
             weights = require("weights", self.weights, (elements.numel(),))
             require_range("weights", weights, above=0.0)
-        object.__setattr__(self, "weights", weights)
-        object.__setattr__(self, "elements", elements)
-        object.__setattr__(self, "direction", (direction / norm).contiguous())
+        object.__setattr__(self, "weights", values_of(weights))
+        object.__setattr__(self, "elements", values_of(elements))
+        object.__setattr__(self, "direction", values_of((direction / norm).contiguous()))
 
     @property
     def rest_activation(self) -> float:

@@ -10,10 +10,13 @@ import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.numbers import require_unmapped
 from diffsim.soft.physics import Physics
 from diffsim.soft.solid import Solid
 
 
+@checked
 def physics_directions(
     body: Solid, values: Mapping[str, Tensor], directions: Mapping[str, Tensor]
 ) -> Physics:
@@ -30,6 +33,7 @@ def physics_directions(
     """
     if forward_ad._current_level >= 0:
         raise NotImplementedError("physics_directions is forward mode itself: a derivative in one")
+    require_unmapped(**values, **{f"directions of {n}": d for n, d in directions.items()})
     if unknown := set(directions) - set(values):
         raise ValueError(f"directions of {sorted(unknown)} have no value; give values of the same")
     (count,) = {d.shape[0] for d in directions.values()}

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from diffsim.core.check import values_of
+from diffsim.core.numbers import values_of
 from diffsim.core.record import warn
 
 # What soft robots and their test pieces are not: outside of these, a unit was usually forgotten.

@@ -53,6 +53,8 @@ class StageTerms:
 def _require_own_shape(body: Solid) -> None:
     """Refuse a rest shape that was put in place of the mesh's, or that a gradient is asked of: what
     kernels know of the shape was made from the mesh, once."""
+    if not hasattr(body, "x_rest"):
+        raise TypeError(f"body must be a SoftBody, got {type(body).__name__}")
     hint = "no gradient by the rest shape is computed; parameters of a shape move its mesh"
     require_constant("x_rest", body.x_rest, hint)
     if body.x_rest is not body.mesh.x_rest and not torch.equal(body.x_rest, body.mesh.x_rest):

@@ -11,6 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from diffsim.contact import Obstacle, check_clear
 from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.soft.inputs import LOADS, Loads, check_load, check_state, make_loads
 from diffsim.soft.physics import Physics
 from diffsim.soft.prepared import PreparedBody, prepare
@@ -22,6 +23,7 @@ Obstacles = Sequence[Obstacle] | Obstacle | Callable[[int, State], Sequence[Obst
 Signal = Tensor | Callable[[int, State], Tensor] | None
 
 
+@checked
 def rollout(
     body: Solid,
     state: State,

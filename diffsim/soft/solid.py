@@ -17,6 +17,7 @@ from diffsim.core.check import (
     require_indices,
     require_number,
 )
+from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
 from diffsim.core.values import as_array
@@ -61,6 +62,7 @@ class Solid(Float64Module):
     nodal_volume: Tensor
     nodal_shares: Tensor
 
+    @checked
     def __init__(
         self,
         mesh: HexMesh | TetMesh,

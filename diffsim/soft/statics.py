@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.checked import checked
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
 from diffsim.soft.prepared import prepare
@@ -14,6 +15,7 @@ from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
 
+@checked
 def static_equilibrium(
     body: Solid,
     *,

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_constants
+from diffsim.core.checked import checked
 from diffsim.soft.inputs import LOADS, Loads, check_inputs, check_state
 from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
@@ -75,6 +76,7 @@ class Tangents(NamedTuple):
     final_tangent: State
 
 
+@checked
 def rollout_tangents(
     body: Solid,
     state: State,
@@ -154,6 +156,7 @@ def rollout_tangents(
     )
 
 
+@checked(x=("num_nodes", 3))
 def static_tangents(
     body: Solid,
     x: Tensor,

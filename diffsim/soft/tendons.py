@@ -8,7 +8,10 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_constant, require_number
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle
@@ -74,12 +77,17 @@ class Tendon(Float64Module):
             raise ValueError(f"path must have at least two corners, got {corners.shape[0]}")
         if bool((corners.diff(dim=0).norm(dim=1) == 0).any()):
             raise ValueError("path must not repeat a corner: every segment needs a length")
+        self.slack = bool(slack)
+        with on_constants():
+            self._lay(mesh, values_of(corners))
+
+    def _lay(self, mesh: HexMesh | TetMesh, corners: Tensor) -> None:
+        """Find the pieces of the path, and what their stretch depends on."""
         found = route(mesh, corners.numpy())
         elements = torch.from_numpy(found.elements)
         length = torch.from_numpy(found.length)
         direction = torch.from_numpy(found.direction)
         self.rest_length = float(length.sum())
-        self.slack = bool(slack)
         self.muscle = Muscle(
             elements=elements,
             direction=direction,
@@ -99,10 +107,12 @@ class Tendon(Float64Module):
         self.register_buffer("_along", along, persistent=False)
         self.register_buffer("_share", weight / weight.sum(1, keepdim=True), persistent=False)
 
+    @checked
     def activation(self, length_command: Tensor | float) -> Tensor:
         """a = commanded length / rest length, any shape [-]. Gradient: length_command [m]."""
         return torch.as_tensor(length_command, dtype=torch.float64) / self.rest_length
 
+    @checked(x=("...", 3))
     def stretch(self, x: Tensor) -> Tensor:
         """s_e of each piece at x (..., num_nodes, 3) [m], (..., num_pieces). Gradient: x."""
         x = require("x", x, ("...", self._num_nodes, 3))
@@ -120,6 +130,7 @@ class Tendon(Float64Module):
         """
         return (self.stretch(x) * self.piece_length).sum(-1)
 
+    @checked
     def tension(
         self, x: Tensor, activation: Tensor | float, axial_stiffness: Tensor | None = None
     ) -> Tensor:

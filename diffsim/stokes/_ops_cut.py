@@ -27,11 +27,27 @@ def _cut_outputs(phi: Tensor, cells: list[int]) -> tuple[Tensor, Tensor, Tensor]
     return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
 
 
+SIZES = (1e-100, 1e100)
+"""Of a level set: its slopes are squared, for which float64 has no room beyond."""
+
+
+def require_squares(phi: Tensor) -> None:
+    """Here rather than at the boundary, so that it is checked in compiled and mapped calls, too."""
+    largest = float(phi.abs().max())
+    if not (largest == 0.0 or SIZES[0] <= largest <= SIZES[1]):
+        raise ValueError(
+            f"phi must have values between {SIZES[0]:g} and {SIZES[1]:g} in size, where float64 "
+            f"has room for their squares, got at most {largest:g}; scale it, such as to a signed "
+            "distance [m]: the wall stays where it is"
+        )
+
+
 @custom_op("diffsim::stokes_cut_cells")
 def cut_cells(
     phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Fluid volume, interface area and normal of all cells; csrc/kernels/stokes/cut_cells.h."""
+    require_squares(phi)
     shape = _grid(cells, spacing, phi)
     volume, area, normal = _cut_outputs(phi, cells)
     core.cut_cells(

@@ -15,14 +15,13 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
 from diffsim.stokes._ended import STATS, finish
+from diffsim.stokes._ops_cut import require_squares
 from diffsim.stokes._systems import StokesContext, context
 from diffsim.stokes.boundary import refuse_net_inflow
 
 FlowSolver = core.FlowSolver
 MAX_DIRECT_NODES: int = core.STOKES_MAX_DIRECT_NODES
 LOADS = ("wall_velocity", "body_force", "traction")
-SIZES = (1e-100, 1e100)
-"""Of a level set: its slopes are squared, for which float64 has no room beyond."""
 
 
 class FlowInputs(NamedTuple):
@@ -93,7 +92,7 @@ def stokes_flow(
     ctx = context(handle)
     cases, nodes, dim = prescribed.shape[0], ctx.num_nodes, ctx.dim
     _require_size("phi", phi, (nodes,))
-    _require_squares(phi)
+    require_squares(phi)
     _require_size("viscosity", viscosity, (1,))
     _require_size("prescribed", prescribed, (cases, nodes, dim))
     outputs = FlowOutputs(
@@ -290,17 +289,6 @@ def _tangent(ctx, *moved):
 stokes_flow_vjp_layer = make_first_order(stokes_flow_vjp)
 stokes_flow_jvp_layer = make_first_order(stokes_flow_jvp)
 stokes_flow_layer = make_layer(stokes_flow, setup=_setup, backward=_backward, tangent=_tangent)
-
-
-def _require_squares(phi: Tensor) -> None:
-    """Here rather than at the boundary, so that it is checked in compiled and mapped calls, too."""
-    largest = float(phi.abs().max())
-    if not (largest == 0.0 or SIZES[0] <= largest <= SIZES[1]):
-        raise ValueError(
-            f"phi must have values between {SIZES[0]:g} and {SIZES[1]:g} in size, where float64 "
-            f"has room for their squares, got at most {largest:g}; scale it, such as to a signed "
-            "distance [m]: the wall stays where it is"
-        )
 
 
 def _require_size(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:

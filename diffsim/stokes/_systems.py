@@ -18,6 +18,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError
+from diffsim.core.layer import on_constants
 
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, StokesContext] = weakref.WeakValueDictionary()
@@ -55,7 +56,8 @@ class StokesContext:
         self.num_nodes = math.prod(n + 1 for n in cells)
         self.num_cells = math.prod(cells)
         self.shape = core.make_grid_shape(tuple(cells), tuple(spacing))
-        self.fixed = fixed.to(torch.uint8).contiguous()
+        with on_constants():
+            self.fixed = fixed.to(torch.uint8).contiguous()
         self.open_faces = tuple(open_faces)
         self.options = core.FlowOptions()
         for name, value in options.items():
@@ -67,6 +69,7 @@ class StokesContext:
         self._systems: list[tuple[Tensor, object]] = []  # latest last
         contexts[self.handle] = self
 
+    @on_constants()
     def system(self, phi: Tensor, num_threads: int) -> Any:
         """The factorized system of a level set, from the cache where phi is equal."""
         known = self._find_system(phi)

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
 from diffsim.stokes.grid import Grid
 
 WALLS = ("no_slip", "slip")
@@ -80,6 +82,8 @@ class Boundary:
         open_faces: Names of the open faces.
     """
 
+    @checked
+    @on_constants()
     def __init__(self, grid: Grid, conditions: Iterable[Inlet | Open | Wall] = ()):
         self.grid = grid
         self.fixed = torch.zeros(grid.num_nodes, grid.dim, dtype=torch.bool)
@@ -129,6 +133,7 @@ class Boundary:
         self.inlets[inlet.key] = nodes
         self.fixed[nodes] = True
 
+    @checked
     def inlet_velocities(self, inlet: Tensor | Mapping[str, Tensor] | None) -> dict[str, Tensor]:
         """Velocities of all inlets, checked.
 

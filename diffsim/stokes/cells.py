@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_threads
+from diffsim.core.checked import checked
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
@@ -20,6 +21,7 @@ class CutCells(NamedTuple):
     normal: Tensor
 
 
+@checked
 def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
     """Fluid volume, interface area and normal of every cell, exact for planes.
 

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere, require_unmapped
 from diffsim.core.record import Solve
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
@@ -100,6 +102,7 @@ class FlowField:
         imbalance = constant.mass_report()["imbalance"]
         return dataclasses.replace(self, stats={**self.stats, "imbalance": imbalance})
 
+    @checked
     def sample(self, points: Tensor) -> Tensor:
         """Velocity at points, multilinear between the nodes.
 
@@ -118,7 +121,8 @@ class FlowField:
         at = (points - origin) / torch.tensor(grid.spacing, dtype=torch.float64)
         cells = torch.tensor(grid.shape, dtype=torch.float64)
         outside = ((at < -1e-9) | (at > cells + 1e-9)).any(-1)
-        if bool(outside.any()):
+        if anywhere(outside):
+            require_unmapped(points=points)
             first = points[outside][0].tolist()
             raise ValueError(
                 f"{int(outside.sum())} points lie outside of the box, the first at {first}"

@@ -8,8 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import has_values, require, require_choice, require_number
+from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import has_values, require_unmapped, values_of
 from diffsim.core.record import Solve, warn
 from diffsim.stokes import _ops_flow
 from diffsim.stokes._ended import STATS, solve_of
@@ -63,6 +65,7 @@ class StokesFlow(Float64Module):
         >>> field = flow(phi, inlet=torch.tensor([0.01, 0.0], dtype=torch.float64))
     """
 
+    @checked
     def __init__(
         self,
         grid: Grid,
@@ -109,6 +112,7 @@ class StokesFlow(Float64Module):
         )
         self.handle = self._context.handle
 
+    @checked
     def forward(
         self,
         phi: Tensor,
@@ -179,13 +183,16 @@ class StokesFlow(Float64Module):
         require_choice("name", name, self.boundary.inlets)
         return self.grid.nodes.reshape(-1, self.grid.dim)[self.boundary.inlets[name]]
 
+    @checked
     def report(self, phi: Tensor) -> dict[str, float | str]:
         """Solver, sizes and wall times [s] of a level set's prepared system, made if not kept.
 
         Args:
             phi: Level set at the nodes, (*node_shape,) float64.
         """
-        phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
+        phi = require("phi", phi, self.grid.node_shape, torch.float64).reshape(-1)
+        require_unmapped(phi=phi)
+        phi = values_of(phi)
         with self._context.lock:
             report = self._context.system(phi, self.num_threads).report
         names = [name for name in dir(report) if not name.startswith("_") and name != "iterative"]

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_counts, require_number, require_numbers
+from diffsim.core.checked import checked
 
 AXES = "xyz"
 
@@ -116,6 +117,7 @@ class Grid:
             raise ValueError(f"face must be one of {list(self.faces)}, got {face!r}")
         return AXES.index(face[0]), "-+".index(face[1])
 
+    @checked
     def nodal_vectors(self, name: str, value: Tensor) -> Tensor:
         """A vector field from one vector (dim,), a field (*node_shape, dim) or one per case.
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_range
 from diffsim.core.values import as_array
 from diffsim.stokes._ops_flow import FlowInputs
 from diffsim.stokes.boundary import Boundary
@@ -44,8 +44,8 @@ def flow_inputs(
     phi = require("phi", phi, grid.node_shape, torch.float64)
     eta = torch.as_tensor(viscosity)
     eta = require("viscosity", eta.to(torch.float64).reshape(-1), (1,), torch.float64)
-    if not torch.compiler.is_compiling() and float(eta.detach()) <= 0.0:
-        raise ValueError(f"viscosity must be above 0, got {float(eta.detach()):g}")
+    if not torch.compiler.is_compiling():
+        require_range("viscosity", eta, above=0.0, hint="unit is Pa s")
     if isinstance(inlet, Mapping):
         inlet = {name: _as_tensor(value) for name, value in inlet.items()}
     elif inlet is not None:

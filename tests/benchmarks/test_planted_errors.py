@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import planted_errors
+from benchmarks import drawn_errors, planted_errors
 from benchmarks.planted_errors import (
     CAUGHT,
     KEPT,
@@ -175,3 +175,41 @@ def test_contributing_shows_the_record_of_the_plan():
 def test_unknown_names_are_refused(capsys: pytest.CaptureFixture[str]):
     assert planted_errors.main(["--only", "corre"]) == 1
     assert "no errors or rooms ['corre']" in capsys.readouterr().err
+
+
+def test_drawn_errors_fit_the_tree(monkeypatch):
+    """From a seed the same ones, each a text that stands once, of Python that can be read."""
+    monkeypatch.setattr(drawn_errors, "tests_of", lambda file: ["tests/test_house.py", "b"])
+    drawn = drawn_errors.draw(5, 20, nearest=1)
+    assert drawn == drawn_errors.draw(5, 20, nearest=1)
+    assert drawn != drawn_errors.draw(6, 20, nearest=1)
+    for error in drawn:
+        assert error.tests == ("tests/test_house.py",)
+        text = planted_text(Planted(**error._asdict()), ROOT)
+        if error.file.endswith(".py"):
+            compile(text, error.file, "exec")
+
+
+def test_the_operators_of_drawn_errors():
+    text = "def f(a, b=2.0, *, c=False):\n    return a[0] * b - -c if (a < b) else 'x' + 'y'\n"
+    sites = set(drawn_errors.sites_of(Path("f.py"), text))
+    seen = {(text[s.start : s.end].strip(), s.new.strip(), s.kind) for s in sites}
+    assert seen == {
+        ("2.0", "5.0", "default"),
+        ("False", "True", "default"),
+        ("0", "1", "index"),
+        ("*", "/", "factor"),
+        ("-", "+", "sign"),
+        ("- -c", "", "dropped-term"),
+        ("-", "", "sign"),
+        ("<", "<=", "comparison"),
+    }
+    kernel = "double f() { return a[0] * b + c; }  // a + b\n"
+    assert len(set(drawn_errors.sites_of(Path("f.cpp"), kernel))) == 3
+
+
+def test_harmless_errors_leave_the_count(tmp_path):
+    record = Record(tmp_path / "r.json", {})
+    record.errors = {"a": {"state": CAUGHT}, "b": {"state": MISSED}, "c": {"state": UNFIT}}
+    assert planted_errors.share_caught(record, {}).startswith("caught 1 of 2 (50 %)")
+    assert planted_errors.share_caught(record, {"b": "a guess"}).startswith("caught 1 of 1")

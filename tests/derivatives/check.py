@@ -1,4 +1,8 @@
-"""Derivatives by every floating tensor of a call: reverse and forward mode against differences."""
+"""Derivatives by every floating tensor of a call: reverse and forward mode against differences.
+
+Both are asked of ``torch.autograd`` and of ``torch.func``, whose ``vmap`` must give what a loop
+does.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +10,20 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import torch
 import torch.autograd.forward_ad as forward_mode
-from torch import Tensor
+from torch import Tensor, func
 
 from diffsim import stokes
 from diffsim.copter import HoverResult
-from diffsim.core.check import values_of
 from diffsim.core.errors import DiffsimError
+from diffsim.core.numbers import values_of
 
 REFUSED = (TypeError, ValueError, NotImplementedError, DiffsimError)
-CLEAR = re.compile(r"grad|derivative|differentiat|order|detach")
+CLEAR = re.compile(r"grad|derivative|differentiat|order|detach|mapped")
 NO_NUMBER = re.compile(r"number|got Tensor")
 STEP = 1e-5
 REPORTS = {HoverResult: ("multipliers",), stokes.FlowField: ("stats", "solve")}
@@ -76,12 +81,14 @@ def with_leaf(value: Any, path: Path, leaf: Tensor) -> Any:
 
 def flat(out: Any) -> Tensor:
     """All floating tensors of a result in a row; infinite ones have no differences."""
-    rows = [
-        part.flatten().double()[values_of(part).flatten().isfinite()]
-        for path, part in leaves(out)
-        if not path or path[0] not in REPORTS.get(type(out), ())
-    ]
-    return torch.cat(rows) if rows else torch.zeros(0, dtype=torch.float64)
+    parts = [part.flatten().double()[values_of(part).flatten().isfinite()] for part in rows(out)]
+    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.float64)
+
+
+def rows(out: Any) -> list[Tensor]:
+    """All floating tensors of a result but for those that tell how it was computed."""
+    reports = REPORTS.get(type(out), ())
+    return [part for path, part in leaves(out) if not path or path[0] not in reports]
 
 
 def check(function: Callable[[Any], Any], given: Any, kind: type = Tensor) -> dict[str, str]:
@@ -100,6 +107,8 @@ def check(function: Callable[[Any], Any], given: Any, kind: type = Tensor) -> di
         leaf = torch.tensor(value, dtype=torch.float64) if kind is float else value.detach()
         try:
             found[place] = _check_leaf(function, given, path, leaf, plain, kind)
+            if kind is not float:
+                _check_mapped(partial(_rows_of, function, given, path), leaf)
         except AssertionError as error:
             raise AssertionError(f"{place}: {error}") from None
     return found
@@ -113,24 +122,22 @@ def _check_leaf(function, given, path: Path, leaf: Tensor, plain: Tensor, kind: 
         direction = direction + direction.T  # an inertia stays one
     weight = torch.randn(plain.shape, generator=random, dtype=torch.float64)
     scale = float((weight * plain).abs().sum())
-    slopes = [
-        _asked(lambda: _reverse(function, given, path, leaf, direction, weight), kind),
-        _asked(lambda: _forward(function, given, path, leaf, direction, weight), kind),
-    ]
-    if slopes == [None, None]:
+    modes = dict.fromkeys(MODES[:2] if kind is float else MODES)
+    for mode in modes:
+        of = partial(mode, lambda x: flat(function(with_leaf(given, path, x))))
+        modes[mode] = _asked(partial(of, leaf, direction, weight), kind)
+    slopes = [slope for slope in modes.values() if slope is not None]
+    if not slopes:
         return "refused"  # a mode alone may be refused, too
     try:
         expected = _difference(function, given, path, leaf, direction, weight, kind)
     except REFUSED:  # a sign, a unit vector: it cannot be moved a little, but modes must agree
-        assert None in slopes or abs(slopes[0] - slopes[1]) <= 1e-9 * (scale + abs(slopes[0]))
+        assert max(slopes) - min(slopes) <= 1e-9 * (scale + abs(slopes[0]))
         return "held"
-    for mode, slope in zip(("reverse", "forward"), slopes, strict=True):
-        if slope is None:
-            continue
-        off = abs(slope - expected)
-        assert off <= 1e-4 * abs(expected) + 1e-7 * scale + 1e-12, (
-            f"{mode} mode gives {slope:.6g}, differences {expected:.6g}"
-        )
+    for mode, slope in modes.items():
+        assert slope is None or abs(slope - expected) <= (
+            1e-4 * abs(expected) + 1e-7 * scale + 1e-12
+        ), f"{mode.__doc__} gives {slope:.6g}, differences {expected:.6g}"
     return "moves" if abs(expected) > 1e-7 * scale else "still"
 
 
@@ -144,21 +151,58 @@ def _asked(work: Callable[[], float], kind: type) -> float | None:
         return None
 
 
-def _reverse(function, given, path, leaf, direction, weight) -> float:
+def _reverse(of, leaf, direction, weight) -> float:
+    """reverse mode"""
     asked = leaf.clone().requires_grad_()
-    out = flat(function(with_leaf(given, path, asked)))
+    out = of(asked)
     if not out.requires_grad:
         return 0.0
     (grad,) = torch.autograd.grad((weight * out).sum(), asked, allow_unused=True)
     return 0.0 if grad is None else float((grad * direction).sum())
 
 
-def _forward(function, given, path, leaf, direction, weight) -> float:
+def _forward(of, leaf, direction, weight) -> float:
+    """forward mode"""
     with forward_mode.dual_level():
-        moving = forward_mode.make_dual(leaf.clone(), direction)
-        out = flat(function(with_leaf(given, path, moving)))
+        out = of(forward_mode.make_dual(leaf.clone(), direction))
         tangent = forward_mode.unpack_dual(out).tangent
         return 0.0 if tangent is None else float((weight * tangent).sum())
+
+
+def _func_reverse(of, leaf, direction, weight) -> float:
+    """torch.func.grad"""
+    grad = func.grad(lambda x: (weight * of(x)).sum())(leaf.clone())
+    return float((grad * direction).sum())
+
+
+def _func_forward(of, leaf, direction, weight) -> float:
+    """torch.func.jvp"""
+    return float((weight * func.jvp(of, (leaf.clone(),), (direction,))[1]).sum())
+
+
+MODES = (_reverse, _forward, _func_reverse, _func_forward)
+
+
+def _rows_of(function, given, path: Path, leaf: Tensor) -> list[Tensor]:
+    return rows(function(with_leaf(given, path, leaf)))
+
+
+def _check_mapped(of: Callable[[Tensor], list[Tensor]], leaf: Tensor) -> None:
+    """``torch.func.vmap`` of two leaves gives what each gives alone, or is refused in words."""
+    both = torch.stack([leaf, (1.0 + STEP) * leaf + STEP])
+    try:
+        each = [of(item.clone()) for item in both]
+    except REFUSED:  # a sign, a unit vector: it cannot be moved a little
+        both = torch.stack([leaf, leaf])
+        each = [of(leaf.clone())] * 2
+    try:
+        mapped = func.vmap(lambda x: tuple(of(x)), randomness="same")(both)
+    except REFUSED as error:
+        assert CLEAR.search(str(error)), f"refused without saying why: {error!r}"
+        return
+    for k, item in enumerate(each):
+        for got, expected in zip(mapped, item, strict=True):
+            torch.testing.assert_close(got[k], expected, rtol=1e-9, atol=1e-12, equal_nan=True)
 
 
 def _difference(function, given, path, leaf, direction, weight, kind) -> float:

@@ -3,7 +3,8 @@
 ``MAKE`` has arguments of classes (or a function that makes the object of them), ``CALL`` those of
 functions and methods, ``USE`` what to do with an object that has no method that takes tensors. A
 method of a base class serves its subclasses too. ``LOOK`` has what to look at in a result that is
-no tensor, ``FACTORIES`` what makes objects that are not made by their class.
+no tensor, ``FACTORIES`` what makes objects that are not made by their class, or
+functions that stand for one of that name.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ MAKE: dict[type, Arguments] = {}
 CALL: dict[str, Arguments] = {}
 USE: dict[type, Callable[[Any], Any]] = {}
 LOOK: dict[str, Callable[[Any], Any]] = {}
-FACTORIES: dict[type, Callable[..., Any]] = {}
+FACTORIES: dict[type | str, Callable[..., Any]] = {}
 ABSTRACT = (contact.Shape, control.OpenLoop, soft.ActuatorDynamics, shapes.Shape)
 """Their subclasses are what is called."""
 LATER: list[str] = []

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
 from diffsim import copter, envs, identify, sim_to_real, soft, stokes
-from diffsim.copter import codesign, simulator
+from diffsim.copter import codesign, fabrication, simulator
 from diffsim.copter.airframe import Airframe
 from diffsim.data.study import Channel, Run, Study
 from diffsim.envs.soft_tasks import Advance
@@ -53,13 +54,13 @@ CALL |= {
     "ArmSpace.cost": lambda: {"s": real(0.3, 0.4)},
     "ArmSpace.size": lambda: {"s": real(0.3, 0.4)},
     "ArmSpace.multicopter": lambda: {"s": real(0.3, 0.4)},
-    "plan": lambda: {"design": QUAD, **_values()},
+    "plan": _values,
 }
 MAKE |= {
     copter.Design: dict,
     codesign.ArmSpace: lambda: {"airframe": Airframe(num_pairs=2)},
 }
-FACTORIES[copter.Design] = lambda: QUAD
+FACTORIES |= {copter.Design: lambda: QUAD, "plan": partial(fabrication.plan, QUAD)}
 
 
 # --- the flight simulator

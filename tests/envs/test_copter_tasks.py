@@ -101,3 +101,31 @@ envs.close()
 def test_forked_workers_of_gymnasium():
     done = warm.python("-c", FORKED_WORKERS, timeout=90)
     assert done.stdout.split("\n")[0] == "(2, 22)", done.stderr
+
+
+def test_the_reward_is_that_of_the_data_sheet():
+    """Formulas of docs/environments, evaluated anew, about a course that moves."""
+    task = make_task("CopterTrack", size=1.2, period=5.0)
+    state, action = started(task)
+    after = task.step(state, action)[0]
+    terms = task.reward_terms(state, action, after)
+    time = after["step"].numpy() * task.dt
+    turn = 2.0 * np.pi * time / 5.0 + after["phase"].numpy()
+    still = np.zeros_like(turn)
+    course = 1.2 * np.stack([np.sin(turn), 0.5 * np.sin(2.0 * turn), still], 1)
+    rate = 2.0 * np.pi / 5.0
+    velocity = 1.2 * rate * np.stack([np.cos(turn), np.cos(2.0 * turn), still], 1)
+
+    def away(error):
+        return np.sqrt((error**2).sum(1) + 0.1**2) - 0.1
+
+    expected = {
+        "alive": np.ones(2),
+        "position": -away(after["position"].numpy() - course) / 3.0,
+        "velocity": -0.02 * away(after["velocity"].numpy() - velocity),
+        "turning": -0.003 * away(after["body_rates"].numpy()),
+        "effort": -0.003 * (action.numpy() ** 2).mean(1),
+    }
+    assert set(terms) == set(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(terms[name].numpy(), value, rtol=1e-12, err_msg=name)

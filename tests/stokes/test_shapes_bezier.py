@@ -277,3 +277,17 @@ def test_side_behind_an_end_with_repeated_control_points(seed):
     clear = across.abs() > 1e-3
     assert clear.sum() > 20
     assert ((curve(p)[at_start] > 0) == (across > 0))[clear].all()
+
+
+def test_normals_of_rational_curves_are_square_to_the_curve():
+    """Its slope is (h' - x w') / w: a normal without the weights' term leans, the foot is right."""
+    points = tensor([[0.0, 0.0], [0.3, 0.9], [0.9, -0.5], [1.0, 0.2]])
+    curve = quiet(points, weights=tensor([1.0, 3.0, 0.4, 2.0]))
+    p = random(3, 40, 2)
+    tau, normal = curve._chain().closest(p, None)
+    inner = (tau > 1e-3) & (tau < 1.0 - 1e-3)
+    assert int(inner.sum()) > 20
+    step = 1e-6
+    along = curve.point((tau + step)[inner]) - curve.point((tau - step)[inner])
+    cosine = (normal[inner] * along).sum(1) / along.norm(dim=1)
+    assert float(cosine.abs().max()) < 1e-6  # differences have 1e-10 of the slope

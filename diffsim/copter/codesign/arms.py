@@ -12,11 +12,13 @@ from torch import Tensor
 from diffsim.copter.airframe import Airframe
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 _MIRROR = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
 _ROD_COST, _ROTOR_COST, _CORE_COST = 25.0, 40.0, 150.0  # [EUR/m], [EUR], [EUR]; assumed
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ArmSpace:
     """Arms at equal angles, one length per mirrored pair; directions are free to tilt.
@@ -57,6 +59,7 @@ class ArmSpace:
         limits = torch.tensor(ends, dtype=torch.float64)
         return torch.cat([unit, -unit]), limits.repeat_interleave(self.airframe.num_pairs)
 
+    @checked
     def multicopter(
         self, s: Tensor, directions: Tensor | None = None, spins: Tensor | None = None
     ) -> Multicopter:
@@ -72,10 +75,12 @@ class ArmSpace:
             vehicle = vehicle.replace(directions=directions)
         return vehicle if spins is None else vehicle.replace(spins=spins)
 
+    @checked
     def size(self, s: Tensor) -> Tensor:
         """See ``DesignSpace``."""
         return 2.0 * s.sum()
 
+    @checked
     def cost(self, s: Tensor) -> Tensor:
         """See ``DesignSpace``."""
         return _CORE_COST + 2 * len(s) * _ROTOR_COST + _ROD_COST * self.size(s)

@@ -23,7 +23,10 @@ from diffsim.copter.vehicle.geometry import Array
 from diffsim.copter.vehicle.mass import rigid_body
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.parts import RotorMount
-from diffsim.core.check import require, require_choice, require_constant, values_of
+from diffsim.core.check import require, require_choice, require_constant
+from diffsim.core.checked import checked
+from diffsim.core.layer import on_constants
+from diffsim.core.numbers import to_numpy, values_of
 
 _SLACK = 2e-6  # [m], more than the step of a difference quotient at a bound
 
@@ -69,16 +72,19 @@ class Design:
         return tuple(self.feasible.names[i] for i in self.feasible.free_idx)
 
     @cached_property
+    @on_constants()
     def basis(self) -> Tensor:
         """(n, n_free) of x = offset + basis @ s."""
         return torch.from_numpy(self.feasible.basis)
 
     @cached_property
+    @on_constants()
     def offset(self) -> Tensor:
         """(n,) of x = offset + basis @ s."""
         return torch.from_numpy(self.feasible.offset)
 
     @cached_property
+    @on_constants()
     def inequalities(self) -> tuple[Tensor, Tensor]:
         """A (num_rows, n_free) and b (num_rows,) of A s <= b (thesis eq. 3.10)."""
         return (
@@ -107,6 +113,7 @@ class Design:
         return tuple(p.name for p in self.parts if p.part.rotor_mount is not None)
 
     @cached_property
+    @on_constants()
     def directions(self) -> Tensor:
         """Thrust directions as built, (n_rotors, 3)."""
         rows = [
@@ -117,6 +124,7 @@ class Design:
         return torch.from_numpy(np.array(rows).reshape(-1, 3))
 
     @cached_property
+    @on_constants()
     def spins(self) -> Tensor:
         """b_i as built, (n_rotors,)."""
         return torch.tensor([float(m.spin) for m in self.rotors], dtype=torch.float64)
@@ -127,6 +135,7 @@ class Design:
         return distance_weights(self.parts)
 
     @cached_property
+    @on_constants()
     def _tensors(self) -> PartTensors:
         return PartTensors(self.parts, self.feasible.names)
 
@@ -140,9 +149,11 @@ class Design:
             self._require_feasible(values_of(self._free(s)))
         return self.all_values(s)
 
+    @checked
     def value(self, name: str, s: Tensor | None = None) -> float:
         """One parameter by name [m]."""
-        return float(self.all_values(s)[self._index(name)].detach())
+        values = to_numpy("s", self.all_values(s))
+        return float(values[self._index(name)])
 
     def multicopter(
         self,
@@ -283,7 +294,7 @@ class Design:
 
     def named_values(self) -> dict[str, float]:
         """Current free parameters by name [m]."""
-        return dict(zip(self.names, self.values.tolist(), strict=True))
+        return dict(zip(self.names, to_numpy("values", self.values).tolist(), strict=True))
 
     def meshes(
         self, s: Tensor | None = None, directions: Tensor | None = None
@@ -294,14 +305,15 @@ class Design:
             s: Free parameters, (n_free,); the current ones if None.
             directions: Thrust directions, (n_rotors, 3), to draw motors and propellers tilted.
         """
-        x = self._possible_values(s).detach().numpy()
+        x = to_numpy("s", self._possible_values(s))
         return placed_meshes(self.parts, dict(zip(self.all_names, x, strict=True)), directions)
 
     def bill_of_materials(self, s: Tensor | None = None) -> tuple[PartEntry, ...]:
         """Every part with mass and price."""
         x = self._possible_values(s).detach()
-        masses = self._tensors.moments(x).mass.tolist()
-        return part_entries(self.parts, dict(zip(self.all_names, x.tolist(), strict=True)), masses)
+        masses = to_numpy("s", self._tensors.moments(x).mass).tolist()
+        values = to_numpy("s", x).tolist()
+        return part_entries(self.parts, dict(zip(self.all_names, values, strict=True)), masses)
 
     def save(self, path: str | Path) -> Path:
         """Write the design with its current values as YAML, atomically."""

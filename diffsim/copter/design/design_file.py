@@ -7,6 +7,7 @@ from pathlib import Path
 from diffsim.copter._shipped import read_named
 from diffsim.copter.design.design import Design, build_design
 from diffsim.copter.design.spec_file import spec_from_text
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 
 
@@ -41,6 +42,7 @@ def design_from_text(text: str, source: str = "design", folder: Path | None = No
         raise ValueError(f"{source}: {error}") from error
 
 
+@checked
 def save_design(design: Design, path: str | Path) -> Path:
     """Write a design with its current values, atomically."""
     return design.save(path)

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError, DiffsimError
+from diffsim.core.numbers import to_numpy
 
 
 class ThrustLimitError(DiffsimError):
@@ -48,7 +49,7 @@ def max_scale(
     Raises:
         ThrustLimitError: infeasible.
     """
-    C_now, a_now, b_now, limit = (t.detach().numpy() for t in (C, a, b, max_thrusts))
+    C_now, a_now, b_now, limit = (to_numpy("copter", t) for t in (C, a, b, max_thrusts))
     optimum = _linear_program(C_now, a_now, b_now, limit, what=what)
     if smoothing:
         optimum = _barrier(C_now, a_now, b_now, limit, smoothing)

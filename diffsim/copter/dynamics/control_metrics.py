@@ -15,8 +15,11 @@ from torch import Tensor
 
 from diffsim.copter.dynamics._thrust_lp import max_scale
 from diffsim.copter.vehicle.multicopter import Multicopter
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
+from diffsim.core.numbers import anywhere, require_unmapped, values_of
+from diffsim.core.values import as_array
 
 _RANK_DROP = 1e-9  # singular value, relative to the largest, that counts as zero
 
@@ -35,6 +38,7 @@ class Controllability(NamedTuple):
     condition: Tensor
 
 
+@checked(A=("n", "n"))
 def controllability(A: Tensor, B: Tensor) -> Controllability:
     """Rank and singular values of [B, A B, ..., A^(n-1) B] (thesis 3.4.1).
 
@@ -47,6 +51,7 @@ def controllability(A: Tensor, B: Tensor) -> Controllability:
     """
     A = require("A", A, ("n", "n"))
     B = require("B", B, (A.shape[0], "m"))
+    require_unmapped(A=A, B=B)
     blocks = [B]
     for _ in range(A.shape[0] - 1):
         blocks.append(A @ blocks[-1])
@@ -56,6 +61,7 @@ def controllability(A: Tensor, B: Tensor) -> Controllability:
     return Controllability(rank, values, condition)
 
 
+@checked
 def hover_map_singular_value(copter: Multicopter) -> Tensor:
     """Smallest singular value of thrusts to lift, roll, pitch and yaw, () [-].
 
@@ -71,6 +77,7 @@ def hover_map_singular_value(copter: Multicopter) -> Tensor:
     return values[-1] if copter.num_rotors >= 4 else 0.0 * values[-1]
 
 
+@checked
 def max_hover_weight(
     copter: Multicopter,
     *,
@@ -104,6 +111,7 @@ def max_hover_weight(
     return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
 
 
+@checked(load=())
 def control_authority(
     copter: Multicopter,
     *,
@@ -132,6 +140,7 @@ def control_authority(
     if not bool((box != 0.0).any()):
         raise ValueError("torque must have an extent above 0, got all zero")
     signs = _corners()
+    require_unmapped(mass=copter.mass, load=torch.as_tensor(load))
     weight = (copter.weight + load).reshape(1, 1).expand(len(signs), 1)
     a = torch.cat([torch.zeros(len(signs), 1, dtype=torch.float64), signs * box], 1)
     b = torch.cat([weight, torch.zeros(len(signs), 3, dtype=torch.float64)], 1)
@@ -141,6 +150,7 @@ def control_authority(
     return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
 
 
+@checked(load=())
 def rotor_out_margins(copter: Multicopter, *, load: float | Tensor = 0.0) -> Tensor:
     """Largest weight that can be held without each rotor in turn, yaw free, over the weight.
 
@@ -166,6 +176,7 @@ def rotor_out_margins(copter: Multicopter, *, load: float | Tensor = 0.0) -> Ten
     return torch.stack(margins)
 
 
+@checked(A=("n", "n"))
 def response_time(A: Tensor, B: Tensor, K: Tensor, *, within: float = math.exp(-1.0)) -> Tensor:
     """Time in which the slowest mode of x' = (A - B K) x falls to a share of its start.
 
@@ -189,9 +200,10 @@ def response_time(A: Tensor, B: Tensor, K: Tensor, *, within: float = math.exp(-
     K = require("K", K, (B.shape[1], A.shape[0]))
     within = require_number("within", within, above=0.0, below=1.0)
     slowest = torch.linalg.eigvals(A - B @ K).real.max()
-    if not float(slowest) < 0.0:
+    if anywhere(~(slowest < 0.0)):
         raise DiffsimError(
-            f"the closed loop is not stable: a mode with real part {float(slowest):g} 1/s; "
+            f"the closed loop is not stable: a mode with real part "
+            f"{float(values_of(slowest).max()):g} 1/s; "
             "take K from lqr(A, B, Q, R)"
         )
     return math.log(within) / slowest
@@ -206,9 +218,6 @@ def _corners() -> Tensor:
 
 
 def _require_box(torque: Tensor | tuple[float, float, float]) -> Tensor:
-    if not isinstance(torque, Tensor):
-        torque = torch.tensor(torque, dtype=torch.float64)
-    box = require("torque", torque, (3,))
-    if bool((box < 0.0).any()):
-        raise ValueError(f"torque must not be negative, got {box.tolist()}")
-    return box
+    box = require("torque", as_array("torque", torque), (3,))
+    require_unmapped(torque=box)
+    return require_range("torque", box, at_least=0.0, hint="unit is N m")

@@ -28,10 +28,11 @@ from diffsim.core.check import (
     require_count,
     require_number,
     require_threads,
-    values_of,
 )
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.module import loadable
+from diffsim.core.numbers import values_of
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
 
@@ -83,6 +84,7 @@ class Flight:
     time: Tensor
 
 
+@checked
 def fly(
     vehicle: Multicopter | Sequence[Multicopter] | Fleet,
     start: FlightState,
@@ -161,6 +163,7 @@ class PreparedFlight:
     has_battery: bool
     has_drag: bool
 
+    @checked
     def fly(
         self,
         start: FlightState,
@@ -183,6 +186,7 @@ class PreparedFlight:
         time = self.dt * torch.arange(first, steps + 1, dtype=torch.float64)
         return Flight(self._state(records), time)
 
+    @checked
     def step(
         self, start: FlightState, thrusts: Tensor, *, wind: Tensor | None = None
     ) -> FlightState:
@@ -255,6 +259,7 @@ class PreparedFlight:
         return FlightState(position, quaternion, velocity, rates, thrusts, charge[..., 0])
 
 
+@checked
 def prepare_flight(
     vehicle: Multicopter | Sequence[Multicopter] | Fleet,
     *,

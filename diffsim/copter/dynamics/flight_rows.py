@@ -12,7 +12,8 @@ from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.vehicle.effects import FlightEffects
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.copter.vehicle.multicopter import Multicopter
-from diffsim.core.check import all_finite, require, values_of
+from diffsim.core.check import all_finite, require
+from diffsim.core.numbers import values_of
 
 _NEUTRAL = {"curve_reference": 1.0, "nominal_voltage": 1.0}  # the others are zero where absent
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_shape
+from diffsim.core.checked import checked
 from diffsim.core.module import loadable
 from diffsim.core.rotation import (
     body_rates_from_rpy_rates,
@@ -52,6 +53,7 @@ class FlightState:
             require_shape("charge", self.charge, tuple(lead))
 
     @classmethod
+    @checked(position=("...", 3), rpy=("...", 3))
     def at_rest(cls, position: Tensor, rpy: Tensor | None = None) -> FlightState:
         """Standing still.
 
@@ -60,6 +62,7 @@ class FlightState:
             rpy: Roll, pitch, yaw, (..., 3) [rad]; zero by default.
         """
         rpy = torch.zeros_like(position) if rpy is None else rpy
+        require("rpy", rpy, tuple(position.shape))
         still = torch.zeros_like(position)
         return cls(position, quaternion_from_rpy(rpy), still, still)
 

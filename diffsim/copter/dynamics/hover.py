@@ -17,6 +17,7 @@ from diffsim.core.check import (
     require_range,
     require_threads,
 )
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
@@ -125,6 +126,7 @@ def hover_thrusts(
     return result
 
 
+@checked
 def hover(
     copter: Multicopter,
     *,

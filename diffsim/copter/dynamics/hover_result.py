@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.dynamics import _ops_hover
-from diffsim.core.check import values_of
 from diffsim.core.errors import DiffsimError
+from diffsim.core.numbers import values_of
 from diffsim.core.record import Ended, Solve, warn
 from diffsim.core.rotation import matrix_from_rpy
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require, require_choice
+from diffsim.core.checked import checked
 from diffsim.core.module import loadable
 from diffsim.core.rotation import body_rates_matrix, matrix_from_rpy, skew
 
@@ -28,6 +29,7 @@ class LinearModel(NamedTuple):
     B: Tensor
 
 
+@checked(state=(12,), thrusts=("n_rotors",))
 def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
     """f(x, u) of the thesis's eq. 3.6 in Euler angles, body velocity and Euler rates.
 
@@ -73,6 +75,7 @@ def _body_rates_matrix_rate(euler: Tensor, rates: Tensor) -> Tensor:
     return torch.stack([torch.stack(row) for row in rows])
 
 
+@checked
 def linearize(
     copter: Multicopter, thrusts: Tensor, attitude: Tensor, *, form: str = "euler"
 ) -> LinearModel:

@@ -9,8 +9,16 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter.dynamics import _ops_riccati
-from diffsim.core.check import require, require_constant, require_constants, require_threads
+from diffsim.core.check import (
+    require,
+    require_constant,
+    require_constants,
+    require_range,
+    require_threads,
+)
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module, loadable
+from diffsim.core.numbers import values_of
 from diffsim.core.record import Solve
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart
@@ -74,6 +82,7 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     return X.reshape(*batch, n, n)
 
 
+@checked
 def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> LqrGain:
     """The gain that minimizes the integral of x' Q x + u' R u along x' = A x + B u.
 
@@ -104,6 +113,7 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     return LqrGain(torch.linalg.solve(R, B.mT @ P), P)
 
 
+@checked
 def lqr_stats(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> LqrStats:
     """What the solver reports on the Riccati equation of ``lqr``; tracked arguments are refused."""
     require_constants("reports have no gradient", A=A, B=B, Q=Q, R=R)
@@ -132,8 +142,7 @@ class LQR(Float64Module):
         for name, value in (("q", q), ("r", r)):
             require_constant(name, value, "it is a first guess of parameters")
             require(name, value, (name.upper(),))
-            if bool((value <= 0.0).any()):
-                raise ValueError(f"{name} must be above 0, got {float(value.min()):g}")
+            require_range(name, value, above=0.0)
         self.log_q = nn.Parameter(q.detach().log(), requires_grad=trainable)
         self.log_r = nn.Parameter(r.detach().log(), requires_grad=trainable)
 
@@ -175,6 +184,7 @@ def _require_problem(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> tuple[Tensor
 
 
 def _require_definite(name: str, matrix: Tensor, *, strictly: bool) -> None:
+    matrix = values_of(matrix)
     if matrix.numel() == 0:
         return
     largest = float(matrix.abs().max())

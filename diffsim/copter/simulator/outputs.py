@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from diffsim.copter.vehicle.rotor import (
     rotor_names,
 )
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 SAFE_PWM = 1800.0  # the thesis's clamp, Fig. 3-9 [us]
 
@@ -46,6 +47,7 @@ class MotorOutputs:
         pwm_max: No pulse is longer [us].
     """
 
+    @checked
     def __init__(
         self, rotors: Sequence[RotorModel], max_thrusts: Tensor, *, pwm_max: float = SAFE_PWM
     ):
@@ -61,33 +63,37 @@ class MotorOutputs:
             for name in dict.fromkeys(names)
         ]
 
+    @checked(voltage=())
     def limits(self, voltage: Tensor) -> Tensor:
         """Largest thrusts at a battery voltage () [V], (n_rotors,) [N]."""
         pwm = torch.full_like(self.max_thrusts, self.pwm_max)
         return torch.minimum(self.thrusts(pwm, voltage), self.max_thrusts)
 
+    @checked(pwm=("n_rotors",), voltage=())
     def thrusts(self, pwm: Tensor, voltage: Tensor) -> Tensor:
         """Settled thrusts at pulse widths, (n_rotors,) [us] and a voltage () [V]."""
-        thrusts = torch.zeros_like(pwm)
-        for rotor, idx in self._groups:
-            thrusts[idx] = rotor.thrust(rotor.speed_at(pwm[idx], voltage))
-        return thrusts
+        return self._each(lambda rotor, idx: rotor.thrust(rotor.speed_at(pwm[idx], voltage)))
 
+    @checked(wanted=("n_rotors",), voltage=())
     def command(self, wanted: Tensor, voltage: Tensor) -> Outputs:
         """Pulse widths for wanted thrusts, (n_rotors,) [N], at a voltage () [V]."""
         limits = self.limits(voltage)
         thrusts = torch.minimum(wanted.clamp(min=0.0), limits)
-        pwm = torch.empty_like(wanted)
-        for rotor, idx in self._groups:
-            pwm[idx] = rotor.signal(thrusts[idx], voltage)
+        pwm = self._each(lambda rotor, idx: rotor.signal(thrusts[idx], voltage))
         pwm = pwm.clamp(max=self.pwm_max)
         return Outputs(pwm, torch.minimum(self.thrusts(pwm, voltage), limits), wanted >= limits)
+
+    def _each(self, of: Callable[[RotorModel, Tensor], Tensor]) -> Tensor:
+        """What each group of equal rotors gives, in the order of the rotors, (n_rotors,)."""
+        order = torch.cat([idx for _, idx in self._groups]).argsort()
+        return torch.cat([of(rotor, idx) for rotor, idx in self._groups])[order]
 
     def standing(self) -> Outputs:
         """All motors off."""
         none = torch.zeros_like(self.max_thrusts)
         return Outputs(torch.full_like(none, SIGNAL_LOW), none, none > 0.0)
 
+    @checked(thrusts=("...", "n_rotors"))
     def power(self, thrusts: Tensor) -> Tensor:
         """Electrical power of all motors (...) [W] at thrusts (..., n_rotors) [N]."""
         power = thrusts.new_zeros(thrusts.shape[:-1])
@@ -96,6 +102,7 @@ class MotorOutputs:
         return power
 
 
+@checked
 def flight_rotors(vehicle: Multicopter) -> tuple[RotorModel, ...]:
     """One bench model per rotor; those of sizes never measured are scaled, and say so.
 

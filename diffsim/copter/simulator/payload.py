@@ -12,6 +12,7 @@ from diffsim.copter.simulator.outputs import MotorOutputs
 from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 
 class PayloadError(ValueError):
@@ -26,6 +27,7 @@ class PayloadError(ValueError):
         self.limit = limit
 
 
+@checked
 def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) -> Multicopter:
     """The vehicle with a point mass fixed below its center of mass.
 

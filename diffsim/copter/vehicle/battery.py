@@ -13,6 +13,9 @@ from torch import Tensor
 from diffsim.copter.vehicle.effects import BatterySag
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.check import require_count, require_number
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere, values_of
+from diffsim.core.values import scalar
 
 # Resting voltage of a lithium-polymer cell against its charge: the table that hobby chargers and
 # battery alarms print, 0 to 100 % in steps of 5 %.
@@ -25,6 +28,7 @@ LIPO_NOMINAL = 3.7  # [V] per cell
 USUAL_SAG_EXPONENT = 1.77
 
 
+@checked(open_circuit_coefficients=(4,))
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Battery:
     """A battery pack: voltage = open_circuit(charge) - resistance current.
@@ -49,9 +53,9 @@ class Battery:
                 "open_circuit_coefficients must have shape (4,), got "
                 f"{tuple(self.open_circuit_coefficients.shape)}"
             )
-        require_number("capacity", float(self.capacity.detach()), above=0.0)
-        require_number("resistance", float(self.resistance.detach()), at_least=0.0)
-        require_number("nominal_voltage", float(self.nominal_voltage.detach()), above=0.0)
+        scalar("capacity", self.capacity, above=0.0, hint="unit is A s")
+        scalar("resistance", self.resistance, at_least=0.0, hint="unit is ohm")
+        scalar("nominal_voltage", self.nominal_voltage, above=0.0, hint="unit is V")
 
     @classmethod
     def lipo(cls, *, cells: int, capacity_mah: float, resistance: float = 0.012) -> Battery:
@@ -77,15 +81,18 @@ class Battery:
             nominal_voltage=_tensor(cells * LIPO_NOMINAL),
         )
 
+    @checked
     def open_circuit(self, charge: Tensor) -> Tensor:
         """Voltage without load [V] at a charge, 0 to 1, any shape."""
         c = self.open_circuit_coefficients
         return c[0] + charge * (c[1] + charge * (c[2] + charge * c[3]))
 
+    @checked
     def voltage(self, charge: Tensor, current: Tensor) -> Tensor:
         """Voltage [V] at a charge, 0 to 1, and a current [A]."""
         return self.open_circuit(charge) - self.resistance * current
 
+    @checked
     def current_for_power(self, charge: Tensor, power: Tensor) -> Tensor:
         """Current [A] that delivers a power [W]: the smaller root of (E - R I) I = P.
 
@@ -94,14 +101,15 @@ class Battery:
         """
         open_circuit = self.open_circuit(charge)
         inside = open_circuit**2 - 4.0 * self.resistance * power
-        if bool((inside < 0.0).any()):
-            limit = float((open_circuit**2 / (4.0 * self.resistance)).min())
+        if anywhere(inside < 0.0):
+            limit = float(values_of(open_circuit**2 / (4.0 * self.resistance)).min())
             raise ValueError(
-                f"power must not exceed E^2 / (4 R) = {limit:.0f} W of the battery, got "
-                f"{float(power.max()):.0f} W; lower it or take a battery of less resistance"
+                f"power must not exceed E^2 / (4 R) = {limit:.0f} W of the battery, got up to "
+                f"{float(values_of(power).max()):.0f} W; lower it or take one of less resistance"
             )
         return 2.0 * power / (open_circuit + torch.sqrt(inside))
 
+    @checked(power=())
     def endurance(self, power: Tensor, *, reserve: float = 0.05, num_points: int = 200) -> Tensor:
         """Time [s] at a constant power until the charge has fallen from 1 to ``reserve``.
 

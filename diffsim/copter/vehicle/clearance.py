@@ -7,12 +7,15 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.numbers import to_numpy
 
 _TOUCH = 1e-9  # distance, in radii, below which discs count as cutting each other
 _MAX_ITERS = 20000
 
 
+@checked
 def disc_clearances(copter: Multicopter) -> Tensor:
     """Shortest distance between the discs of every two propellers.
 
@@ -36,7 +39,7 @@ def disc_clearances(copter: Multicopter) -> Tensor:
     between = torch.linalg.vector_norm(first[0] - second[0], dim=-1)
     if len(i) == 0:
         return between
-    discs = [tuple(t.detach().numpy() for t in disc) for disc in (first, second)]
+    discs = [tuple(to_numpy("copter", t) for t in disc) for disc in (first, second)]
     p, q = _closest_points(*discs[0], *discs[1])
     # The closest points, as material points of their discs, move with the design; that they also
     # slide does not change the distance to first order.
@@ -48,6 +51,7 @@ def disc_clearances(copter: Multicopter) -> Tensor:
     return torch.where(apart, distance, between - first[2] - second[2])
 
 
+@checked
 def min_clearance(copter: Multicopter) -> Tensor:
     """The smallest of ``disc_clearances``, () [m]; infinite for one propeller."""
     clearances = disc_clearances(copter)

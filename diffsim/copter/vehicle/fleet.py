@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.core.checked import checked
 
 _NAMES = (
     "mass",
@@ -50,6 +51,7 @@ class Fleet:
     radii: Tensor
 
     @classmethod
+    @checked
     def of(cls, vehicles: Sequence[Multicopter]) -> Fleet:
         """Stack vehicles of equal rotor count."""
         return cls(*(torch.stack([getattr(v, name) for v in vehicles]) for name in _NAMES))

@@ -8,8 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, values_of
+from diffsim.core.check import require
 from diffsim.core.module import loadable
+from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 
 GRAVITY = 9.81  # [m/s^2]

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from diffsim.copter._shipped import read_shipped, shipped
 from diffsim.copter.vehicle.effects import MotorLag, ThrustCurve
+from diffsim.core.checked import checked
+from diffsim.core.values import amounts, scalar
 from diffsim.core.yaml_text import load_yaml
 
 Number = float | Tensor
@@ -79,19 +81,22 @@ class RotorModel:
             "speed_coefficient",
             "speed_exponent",
         ):
-            value = float(_tensor(getattr(self, name)).detach())
-            if not value > 0.0:
-                raise ValueError(f"{name} must be above 0, got {value:g}")
+            scalar(name, getattr(self, name), above=0.0)
+        for name in ("thrust_offset", "current_offset", "duty_offset"):
+            scalar(name, getattr(self, name))
+        for name in ("torque_ratio", "time_constant", "mass"):
+            if getattr(self, name) is not None:
+                scalar(name, getattr(self, name), at_least=0.0)
 
     def thrust(self, speed: Number) -> Tensor:
         """Thrust [N] at a speed [rad/s], any shape; zero at standstill."""
-        speed = _tensor(speed)
+        speed = amounts("speed", speed, at_most=1e100, hint="unit is rad/s")
         thrust = self.thrust_coefficient * speed**self.thrust_exponent + self.thrust_offset
         return torch.where(speed > 0.0, thrust.clamp(min=0.0), 0.0)
 
     def speed(self, thrust: Number) -> Tensor:
         """Speed [rad/s] for a thrust [N], any shape; zero for none."""
-        thrust = _tensor(thrust)
+        thrust = amounts("thrust", thrust)
         lift = (thrust - self.thrust_offset) / self.thrust_coefficient
         turning = (thrust > 0.0) & (lift > 0.0)
         # a base of one where standing still: its power has a finite derivative
@@ -104,37 +109,48 @@ class RotorModel:
             raise ValueError(
                 f"the torque of {self.name} was not measured; replace its torque_ratio by yours"
             )
-        return self.torque_ratio * _tensor(thrust)
+        return self.torque_ratio * amounts("thrust", thrust)
 
     def power(self, thrust: Number) -> Tensor:
         """Electrical power [W] at a thrust [N]."""
         return self.nominal_voltage * self.current(thrust)
 
+    @checked
     def current(self, thrust: Number, voltage: Number | None = None) -> Tensor:
         """Current [A] at a thrust [N]; at another voltage [V] the power stays the same."""
-        thrust = _tensor(thrust)
+        thrust = amounts("thrust", thrust)
         turning = thrust > 0.0
         drawn = torch.where(turning, thrust, 1.0) ** self.current_exponent
         current = self.current_coefficient * torch.where(turning, drawn, 0.0) + self.current_offset
-        return current if voltage is None else current * self.nominal_voltage / voltage
+        if voltage is None:
+            return current
+        return current * self.nominal_voltage / self._voltage(voltage)
 
+    @checked
     def speed_at(self, signal: Number, voltage: Number | None = None) -> Tensor:
         """Speed [rad/s] at a pulse width [us] and battery voltage [V], nominal by default."""
-        voltage = _tensor(self.nominal_voltage if voltage is None else voltage)
-        duty = (_tensor(signal) - SIGNAL_LOW) / (SIGNAL_HIGH - SIGNAL_LOW)
+        voltage = self._voltage(voltage)
+        duty = (amounts("signal", signal) - SIGNAL_LOW) / (SIGNAL_HIGH - SIGNAL_LOW)
         passed = voltage * (duty - self.duty_offset)
         turning = passed > 0.0
         speed = self.speed_coefficient * torch.where(turning, passed, 1.0) ** self.speed_exponent
         return torch.where(turning, speed, 0.0)
 
+    @checked
     def signal(self, thrust: Number, voltage: Number | None = None) -> Tensor:
         """Pulse width [us] for a thrust [N], 1000 to 2000: what is beyond is out of reach."""
-        voltage = self.nominal_voltage if voltage is None else voltage
+        voltage = self._voltage(voltage)
         share = self.speed(thrust) / self.speed_coefficient
         turning = share > 0.0
         passed = torch.where(turning, share, 1.0) ** (1.0 / _tensor(self.speed_exponent))
         duty = self.duty_offset + torch.where(turning, passed, 0.0) / voltage
         return (SIGNAL_LOW + (SIGNAL_HIGH - SIGNAL_LOW) * duty).clamp(SIGNAL_LOW, SIGNAL_HIGH)
+
+    def _voltage(self, voltage: Number | None) -> Tensor:
+        """A battery voltage [V], nominal by default."""
+        return amounts(
+            "voltage", self.nominal_voltage if voltage is None else voltage, above=0.0, hint="in V"
+        )
 
 
 def rotor_names() -> list[str]:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_constants
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import StokesFlow
@@ -125,11 +126,13 @@ class Device:
         share = torch.rand(len(self.parameters), generator=generator, dtype=torch.float64)
         return self.lower + share * (self.upper - self.lower)
 
+    @checked
     def level_set(self, x: Tensor, state: int = 0) -> Tensor:
         """phi at the grid's nodes, (*node_shape,) [m], > 0 in the fluid. Gradient: x."""
         x = require("x", x, (len(self.parameters),), torch.float64)
         return self.states[state].shape(x)(self.grid.nodes)
 
+    @checked
     def solve(self, x: Tensor, state: int = 0) -> FlowField:
         """Flow of a design, one case per basis input.
 
@@ -145,11 +148,13 @@ class Device:
         """
         return self.flow(self.level_set(x, state), inlet=self.states[state].inlet)
 
+    @checked
     def loss(self, x: Tensor) -> Tensor:
         """Loss, scalar, not normalized. Gradient: x."""
         losses = [s.loss(self.solve(x, k)) for k, s in enumerate(self.states)]
         return torch.stack(losses).sum()
 
+    @checked
     def value_and_gradient(self, x: Tensor) -> tuple[float, Tensor]:
         """Loss and its gradient (num_parameters,); one factorization in memory at a time."""
         require_constants("the gradient comes as numbers; loss(x) can be differentiated", x=x)
@@ -162,6 +167,7 @@ class Device:
         assert x.grad is not None
         return value, x.grad
 
+    @checked
     def value(self, x: Tensor) -> float:
         """Loss without gradient."""
         with torch.no_grad():

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 
@@ -39,6 +41,7 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     return dataclasses.replace(field, velocity=carrier).flux(axis, -side)
 
 
+@checked
 def area(field: FlowField, faces: Sequence[str]) -> Tensor:
     """Fluid area of faces, scalar [m^(dim-1)]; refuses closed ones."""
     return _integrals_and_area(field, faces, field.phi.new_zeros(0, *field.grid.node_shape))[-1]
@@ -57,7 +60,7 @@ def _integrals_and_area(field: FlowField, faces: Sequence[str], nodal: Tensor) -
         values = on_face(grid, nodal, face)
         ones = values.new_ones(1, *values.shape[1:])
         total = total + integral(field, face, torch.cat([values, ones]))
-    if not float(total[-1].detach()) > 0:
+    if anywhere(~(total[-1] > 0)):
         raise ValueError(f"no fluid at the outlets {list(faces)}: the design closes them")
     return total
 
@@ -73,6 +76,7 @@ def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -
     return mean(field, faces, ((field.velocity - target) ** 2).sum(-1)).mean()
 
 
+@checked
 def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None = None) -> Tensor:
     """Average velocity over the fluid part of faces, (cases, dim) [m/s].
 
@@ -84,7 +88,7 @@ def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None 
     """
     weight = torch.ones_like(field.phi) if region is None else region.to(field.phi.dtype)
     share = mean(field, faces, weight[None])
-    if not float(share.detach()) > 0:
+    if anywhere(~(share > 0)):
         raise ValueError(f"no fluid at an outlet on {list(faces)}: the design closes it")
     parts = [mean(field, faces, weight * field.velocity[..., a]) for a in range(field.grid.dim)]
     return torch.stack(parts, -1) / share[:, None]

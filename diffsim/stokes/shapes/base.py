@@ -17,8 +17,10 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.check import LARGEST, require, require_choice, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
+from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import Number, scalar
 
 LevelSet = Callable[[Tensor], Tensor]
@@ -54,6 +56,7 @@ class Shape(Float64Module):
 
     dim: int | None = None
 
+    @checked
     def forward(self, points: Tensor) -> Tensor:
         """Level set at points.
 
@@ -69,7 +72,7 @@ class Shape(Float64Module):
         flat = require("points", points, ("...", "d" if self.dim is None else self.dim))
         flat = flat.reshape(-1, flat.shape[-1])
         phi = self.level(flat)
-        if not bool(torch.isfinite(phi.detach()).all()):
+        if anywhere(~torch.isfinite(phi)):
             raise ValueError(
                 f"{type(self).__name__} gives no finite phi at {_first_bad(flat, phi)}; "
                 "look for NaN in its parameters"
@@ -189,11 +192,11 @@ def vector(name: str, value: Vector, dims: tuple[int, ...]) -> Tensor:
         try:
             numbers = [require_number(name, float(number)) for number in value]
             v = torch.tensor(numbers, dtype=torch.float64)
-        except TypeError:
+        except (TypeError, ValueError):
             v = torch.empty(0, dtype=torch.float64)
     if len(v) not in dims:
         raise ValueError(f"{name} must be {' or '.join(map(str, dims))} numbers, got {value!r}")
-    return v
+    return require_range(name, v, at_least=-LARGEST, at_most=LARGEST)
 
 
 def outwards(fluid: str) -> float:
@@ -202,4 +205,6 @@ def outwards(fluid: str) -> float:
 
 
 def _first_bad(points: Tensor, phi: Tensor) -> tuple[float, ...]:
-    return tuple(points.detach()[~torch.isfinite(phi.detach())][0].tolist())
+    at, numbers = values_of(points), values_of(phi)
+    which = int(torch.nonzero(~torch.isfinite(numbers).flatten())[0, 0])
+    return tuple(at.reshape(-1, points.shape[-1])[which % len(points)].tolist())

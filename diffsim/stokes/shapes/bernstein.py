@@ -8,8 +8,11 @@ import math
 import torch
 from torch import Tensor
 
+from diffsim.core.layer import on_constants
+
 
 @functools.cache
+@on_constants()
 def binomials(degree: int) -> Tensor:
     """C(n, 0), ..., C(n, n); shared, not to be written to."""
     return torch.tensor([math.comb(degree, k) for k in range(degree + 1)], dtype=torch.float64)

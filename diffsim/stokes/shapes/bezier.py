@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_constants, require_range
+from diffsim.core.checked import checked
+from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.bernstein import basis
@@ -73,6 +75,8 @@ class BezierCurve2d(Shape):
         num_curves = (num - (0 if closed else 1)) // self.degree
         start = self.degree * torch.arange(num_curves)[:, None]
         self._index = (start + torch.arange(self.degree + 1)) % num  # (num_curves, degree + 1)
+        require_unmapped(**self._shape())
+        require_range("control_points", control_points, at_least=-1e100, at_most=1e100)
         drawn = self.polyline().detach()
         self._side(self._chain())
         place = crossing(drawn)
@@ -83,6 +87,7 @@ class BezierCurve2d(Shape):
                 stacklevel=2,
             )
 
+    @checked(tau=("N",))
     def point(self, tau: Tensor) -> Tensor:
         """Points (N, 2) of the curve; tau (N,) in [0, num_curves]. Gradients: shape."""
         curve, t = self._chain().split(tau)
@@ -95,17 +100,24 @@ class BezierCurve2d(Shape):
         curve = (tau.long()).clamp(max=len(self._index) - 1)
         return self._on_curve(curve, tau - curve)
 
+    @checked
     def closest(self, points: Tensor) -> Tensor:
         """Parameters tau (N,) of the closest points; beyond the ends -s and num_curves + s [m]."""
         hint = "the distance has a gradient, its foot has none; or call it under torch.no_grad()"
         require_constants(
             hint, points=points, control_points=self.control_points, weights=self.weights
         )
+        require_unmapped(points=points)
         rays = self._rays()
         rays = None if rays is None else rays.detach()
         return self._chain().closest(require("points", points, ("N", 2)).detach(), rays)[0]
 
+    def _shape(self) -> dict[str, Tensor]:
+        weights = {} if self.weights is None else {"weights": self.weights}
+        return {"control_points": self.control_points, **weights}
+
     def level(self, points: Tensor) -> Tensor:
+        require_unmapped(points=points, **self._shape())
         chain, rays = self._chain(), self._rays()
         tau, normal = chain.closest(points.detach(), None if rays is None else rays.detach())
         foot = self._on_curve(*chain.split(tau))

@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceWarning
+from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.closest_surface import SurfacePatch, SurfaceSamples
@@ -96,8 +98,15 @@ class NurbsSurface(Shape):
         if min(samples) < 2:
             raise ValueError(f"samples must be at least 2 per span, got {samples}")
         self.samples = samples
+        require_unmapped(**self._shape())
+        require_range("control_points", control_points, at_least=-1e100, at_most=1e100)
         self._side(self._patch())
 
+    def _shape(self) -> dict[str, Tensor]:
+        weights = {} if self.weights is None else {"weights": self.weights}
+        return {"control_points": self.control_points, **weights}
+
+    @checked(uv=("N", 2))
     def point(self, uv: Tensor) -> Tensor:
         """Points (N, 3) of the surface, uv (N, 2) in [0, 1]; gradients: shape."""
         h = self._homogeneous()
@@ -117,6 +126,7 @@ class NurbsSurface(Shape):
         return self.point(torch.cartesian_prod(u, v)), torch.stack(corners, 1)
 
     def level(self, points: Tensor) -> Tensor:
+        require_unmapped(points=points, **self._shape())
         p, patch = points.detach(), self._patch()
         samples = SurfaceSamples(patch, self.samples, _REACH)
         uv, slope = patch.closest(samples, p, self.band)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from diffsim.core.check import require_range
+from diffsim.core.numbers import anywhere
 from diffsim.mesh import primitive
 from diffsim.stokes.shapes.base import Number, Shape, Vector, outwards, scalar, vector
 
@@ -24,7 +26,7 @@ class Plane(Shape):
 
     def _unit(self) -> Tensor:
         length = self.normal.norm()
-        if not float(length.detach()) > 0:
+        if anywhere(~(length > 0)):
             raise ValueError("normal must not be zero; (0, 0, 1) is a floor with fluid above")
         return self.normal / length
 
@@ -69,8 +71,7 @@ class Box(Shape):
     def __init__(self, size: Vector, center: Vector | None = None, *, fluid: str = "outside"):
         super().__init__()
         self.size = vector("size", size, (2, 3))
-        if not bool((self.size > 0).all()):
-            raise ValueError(f"size must be positive, got {tuple(self.size.tolist())}")
+        require_range("size", self.size, above=0.0, hint="unit is m")
         self.dim = len(self.size)
         self.center = vector("center", [0.0] * self.dim if center is None else center, (self.dim,))
         self.sign = outwards(fluid)

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require, require_counts, require_number
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere, require_unmapped
 from diffsim.stokes.shapes.base import LevelSet, Vector, as_shape, vector
 
 
+@checked
 def grid_nodes(num_cells: Sequence[int], spacing: float, origin: Vector | None = None) -> Tensor:
     """Nodes of a Cartesian grid.
 
@@ -23,15 +26,14 @@ def grid_nodes(num_cells: Sequence[int], spacing: float, origin: Vector | None =
     Returns:
         (num_cells[0] + 1, ..., d) [m], indexed x, y(, z).
     """
-    cells = [int(n) for n in num_cells]
-    if len(cells) not in (2, 3) or min(cells) < 1:
-        raise ValueError(f"num_cells must be 2 or 3 numbers >= 1, got {tuple(num_cells)}")
+    cells = require_counts("num_cells", num_cells, (2, 3))
     h = require_number("spacing", spacing, above=0.0)
     low = vector("origin", [0.0] * len(cells) if origin is None else origin, (len(cells),))
     axes = [h * torch.arange(n + 1, dtype=torch.float64) for n in cells]
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1) + low
 
 
+@checked
 def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
     """phi of a shape at grid nodes: > 0 in the fluid, < 0 in the solid.
 
@@ -46,7 +48,7 @@ def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
         ValueError: NaN; or no node in the fluid.
     """
     phi = as_shape("shape", shape)(nodes)
-    if phi.numel() and not bool((phi.detach() > 0).any()):
+    if phi.numel() and not anywhere(phi > 0):
         raise ValueError(
             "the grid is solid everywhere (phi < 0 is solid); check the fluid's side, or use "
             "Complement"
@@ -54,6 +56,7 @@ def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
     return phi
 
 
+@checked
 def interface(phi: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     """The interface phi = 0, phi linear on triangles (2D) or tetrahedra (3D) within the cells.
 
@@ -70,6 +73,7 @@ def interface(phi: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     d = nodes.shape[-1]
     nodes = require("nodes", nodes, ("...", d))
     phi = require("phi", phi, nodes.shape[:-1]).reshape(-1)
+    require_unmapped(phi=phi, nodes=nodes)
     simplices = _simplices(nodes.shape[:-1])
     pieces = _cut(phi.detach() >= 0, simplices)
     edges, which = torch.unique(pieces.reshape(-1, 2).sort(1).values, dim=0, return_inverse=True)

@@ -8,6 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
+from diffsim.core.numbers import anywhere
+
 
 class SplineBasis:
     """Basis functions with first and second derivatives, as polynomials per knot span.
@@ -29,6 +32,7 @@ class SplineBasis:
         kinks: Parameters at which the derivative may jump (knots repeated ``degree`` times).
     """
 
+    @checked
     def __init__(
         self,
         num: int,
@@ -61,6 +65,7 @@ class SplineBasis:
         active = torch.tensor(spans)[:, None] - degree + torch.arange(degree + 1)
         self.active = active % num
 
+    @checked(u=("N",))
     def __call__(self, u: Tensor, order: int = 2) -> Tensor:
         """Values and derivatives up to an order <= 2, (order + 1, N, num), at u (N,)."""
         inside = torch.remainder(u, 1.0) if self.periodic else u.clamp(0.0, 1.0)
@@ -76,14 +81,14 @@ class SplineBasis:
         monomials = torch.stack([torch.stack(row, -1) for row in powers], 1)
         local = (self.coefficients[span] @ monomials).permute(2, 0, 1)  # (order + 1, N, active)
         beyond = u - inside
-        if self.extend and not self.periodic and bool((beyond != 0).any()):
+        if self.extend and not self.periodic and anywhere(beyond != 0):
             slope = local[1] if order > 0 else self(inside, 1)[1].gather(1, self.active[span])
             straight = [local[0] + beyond[:, None] * slope, *local[1:]]
             if order == 2:
                 straight[2] = torch.where((beyond != 0)[:, None], 0.0, local[2])
             local = torch.stack(straight)
-        out = torch.zeros(order + 1, len(u), self.num, dtype=torch.float64)
-        return out.scatter_add_(2, self.active[span].expand_as(local), local)
+        out = torch.zeros_like(local[..., :1]).repeat(1, 1, self.num)
+        return out.scatter_add(2, self.active[span].expand_as(local), local)
 
     def samples(self, per_span: int, reach: float) -> Tensor:
         """Parameters evenly spread over each span, and ``reach`` beyond both ends."""

@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
+from diffsim.core.layer import is_followed
+from diffsim.core.numbers import anywhere
 from diffsim.stokes.shapes.base import LevelSet, Number, Shape, Vector, as_shape, scalar, vector
 
 _AXES = ("x", "y", "z")
@@ -66,7 +68,7 @@ class Rotate(Shape):
         if self.axis is None:
             return torch.stack([cos, -sin, sin, cos]).reshape(2, 2)
         length = self.axis.norm()
-        if not float(length.detach()) > 0:
+        if anywhere(~(length > 0)):
             raise ValueError("axis must not be zero; (0, 0, 1) is vertical")
         x, y, z = self.axis / length
         o = torch.zeros_like(x)
@@ -103,7 +105,7 @@ class Extrude(Shape):
 
     def level(self, points: Tensor) -> Tensor:
         flat = points[:, self.across].contiguous()
-        if flat.requires_grad:
+        if is_followed([flat]):
             return self.shape.level(flat)
         # the nodes of a grid lie above each other: each place in the plane once
         as_complex = flat.detach().numpy().view(np.complex128)[:, 0]

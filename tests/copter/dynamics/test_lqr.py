@@ -278,5 +278,5 @@ def test_bad_input(which, value, message):
     problem[which] = value
     with pytest.raises(ValueError, match=message):
         lqr(*problem)
-    with pytest.raises(ValueError, match="q must be above 0"):
+    with pytest.raises(ValueError, match="q must lie in"):
         LQR(torch.zeros(3, dtype=torch.float64), torch.ones(2, dtype=torch.float64))

@@ -48,10 +48,19 @@ def test_built_in_parts_are_closed_and_outwards(kind):
     assert mesh.body_count == 1
 
 
+def test_a_post_weighs_what_its_cylinder_does():
+    """32 corners stand for the circle, whose printed plastic has 1200 kg/m^3."""
+    part = make_part("screw_mount", {"height": 0.03, "diameter": 0.012})
+    corners = len(part.mesh.vertices.at(part.values)) // 2
+    area = 0.5 * corners * 0.006**2 * np.sin(2.0 * np.pi / corners)
+    assert float(rigid_body(part_moments(part))[0]) == pytest.approx(1200.0 * area * 0.03, rel=0.02)
+
+
 @pytest.mark.reference
 @pytest.mark.parametrize("kind", BUILT_IN)
 def test_moments_agree_with_trimesh(kind):
     part = make_part(kind, OPTIONS.get(kind))
+    assert part.density > 0.0
     mass, com, inertia = rigid_body(part_moments(part))
     mesh = part_mesh(part)
     mesh.density = part.density

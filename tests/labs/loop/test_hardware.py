@@ -129,3 +129,24 @@ def test_files_with_other_channels_are_refused(tmp_path, recording):
     save_study(replace(study, channels=study.channels[:2], runs=(short,)), tmp_path / "run_0")
     with pytest.raises(ValueError, match="m4_z_m"):
         FileHardware(folder=tmp_path).execute(PULSE, order=0)
+
+
+def test_water_shares_the_momentum_across_a_leg():
+    """m v + m_water (v . n) n is the momentum, m_water that of a cylinder of the leg's width."""
+    truth = Truth()
+    robot = RodSwimmer(truth)
+    now = robot.rest_state()
+    random = np.random.default_rng(0)
+    momentum = 1e-3 * random.standard_normal(now.momentum.shape)
+    turn = 0.3 * random.standard_normal(now.momentum.shape[:-1])
+    across = np.stack([np.cos(turn), np.sin(turn)], -1)
+    robot._move(now.at, now.velocity, momentum, across, 0.0)
+    normal = across.copy()
+    normal[:, :-1] += across[:, 1:]
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    ends = np.append(robot.length[:-1] + robot.length[1:], robot.length[-1]) / 2.0
+    cylinder = truth.added * 1000.0 * np.pi * (rod_swimmer.WIDTH / 2.0) ** 2 * ends
+    v = now.velocity[:, 1:]
+    moved = robot.mass[:, None] * v
+    moved += (cylinder * (v * normal).sum(-1))[..., None] * normal
+    np.testing.assert_allclose(moved, momentum, rtol=1e-9, atol=1e-15)

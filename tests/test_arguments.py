@@ -1,0 +1,102 @@
+"""Every public signature with spoiled arguments: a right value, or a sentence that names them.
+
+The right arguments are those of ``tests.derivatives``; ``tests.fuzz_entries`` has more.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
+
+from diffsim.core.errors import DiffsimError
+from tests.derivatives import models  # noqa: F401 fills the tables
+from tests.derivatives.check import REFUSED, rows
+from tests.test_derivatives import PUBLIC, example_of, needs_example
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+RAW = re.compile(r"not supported between|unsupported operand|has no attribute|argument '")
+UNCHECKED = [
+    r"\.(level|evaluate)$",  # of points that are checked already, as they say
+    r"FlightState\.__init__$|(svd3|polar3)$",  # kept as given; NaN in, NaN out, as they say
+    r"^diffsim\.(identify|systems|sim_to_real|envs)\.",  # called by a fit that made the arguments
+]
+SILENT = {  # infinity has a meaning here
+    *("floor.friction", "penalty_force.friction", "sealed_pressure.volume"),
+    *("MotorOutputs.command.max_thrusts", "MotorOutputs.limits.max_thrusts"),
+}
+"""Arguments that may be infinite."""
+IN_OTHER_WORDS = {  # of what an argument becomes, or of a name that is an argument itself
+    **{"height": "offset", "x_rest": "mesh", "law": "material", "source": "HexMesh"},
+    **{"step": "time", "surface": "mesh file", "path": "elements", "value": "body_force"},
+}
+
+
+class Thing:
+    """No argument of anything."""
+
+
+def spoiled(value: Any) -> dict[str, Any]:
+    """Wrong or unusual values of an argument, by name."""
+    found: dict[str, Any] = {"text": "no such thing", "nothing": None, "thing": Thing()}
+    if isinstance(value, Tensor) and value.layout is torch.strided:
+        found["strided"] = torch.stack([value, value], -1)[..., 0]
+        found |= {"empty": value.new_zeros(0), "list": value.tolist(), "axes": value[None, None]}
+        if value.is_floating_point() and value.numel():
+            found |= {"float32": value.float(), "huge": value * 1e200}
+            for what in (math.nan, -math.inf):
+                found[str(what)] = value.clone().contiguous()
+                found[str(what)].view(-1)[0] = what
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        found |= {str(number): number for number in (math.nan, math.inf, -1e300, 1j)}
+    return found
+
+
+def complaint(function, given, before, part: str, argument: str, how: str, bad: Any) -> str:
+    """What is wrong with the answer to a spoiled argument; empty: nothing."""
+    given = {**given, part: {**given[part], argument: bad}}
+    try:
+        after = rows(function(given))
+    except (*REFUSED, DiffsimError) as error:
+        words = [*given[part], IN_OTHER_WORDS.get(argument, argument)]
+        stems = "|".join(word.removesuffix("s").replace("_", "[_ ]") for word in words)
+        named = isinstance(error, DiffsimError) or re.search(rf"\b({stems})", str(error), re.I)
+        return "" if named and not RAW.search(str(error)) else f"unclear: {error!r}"
+    except Exception as error:
+        return f"raw: {error!r}"
+    same = [a.shape for a in before] == [a.shape for a in after] and all(
+        torch.allclose(a, b, 1e-12, 0.0) for a, b in zip(before, after, strict=True)
+    )
+    if how in ("nan", "-inf", "inf", "strided") and not same:
+        return "silent"
+    return "" if how != "huge" or all(bool(a.isfinite().all()) for a in after) else "not finite"
+
+
+def is_checked(public) -> bool:
+    return needs_example(public) and not any(re.search(p, public.name) for p in UNCHECKED)
+
+
+@pytest.mark.parametrize(
+    "public",
+    list(filter(is_checked, PUBLIC)),
+    ids=lambda public: public.name.removeprefix("diffsim."),
+)
+def test_spoiled_arguments_are_refused_by_name(public):
+    function, given = example_of(public)
+    before = rows(function(given))
+    parts = {k: v for k, v in given.items() if isinstance(v, dict)}
+    wrong = [
+        f"{argument} {how}: {said}"
+        for part, arguments in parts.items()
+        for argument, value in arguments.items()
+        for how, bad in spoiled(value).items()
+        if f"{public.names[0]}.{argument}" not in SILENT
+        if (said := complaint(function, given, before, part, argument, how, bad))
+    ]
+    assert not wrong, "\n" + "\n".join(wrong)
