@@ -1,24 +1,31 @@
 """``python -m benchmarks.diagnose_published``: every published data set by its YAML alone.
 
-One row per data set: verdict, first sentence of the page, CPU seconds of the whole answer and the
-share of gradient checks in it, the machine being whatever it is. ``--quick`` asks for first
+One row per data set: verdict, first sentence of the page, CPU seconds of the whole answer, the
+machine being whatever it is, the share of gradient checks in it, and millions of weighted steps
+(``SimModel.cost``), which are the same everywhere. ``--quick`` asks for first
 answers, as ``diffsim diagnose explain --quick`` gives them. ``--only A,B`` and ``--out FILE.md``.
+
+``--json FOLDER`` keeps every answer with all digits as FOLDER/NAME.json, without times: ``diff -r``
+of two folders shows what a change of the code moved. Answers that are there are not asked for
+again. ``--cheap`` asks for the sets of ``CHEAP`` alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from diffsim.cli.arguments import add_executor
 from diffsim.cli.diagnose_check import require_ready
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core import interruptible, open_executor, run_each
 from diffsim.core.errors import DiffsimError
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.faults import judge_faults
@@ -29,7 +36,16 @@ from diffsim.systems.registry import setup_of
 
 PUBLISHED = Path(__file__).parents[1] / "diffsim/systems/published"
 NAMES = tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
-COLUMNS = ("data set", "verdict", "first sentence", "certain", "CPU s", "gradients")
+CHEAP = (
+    "cascaded_tanks",
+    "cube_toss",
+    "robot_fish",
+    "rotor_drive",
+    "silicone_tensile",
+    "starfish",
+)
+"""Sets whose first answer takes no more than 10.5 million weighted steps."""
+COLUMNS = ("data set", "verdict", "first sentence", "certain", "CPU s", "gradients", "steps")
 HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 
 
@@ -55,12 +71,13 @@ def library_answer(inputs: Inputs) -> Report:
     return diagnosed(replace(inputs, setup=replace(inputs.setup, laws=None, bank=())))
 
 
-def row(name: str, *, quick: bool = False) -> str:
+def row(name: str, *, quick: bool = False, kept: Path | None = None) -> str:
     """One data set, from its YAML to the first sentence of its page.
 
     Args:
         name: Name of a published data set.
         quick: Ask for a first answer.
+        kept: Folder that gets the answer.
     """
     clock = Clock()
     start = clock.start
@@ -68,29 +85,37 @@ def row(name: str, *, quick: bool = False) -> str:
         study = read_study(name)
         require_ready(study, name, plan=study.faults is None)
         if study.faults is not None:
-            return _row_of_faults(study, start)
+            return _row_of_faults(study, start, kept)
         inputs = inputs_of(study, seed=0, budget="quick" if quick else "full")
         report = diagnosed(inputs, progress=clock)
     except (DiffsimError, ValueError) as error:
         cpu = time.process_time() - start
-        return f"| {name} | failed | {' '.join(str(error).split())} | – | {cpu:.0f} | – |"
+        return f"| {name} | failed | {' '.join(str(error).split())} | – | {cpu:.0f} | – | – |"
+    _keep(report.to_dict(), name, kept)
     cpu = time.process_time() - start
     certain = ", ".join(c.name for c in report.causes if c.status == "certain") or "–"
     said = f"| {name} | {report.verdict} | {report.headline} | {certain} "
-    return f"{said}| {cpu:.0f} | {clock.gradients / cpu:.1%} |"
+    steps = 1e-6 * inputs.setup.model.simulations.work.steps
+    return f"{said}| {cpu:.0f} | {clock.gradients / cpu:.1%} | {steps:.1f} |"
 
 
-def _row_of_faults(study: Study, start: float) -> str:
+def _keep(answer: Mapping[str, Any], name: str, kept: Path | None) -> None:
+    if kept is not None:
+        write_json_atomic(kept / f"{name}.json", answer)
+
+
+def _row_of_faults(study: Study, start: float, kept: Path | None) -> str:
     """A data set whose groups are judged for faults, each by the others."""
     assert study.faults is not None
     labels = [g.label for g in groups_of(study, study.faults)]
     report = judge_faults(study, setup_of(study), groups=labels)
+    _keep(report.to_dict(), study.name, kept)
     named = [v for v in report.verdicts if v.causes]
     right = sum(v.is_right is not False for v in named)
     alarms = sum(v.known == () for v in named)
     said = f"{len(named)} of {len(labels)} groups have a named fault, {right} of them rightly, "
     cpu = time.process_time() - start
-    return f"| {study.name} | faults | {said}{alarms} false alarms. | – | {cpu:.0f} | – |"
+    return f"| {study.name} | faults | {said}{alarms} false alarms. | – | {cpu:.0f} | – | – |"
 
 
 def main() -> None:
@@ -98,10 +123,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default=",".join(NAMES), help="names, comma between them")
     parser.add_argument("--quick", action="store_true", help="first answers")
+    parser.add_argument("--cheap", action="store_true", help="those of few weighted steps")
     parser.add_argument("--out", type=Path, help="Markdown file that gets the table, too")
+    parser.add_argument("--json", type=Path, help="folder that keeps each answer, all digits")
     add_executor(parser, "data sets")
     args = parser.parse_args()
-    names = args.only.split(",")
+    names = CHEAP if args.cheap else args.only.split(",")
+    if args.json is not None:
+        names = [name for name in names if not (args.json / f"{name}.json").exists()]
     made: dict[int, str] = {}
     print(HEAD)
 
@@ -113,7 +142,7 @@ def main() -> None:
             write_text_atomic(args.out, "\n".join(lines) + "\n")
 
     with open_executor(args.executor) as executor:
-        run_each(partial(row, quick=args.quick), names, executor, done=keep)
+        run_each(partial(row, quick=args.quick, kept=args.json), names, executor, done=keep)
 
 
 if __name__ == "__main__":

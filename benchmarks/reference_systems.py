@@ -26,7 +26,9 @@ ROOT = Path(__file__).resolve().parents[1]  # whose ``diffsim`` is run
 def recordings() -> Mapping[str, Any]:
     """Every published data set as it is imported, and one study of every laboratory."""
     return {
-        name: {
+        name: study
+        if isinstance(study, str)
+        else {
             "channels": [channel.name for channel in study.channels],
             "uses": [f"{run.name} {run.use}" for run in study.runs],
             "times": np.concatenate([run.time_s for run in study.runs]),
@@ -43,6 +45,9 @@ def predictions() -> Mapping[str, Any]:
     """What every system's model predicts at its prior, plainly and with each of its causes."""
     found: dict[str, Any] = {}
     for name, study in _studies():
+        if isinstance(study, str):
+            found[name] = study
+            continue
         if study.model is None and not name.startswith("lab_"):
             continue  # an importer's: recordings alone
         with warnings.catch_warnings(), torch.no_grad():
@@ -65,12 +70,16 @@ def predictions() -> Mapping[str, Any]:
 
 
 def _studies() -> Iterator[tuple[str, Any]]:
+    """Published sets and one study of every laboratory; of a set without data, what is said."""
     from diffsim.cli.diagnose_inputs import described
     from diffsim.data import load_study
     from labs.virtual import LABS
 
     for path in described():
-        yield path.stem, load_study(path)
+        try:
+            yield path.stem, load_study(path)
+        except (FileNotFoundError, ValueError) as error:
+            yield path.stem, f"not computed: {type(error).__name__}"
     for name, make in LABS.items():
         yield f"lab_{name}", make()(1)
 
@@ -138,10 +147,10 @@ def _explained(study: str, *options: str) -> dict[str, Any]:
         if done.returncode != 0:
             raise RuntimeError(f"diffsim {' '.join(command)}: {done.stderr.strip()[-500:]}")
         report = json.loads((Path(folder) / "report.json").read_text(encoding="utf-8"))
-    return _of_report(report)
+    return of_report(report)
 
 
-def _of_report(report: Mapping[str, Any]) -> dict[str, Any]:
+def of_report(report: Mapping[str, Any]) -> dict[str, Any]:
     """Verdict, sizes, evidence in nats, gains, fits and checks of a report."""
     keys = ("verdict", "named", "chi2_null", "chi2_best", "num_samples", "gain")
     rows = ("status", "size", "sd", "nats", "z", "smallest_visible", "gain", "share")
@@ -171,7 +180,7 @@ def _of_report(report: Mapping[str, Any]) -> dict[str, Any]:
             | {"correlation": _numbers(report[fit]["correlation"])}
             for fit in ("null", "best")
         },
-        "simulations": report["settings"]["num_simulations"],
+        "work": report["settings"]["work"],
     }
 
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import reference_numbers
+from benchmarks import reference_numbers, reference_systems
+from benchmarks.listed_studies import sources
 from benchmarks.reference_values import lines_of
+from diffsim.diagnose import diagnose
 
 
 @pytest.fixture(autouse=True)
@@ -73,3 +75,14 @@ def test_unknown_items_are_refused(capsys):
     with pytest.raises(SystemExit):
         reference_numbers.main(["--only", "cantilevre"])
     assert "choose from cantilever" in capsys.readouterr().err
+
+
+def test_a_diagnosis_is_read_as_it_is_written():
+    """A report that lost a key once left four items without numbers."""
+    study, setup = sources()["rates/load_cell"]()
+    few = setup.effects[:2]
+    report = diagnose(study, setup.model, few, seed=0, settings=setup.settings).to_dict()
+    lines = list(lines_of("x", reference_systems.of_report(report)))
+    assert f"x/verdict = {report['verdict']!r}" in lines
+    assert f"x/work/simulations = {report['settings']['work']['simulations']}" in lines
+    assert all(f"x/effects/{effect.name}/nats" in " ".join(lines) for effect in few)
