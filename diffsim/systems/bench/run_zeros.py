@@ -15,7 +15,7 @@ from torch import Tensor
 from diffsim.causes.catalogue import rows
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
-from diffsim.core.fill_in import fill_in
+from diffsim.core.schema import fill_in
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.scene import OdeScene
