@@ -1,7 +1,7 @@
 """Attacks that belong to no room: a full disk, saved states in a fresh process, devices.
 
-Others stand where they belong: keys that name files in tests/test_stated_paths.py, counts and widths
-in tests/test_hostile_counts.py, other files in tests/test_strangers_files.py and
+Others stand where they belong: keys that name files in tests/test_stated_paths.py, counts and
+widths in tests/test_hostile_counts.py, other files in tests/test_strangers_files.py and
 tests/data/test_hostile_recordings.py, pages in tests/viz/test_serve_attacks.py, derivatives in
 tests/test_derivatives.py, units, formulas and Ctrl-C within kernels in tests/core.
 """

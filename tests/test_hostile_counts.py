@@ -15,8 +15,7 @@ import pytest
 import yaml
 
 from diffsim import envs
-from diffsim.core.fill_in import fill_in
-from diffsim.core.schema import MOST, Part
+from diffsim.core.schema import MOST, Part, fill_in
 from diffsim.data import load_study
 from diffsim.data.formats import parts_of, read_columns
 from diffsim.systems.registry import setup_of

@@ -15,8 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from diffsim.causes.needs import NEEDS
 from diffsim.core.expression import parse_expression
-from diffsim.core.fill_in import fill_in
-from diffsim.core.schema import Part
+from diffsim.core.schema import Part, fill_in
 from diffsim.identify.effect import Apply, Effect
 
 Port = Literal["command", "reading", "clock", "number", "force", "law", "store", "scene"]

@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.fill_in import fill_in
 from diffsim.core.inside import inside
+from diffsim.core.schema import fill_in
 from diffsim.data.formats import is_container, split_part
 from diffsim.data.study_schema import RunEntry, RunKeys
 from diffsim.data.table import Rows, Table, as_label

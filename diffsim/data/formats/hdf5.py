@@ -62,7 +62,7 @@ def _group(h5py: Any, file: Any, part: str) -> Any:
     """A group by its path, which leads through the file's own groups only."""
     group = file
     for name in filter(None, part.split("/")):
-        group = _held(h5py, group, name) if name in group else None
+        group = _entry_of(h5py, group, name) if name in group else None
         if not isinstance(group, h5py.Group):
             raise ValueError(f"{file.filename}: has no group {part!r} of its own")
     return group
@@ -160,11 +160,11 @@ def _own(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
     """What a group itself holds, by name."""
     require_few(len(group), f"entries of a group, {group.name!r}")
     for name in group:
-        if (inner := _held(h5py, group, name)) is not None:
+        if (inner := _entry_of(h5py, group, name)) is not None:
             yield name, inner
 
 
-def _held(h5py: Any, group: Any, name: str) -> Any:
+def _entry_of(h5py: Any, group: Any, name: str) -> Any:
     """What a name of a group holds; None: links, and arrays kept elsewhere, could read any file."""
     if name[:1] == "#" or not isinstance(group.get(name, getlink=True), h5py.HardLink):
         return None  # MATLAB's own records, or a link

@@ -14,7 +14,7 @@ from diffsim.causes.catalogue import rows
 from diffsim.causes.plant import Plant
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
-from diffsim.core.fill_in import fill_in
+from diffsim.core.schema import fill_in
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effect import Effect

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffsim.causes.catalogue import rows
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.core.fill_in import fill_in
+from diffsim.core.schema import fill_in
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
