@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.progress import say_stage
+
 SMALLEST = 1 << 18  # bytes, from which on it is worth a second way
 
 
@@ -24,8 +26,7 @@ def plain_numbers(
         skipped: Lines before the first row.
         num_columns: Cells of a row.
     """
-    if path.stat().st_size < SMALLEST:
-        return None
+    say_stage(f"reading {path.name}")
     try:
         cells = np.loadtxt(
             path,

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.progress import say_stage
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns_beside import choose_columns, numeric_columns
 from diffsim.data.formula import names_in
@@ -38,7 +37,7 @@ from diffsim.data.run_samples import (
     without_gaps,
     zero_of,
 )
-from diffsim.data.stamps import Duplicates, mended, of_further, require_increasing
+from diffsim.data.stamps import Stamps, mended, of_further, refuse_stamps
 from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import (
     ChannelEntry,
@@ -128,7 +127,6 @@ class RunReader:
     def _table(self, path: Path) -> Table:
         if path not in self.tables:
             form = self.study.table
-            say_stage(f"reading {path.name}")
             self.tables[path] = Table(
                 path, "run", header_line=form.header_line, first_line=form.first_line
             )
@@ -177,18 +175,9 @@ class RunReader:
         name: str,
         labels: Sequence[str],
     ) -> Run:
-        entry, table = case.entry, tables[0]
-        own, *others = [self._seconds(entry, t) for t in tables]
-        kept, recorded = mended(own[rows], entry.stamps, _keeping(entry))
-        rows, clock = rows[kept], self._clock(entry, table).column or _TIME
-        lines = [table.lines[row] for row in rows]
-        repeats = entry.duplicates == "mean"
-        require_increasing(table.path, lines, np.unique(recorded) if repeats else recorded, clock)
-        for further, clock_of in zip(tables[1:], others, strict=True):
-            if np.isnan(clock_of).any() and entry.stamps.missing is None:
-                column = self._clock(entry, further).column or _TIME
-                require_increasing(further.path, further.lines, clock_of, column)
-        clocks = [own, *(of_further(c, entry.stamps, entry.duplicates) for c in others)]
+        entry = case.entry
+        clocks = [self._seconds(entry, t) for t in tables]
+        rows, recorded, clocks = self._mend_clocks(entry, tables, rows, clocks)
         samples = RunSamples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
         whole = samples.with_facts(facts).at(recorded)
@@ -203,7 +192,6 @@ class RunReader:
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
         samples = samples.with_facts(facts)
         raw: dict[str, tuple[str, Array]] = {}
-        say_stage(f"reading run {name}")
         channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
         if entry.missing_if is not None:
@@ -227,20 +215,47 @@ class RunReader:
         )
         run = run.part(keep)
         self._tell_mended(name, entry)
-        if repeats:
+        if entry.duplicates == "mean":
             run = mean_of_equal(run)
         if entry.gaps is not None:
             run = without_gaps(run)
         return run if entry.every == 1 or not entry.average else averaged(run, entry.every)
 
+    def _mend_clocks(
+        self, entry: RunEntry, tables: Sequence[Table], rows: Rows, clocks: list[Array]
+    ) -> tuple[Rows, Array, list[Array]]:
+        """Rows of a run in order, their stamps, and the clocks of all tables, mended as stated.
+
+        Raises:
+            ValueError: stamps are missing or do not increase.
+        """
+        recorded, stamps, equal = clocks[0][rows], entry.stamps, entry.duplicates
+        if stamps is not None or equal is not None:
+            kept, recorded = mended(
+                recorded, stamps or Stamps(), None if equal == "mean" else equal
+            )
+            rows = rows[kept]
+            clocks = [clocks[0], *(of_further(c, stamps or Stamps(), equal) for c in clocks[1:])]
+        new = np.append(True, np.diff(recorded) != 0.0) if equal == "mean" else slice(None)
+        self._require_increasing(entry, tables[0], rows[new], recorded[new])
+        for table, clock in zip(tables[1:], clocks[1:], strict=True):
+            if np.isnan(clock).any():
+                self._require_increasing(entry, table, np.arange(len(clock)), clock)
+        return rows, recorded, clocks
+
+    def _require_increasing(self, entry: RunEntry, table: Table, rows: Rows, now: Array) -> None:
+        if not (np.diff(now) > 0.0).all() or np.isnan(now).any():
+            column = self._clock(entry, table).column or _TIME
+            refuse_stamps(table.path, [table.lines[row] for row in rows], now, column)
+
     def _tell_mended(self, name: str, entry: RunEntry) -> None:
         """What was done to the record of a run."""
         said = [f"rows with equal stamps: {entry.duplicates}"] if entry.duplicates else []
-        said += [entry.stamps.words] if entry.stamps.words else []
+        said += [entry.stamps.words] if entry.stamps is not None else []
         said += ["lost rows put back, commands on lines"] if entry.gaps else []
         for stated in (*self.study.channels, *self.study.commands):
-            source = entry.columns.get(stated.name) or stated
-            words = [source.decode.words] if source.decode.words else []
+            source: Source = entry.columns.get(stated.name) or stated
+            words = [source.decode.words] if source.decode is not None else []
             words += [f"unwrapped at {source.unwrap:g}"] if source.unwrap else []
             said += [f"{stated.name}: {', '.join(words)}"] if words else []
         if said:
@@ -273,7 +288,7 @@ class RunReader:
         if isinstance(stated, CommandEntry) and stated.fill == "hold":
             samples = samples.holding()
         samples = samples.decoding(source.decode)
-        columns = (source.column or stated.name,)
+        columns: tuple[str, ...] = (source.column or stated.name,)
         if source.formula is None:
             raw = samples.column(columns[0])
         else:
@@ -323,11 +338,6 @@ class RunReader:
                 shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
                 close = did_you_mean(str(label), known)
                 self._tell(ValueError(f"{where}: no run {label}{close}; there are {shown}"))
-
-
-def _keeping(entry: RunEntry) -> Duplicates | None:
-    """What is done to equal stamps while rows are read; a mean is taken of what was read."""
-    return None if entry.duplicates == "mean" else entry.duplicates
 
 
 def _is_meant(given: str, labels: Sequence[str]) -> bool:

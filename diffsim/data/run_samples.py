@@ -41,7 +41,7 @@ class RunSamples:
         facts: Facts of the run by name.
         holds: Whether columns of further files keep their value until their next sample, averaged
             from row to row; else they follow straight lines.
-        decode: How numbers of columns are coded.
+        decode: How numbers of columns are coded; None: they are not.
     """
 
     tables: Sequence[Table]
@@ -51,7 +51,7 @@ class RunSamples:
     time_s: Array = field(default_factory=lambda: np.empty(0))
     facts: Mapping[str, Any] = field(default_factory=dict)
     holds: bool = False
-    decode: Decode = field(default_factory=Decode)
+    decode: Decode | None = None
 
     @property
     def table(self) -> Table:
@@ -70,7 +70,7 @@ class RunSamples:
         """The same, columns of further files held until their next sample."""
         return replace(self, holds=True)
 
-    def decoding(self, decode: Decode) -> RunSamples:
+    def decoding(self, decode: Decode | None) -> RunSamples:
         """The same, with numbers of columns coded as stated."""
         return replace(self, decode=decode)
 
@@ -83,13 +83,16 @@ class RunSamples:
         """Numbers of a column, (num_samples,); of a further file, in between its samples."""
         for table, clock in zip(self.tables[1:], self.clocks[1:], strict=True):
             if name in table.header and name not in self.table.header:
-                values = self.decode(table.numbers(name))
+                values = self._decoded(table.numbers(name))
                 there = np.isfinite(values)
                 if not there.any():
                     return np.full(len(self.rows), np.nan)
                 between = _hold_last_sample if self.holds else _interpolate_straight
                 return between(self.recorded_s, clock[there], values[there])
-        return self.decode(self.table.numbers(name)[self.rows])
+        return self._decoded(self.table.numbers(name)[self.rows])
+
+    def _decoded(self, values: Array) -> Array:
+        return values if self.decode is None else self.decode(values)
 
     def formula(
         self, text: str, channels: Mapping[str, Callable[[], Array]] = MappingProxyType({})

@@ -112,8 +112,8 @@ class Source(Part):
         description="Instead of a column: formula of columns, facts of `setup` and `t`, the time "
         "of the run in s; other names than a_1 are written in backquotes: 0.5*(`x 1` + `x 2`)",
     )
-    decode: Decode = Field(
-        Decode(), description="How numbers of its columns are coded: {wrap: 4096}, {sign_bit: 15}"
+    decode: Decode | None = Field(
+        None, description="How numbers of its columns are coded: {wrap: 4096}, {sign_bit: 15}"
     )
     scale: Number = Field(1.0, description="The column is multiplied by this")
     offset: Number = Field(0.0, description="Added after `scale`, in `unit`")
@@ -316,8 +316,8 @@ class RunKeys(Part):
         description="Rows with equal stamps: the first, the last or the mean of them is used, or "
         "they are spread evenly until the next stamp, as of a clock that counts too coarsely",
     )
-    stamps: Stamps = Field(
-        Stamps(), description="Stamps that are missing, go back or jump: what is done to them"
+    stamps: Stamps | None = Field(
+        None, description="Stamps that are missing, go back or jump: what is done to them"
     )
     gaps: Literal["line"] | None = Field(
         None,

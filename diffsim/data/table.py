@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
-from diffsim.data.plain_csv import plain_numbers
+from diffsim.data.plain_csv import SMALLEST, plain_numbers
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -149,6 +149,8 @@ def _number_rows(
 
 def all_numbers(path: Path, header_line: int, skipped: int, count: int) -> Array | None:
     """Cells of a large file of numbers alone, (num_rows, num_columns); None of any other file."""
+    if path.stat().st_size < SMALLEST:
+        return None
     with open_text(path) as file:
         if file.encoding.lower() not in ("utf-8", "utf-8-sig"):
             return None
@@ -227,7 +229,7 @@ class Table:
         self.used: set[str] = set()
         self._cells: list[list[str]] = []
         self._plain: Array | None = None
-        self._layout = {"header_line": header_line, "first_line": first_line}
+        self._layout = (header_line, first_line)
         self._arrays: Columns = read_columns(path) if is_container(path) else {}
         self.left_out = left_out_of(path) if self._arrays else []
         if self._arrays:
@@ -254,7 +256,7 @@ class Table:
         made.path, made.used, made.header = path, set(), list(columns)
         made.left_out = list(left_out)
         made._numbers, made._cells, made._arrays, made._plain = {}, [], columns, None
-        made._layout = {}
+        made._layout = (1, None)
         made.lines = list(range(1, 1 + len(next(iter(columns.values())))))
         return made
 
@@ -342,7 +344,11 @@ class Table:
             return [str(cell).strip() for cell in self._arrays[name].tolist()]
         at = self.header.index(name)
         if self._plain is not None and not self._cells:  # as they are written: 007 is no 7
-            with open_table(self.path, "table", **self._layout) as (_, rows):
+            header_line, first_line = self._layout
+            with open_table(self.path, "table", header_line=header_line, first_line=first_line) as (
+                _,
+                rows,
+            ):
                 self._cells = [row for _, row in rows]
         return [row[at].strip() for row in self._cells]
 
