@@ -88,6 +88,8 @@ class RunReader:
         self.study, self.root, self.given = study, root, given
         self.problems: list[str] = []
         self.mended: dict[str, list[str]] = {}
+        every = (*study.channels, *study.commands)
+        self._is_coded = any(s.decode is not None or s.unwrap is not None for s in every)
         self.left_out: list[str] = []
         self.tables: dict[Path, Table] = {}
         self.columns: tuple[Column, ...] = ()
@@ -214,7 +216,8 @@ class RunReader:
             raw=raw,
         )
         run = run.part(keep)
-        self._tell_mended(name, entry)
+        if self._is_coded or entry.stamps or entry.duplicates or entry.gaps or entry.columns:
+            self._tell_mended(name, entry)
         if entry.duplicates == "mean":
             run = mean_of_equal(run)
         if entry.gaps is not None:
@@ -237,23 +240,22 @@ class RunReader:
             rows = rows[kept]
             clocks = [clocks[0], *(of_further(c, stamps or Stamps(), equal) for c in clocks[1:])]
         new = np.append(True, np.diff(recorded) != 0.0) if equal == "mean" else slice(None)
-        self._require_increasing(entry, tables[0], rows[new], recorded[new])
+        now, lines = recorded[new], [tables[0].lines[row] for row in rows[new]]
+        checked = [(tables[0], lines, now, not (np.diff(now) > 0.0).all() or np.isnan(now).any())]
         for table, clock in zip(tables[1:], clocks[1:], strict=True):
-            if np.isnan(clock).any():
-                self._require_increasing(entry, table, np.arange(len(clock)), clock)
+            checked.append((table, table.lines, clock, np.isnan(clock).any()))
+        for table, lines, clock, is_wrong in checked:
+            if is_wrong:
+                refuse_stamps(table.path, lines, clock, self._clock(entry, table).column or _TIME)
         return rows, recorded, clocks
-
-    def _require_increasing(self, entry: RunEntry, table: Table, rows: Rows, now: Array) -> None:
-        if not (np.diff(now) > 0.0).all() or np.isnan(now).any():
-            column = self._clock(entry, table).column or _TIME
-            refuse_stamps(table.path, [table.lines[row] for row in rows], now, column)
 
     def _tell_mended(self, name: str, entry: RunEntry) -> None:
         """What was done to the record of a run."""
         said = [f"rows with equal stamps: {entry.duplicates}"] if entry.duplicates else []
         said += [entry.stamps.words] if entry.stamps is not None else []
         said += ["lost rows put back, commands on lines"] if entry.gaps else []
-        for stated in (*self.study.channels, *self.study.commands):
+        every: list[ChannelEntry | CommandEntry] = [*self.study.channels, *self.study.commands]
+        for stated in every:
             source: Source = entry.columns.get(stated.name) or stated
             words = [source.decode.words] if source.decode is not None else []
             words += [f"unwrapped at {source.unwrap:g}"] if source.unwrap else []
@@ -287,7 +289,8 @@ class RunReader:
                 factor(unit, stated.unit)  # refuses a unit of another quantity
         if isinstance(stated, CommandEntry) and stated.fill == "hold":
             samples = samples.holding()
-        samples = samples.decoding(source.decode)
+        if source.decode is not None:
+            samples = samples.decoding(source.decode)
         columns: tuple[str, ...] = (source.column or stated.name,)
         if source.formula is None:
             raw = samples.column(columns[0])

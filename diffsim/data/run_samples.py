@@ -83,15 +83,14 @@ class RunSamples:
         """Numbers of a column, (num_samples,); of a further file, in between its samples."""
         for table, clock in zip(self.tables[1:], self.clocks[1:], strict=True):
             if name in table.header and name not in self.table.header:
-                values = self._decoded(table.numbers(name))
+                values = table.numbers(name)
+                values = values if self.decode is None else self.decode(values)
                 there = np.isfinite(values)
                 if not there.any():
                     return np.full(len(self.rows), np.nan)
                 between = _hold_last_sample if self.holds else _interpolate_straight
                 return between(self.recorded_s, clock[there], values[there])
-        return self._decoded(self.table.numbers(name)[self.rows])
-
-    def _decoded(self, values: Array) -> Array:
+        values = self.table.numbers(name)[self.rows]
         return values if self.decode is None else self.decode(values)
 
     def formula(

@@ -149,8 +149,6 @@ def _number_rows(
 
 def all_numbers(path: Path, header_line: int, skipped: int, count: int) -> Array | None:
     """Cells of a large file of numbers alone, (num_rows, num_columns); None of any other file."""
-    if path.stat().st_size < SMALLEST:
-        return None
     with open_text(path) as file:
         if file.encoding.lower() not in ("utf-8", "utf-8-sig"):
             return None
@@ -239,7 +237,8 @@ class Table:
         with open_table(path, what, header_line=header_line, first_line=first_line) as (head, rows):
             self.header = head
             skipped = (first_line or header_line + 1) - 1
-            self._plain = all_numbers(path, header_line, skipped, len(head))
+            if path.stat().st_size >= SMALLEST:
+                self._plain = all_numbers(path, header_line, skipped, len(head))
             if self._plain is not None:
                 self.lines = list(range(skipped + 1, skipped + 1 + len(self._plain)))
                 return
