@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.progress import say_stage
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns_beside import choose_columns, numeric_columns
 from diffsim.data.formula import names_in
@@ -38,7 +37,7 @@ from diffsim.data.run_samples import (
     without_gaps,
     zero_of,
 )
-from diffsim.data.stamps import Duplicates, mended, of_further, require_increasing
+from diffsim.data.stamps import Stamps, mended, of_further, refuse_stamps
 from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import (
     MOST_BLOCKS,
@@ -92,6 +91,8 @@ class RunReader:
         self.study, self.root, self.given = study, root, given
         self.problems: list[str] = []
         self.mended: dict[str, list[str]] = {}
+        every = (*study.channels, *study.commands)
+        self._is_coded = any(s.decode is not None or s.unwrap is not None for s in every)
         self.left_out: list[str] = []
         self.tables: dict[Path, Table] = {}
         self.columns: tuple[Column, ...] = ()
@@ -130,7 +131,6 @@ class RunReader:
 
     def _table(self, path: Path, form: TableFormat = _WITH_HEADER) -> Table:
         if path not in self.tables:
-            say_stage(f"reading {path.name}")
             self.tables[path] = Table(path, "run", **dict(form))
             further = (s for s in self.tables[path].left_out if s not in self.left_out)
             self.left_out += further
@@ -185,19 +185,10 @@ class RunReader:
         name: str,
         labels: Sequence[str],
     ) -> Run:
-        entry, table = case.entry, tables[0]
-        own = self._seconds(entry, table)
-        others = [self._seconds_beside(entry, other, table, own) for other in tables[1:]]
-        kept, recorded = mended(own[rows], entry.stamps, _keeping(entry))
-        rows, clock = rows[kept], self._clock(entry, table).column or _TIME
-        lines = [table.lines[row] for row in rows]
-        repeats = entry.duplicates == "mean"
-        require_increasing(table.path, lines, np.unique(recorded) if repeats else recorded, clock)
-        for further, clock_of in zip(tables[1:], others, strict=True):
-            if np.isnan(clock_of).any() and entry.stamps.missing is None:
-                column = self._clock(entry, further).column or _TIME
-                require_increasing(further.path, further.lines, clock_of, column)
-        clocks = [own, *(of_further(c, entry.stamps, entry.duplicates) for c in others)]
+        entry = case.entry
+        own = self._seconds(entry, tables[0])
+        clocks = [own, *(self._seconds_beside(entry, t, tables[0], own) for t in tables[1:])]
+        rows, recorded, clocks = self._mend_clocks(entry, tables, rows, clocks)
         samples = RunSamples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
         whole = samples.with_facts(facts).at(recorded)
@@ -212,7 +203,6 @@ class RunReader:
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
         samples = samples.with_facts(facts)
         raw: dict[str, tuple[str, Array]] = {}
-        say_stage(f"reading run {name}")
         channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
         if entry.missing_if is not None:
@@ -235,22 +225,48 @@ class RunReader:
             raw=raw,
         )
         run = run.part(keep)
-        self._tell_mended(name, entry)
-        if repeats:
+        if self._is_coded or entry.stamps or entry.duplicates or entry.gaps or entry.columns:
+            self._tell_mended(name, entry)
+        if entry.duplicates == "mean":
             run = mean_of_equal(run)
         if entry.gaps is not None:
             run = without_gaps(run)
         return run if entry.every == 1 or not entry.average else averaged(run, entry.every)
 
+    def _mend_clocks(
+        self, entry: RunEntry, tables: Sequence[Table], rows: Rows, clocks: list[Array]
+    ) -> tuple[Rows, Array, list[Array]]:
+        """Rows of a run in order, their stamps, and the clocks of all tables, mended as stated.
+
+        Raises:
+            ValueError: stamps are missing or do not increase.
+        """
+        recorded, stamps, equal = clocks[0][rows], entry.stamps, entry.duplicates
+        if stamps is not None or equal is not None:
+            kept, recorded = mended(
+                recorded, stamps or Stamps(), None if equal == "mean" else equal
+            )
+            rows = rows[kept]
+            clocks = [clocks[0], *(of_further(c, stamps or Stamps(), equal) for c in clocks[1:])]
+        new = np.append(True, np.diff(recorded) != 0.0) if equal == "mean" else slice(None)
+        now, lines = recorded[new], [tables[0].lines[row] for row in rows[new]]
+        checked = [(tables[0], lines, now, not (np.diff(now) > 0.0).all() or np.isnan(now).any())]
+        for table, clock in zip(tables[1:], clocks[1:], strict=True):
+            checked.append((table, table.lines, clock, np.isnan(clock).any()))
+        for table, lines, clock, is_wrong in checked:
+            if is_wrong:
+                refuse_stamps(table.path, lines, clock, self._clock(entry, table).column or _TIME)
+        return rows, recorded, clocks
+
     def _tell_mended(self, name: str, entry: RunEntry) -> None:
         """What was done to the record of a run."""
         said = [f"rows with equal stamps: {entry.duplicates}"] if entry.duplicates else []
-        said += [entry.stamps.words] if entry.stamps.words else []
+        said += [entry.stamps.words] if entry.stamps is not None else []
         said += ["lost rows put back, commands on lines"] if entry.gaps else []
-        named: list[ChannelEntry | CommandEntry] = [*self.study.channels, *self.study.commands]
-        for stated in named:
+        every: list[ChannelEntry | CommandEntry] = [*self.study.channels, *self.study.commands]
+        for stated in every:
             source: Source = entry.columns.get(stated.name) or stated
-            words = [source.decode.words] if source.decode.words else []
+            words = [source.decode.words] if source.decode is not None else []
             words += [f"unwrapped at {source.unwrap:g}"] if source.unwrap else []
             said += [f"{stated.name}: {', '.join(words)}"] if words else []
         if said:
@@ -282,7 +298,8 @@ class RunReader:
                 factor(unit, stated.unit)  # refuses a unit of another quantity
         if isinstance(stated, CommandEntry) and stated.fill == "hold":
             samples = samples.holding()
-        samples = samples.decoding(source.decode)
+        if source.decode is not None:
+            samples = samples.decoding(source.decode)
         columns: tuple[str, ...] = (source.column or stated.name,)
         if source.formula is None:
             raw = samples.column(columns[0], source.file)
@@ -348,11 +365,6 @@ class RunReader:
                 shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
                 close = did_you_mean(str(label), known)
                 self._tell(ValueError(f"{where}: no run {label}{close}; there are {shown}"))
-
-
-def _keeping(entry: RunEntry) -> Duplicates | None:
-    """What is done to equal stamps while rows are read; a mean is taken of what was read."""
-    return None if entry.duplicates == "mean" else entry.duplicates
 
 
 def _is_meant(given: str, labels: Sequence[str]) -> bool:

@@ -41,7 +41,7 @@ class RunSamples:
         facts: Facts of the run by name.
         holds: Whether columns of further files keep their value until their next sample, averaged
             from row to row; else they follow straight lines.
-        decode: How numbers of columns are coded.
+        decode: How numbers of columns are coded; None: they are not.
     """
 
     tables: Sequence[Table]
@@ -51,7 +51,7 @@ class RunSamples:
     time_s: Array = field(default_factory=lambda: np.empty(0))
     facts: Mapping[str, Any] = field(default_factory=dict)
     holds: bool = False
-    decode: Decode = field(default_factory=Decode)
+    decode: Decode | None = None
 
     @property
     def table(self) -> Table:
@@ -70,7 +70,7 @@ class RunSamples:
         """The same, columns of further files held until their next sample."""
         return replace(self, holds=True)
 
-    def decoding(self, decode: Decode) -> RunSamples:
+    def decoding(self, decode: Decode | None) -> RunSamples:
         """The same, with numbers of columns coded as stated."""
         return replace(self, decode=decode)
 
@@ -101,9 +101,10 @@ class RunSamples:
         """
         place = self.place_of(name, file)
         values = self.tables[place].numbers(name)
+        values = values if place else values[self.rows]
+        values = values if self.decode is None else self.decode(values)
         if not place:
-            return self.decode(values[self.rows])
-        values = self.decode(values)
+            return values
         there = np.isfinite(values)
         if not there.any():
             return np.full(len(self.rows), np.nan)

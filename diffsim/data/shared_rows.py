@@ -24,13 +24,13 @@ class Shared(NamedTuple):
         first: Place of the recording that has it first.
         second: Place of the other one.
         start: Row in the other one.
-        num_rows: Number of rows.
+        length: Number of rows.
     """
 
     first: int
     second: int
     start: int
-    num_rows: int
+    length: int
 
 
 def shared_stretches(

@@ -94,15 +94,15 @@ def mended(
         order = np.argsort(now, kind="stable")
         rows, now = rows[order], now[order]
     elif stamps.backward == "drop":
-        keep = now >= np.maximum.accumulate(np.where(np.isfinite(now), now, -np.inf))
-        rows, now = rows[keep], now[keep]
+        latest = np.maximum.accumulate(np.where(np.isfinite(now), now, -np.inf))
+        rows, now = rows[now >= latest], now[now >= latest]
     if duplicates == "spread":
         now = spread(now)
     elif duplicates is not None and len(now):
         new = np.append(True, np.diff(now) != 0.0)
         first = np.flatnonzero(new)
-        one = first if duplicates != "last" else np.append(first[1:] - 1, len(now) - 1)
-        rows, now = rows[one], now[one]
+        chosen = first if duplicates != "last" else np.append(first[1:] - 1, len(now) - 1)
+        rows, now = rows[chosen], now[chosen]
     return rows, now
 
 
@@ -199,9 +199,7 @@ def stamp_fault(now: Array) -> tuple[int, str, str] | None:
     )
 
 
-def require_increasing(
-    path: object, lines: Mapping[int, int] | list[int], now: Array, column: str
-) -> None:
+def refuse_stamps(path: object, lines: list[int], now: Array, column: str) -> None:
     """Refuse rows whose stamps do not increase, with the row at which they do not.
 
     Args:

@@ -295,9 +295,9 @@ def _copies(study: Study) -> Iterator[Problem]:
 
     for found in shared_stretches([run.measured for run in runs], may_share):
         first, copy = runs[found.first], runs[found.second]
-        share = found.num_rows / min(len(first.measured), len(copy.measured))
-        part = copy.measured[found.start : found.start + found.num_rows]
-        is_whole = found.num_rows == len(first.measured) == len(copy.measured)
+        share = found.length / min(len(first.measured), len(copy.measured))
+        part = copy.measured[found.start : found.start + found.length]
+        is_whole = found.length == len(first.measured) == len(copy.measured)
         least = 1.0 if is_whole else SHARED_BITS
         if share < COPIED or copy.name in told or bits_of(part) < least:
             continue
@@ -305,7 +305,7 @@ def _copies(study: Study) -> Iterator[Problem]:
         yield Problem(
             "error",
             f"run {copy.name}",
-            f"it is a copy of run {first.name}: {found.num_rows} samples are equal to the digit; "
+            f"it is a copy of run {first.name}: {found.length} samples are equal to the digit; "
             "mend its file, or leave it out",
         )
 

@@ -143,8 +143,8 @@ class Source(Part):
         description="Which of the run's files holds the column, from 1, where several have one of "
         "that name; default: the first that has it",
     )
-    decode: Decode = Field(
-        Decode(), description="How numbers of its columns are coded: {wrap: 4096}, {sign_bit: 15}"
+    decode: Decode | None = Field(
+        None, description="How numbers of its columns are coded: {wrap: 4096}, {sign_bit: 15}"
     )
     scale: Number = Field(1.0, description="The column is multiplied by this")
     offset: Number = Field(0.0, description="Added after `scale`, in `unit`")
@@ -349,8 +349,8 @@ class RunKeys(Part):
         description="Rows with equal stamps: the first, the last or the mean of them is used, or "
         "they are spread evenly until the next stamp, as of a clock that counts too coarsely",
     )
-    stamps: Stamps = Field(
-        Stamps(), description="Stamps that are missing, go back or jump: what is done to them"
+    stamps: Stamps | None = Field(
+        None, description="Stamps that are missing, go back or jump: what is done to them"
     )
     gaps: Literal["line"] | None = Field(
         None,

@@ -114,8 +114,10 @@ def diagnose(
     found = None
     if laws is not None and answer.lacks_something:
         budget = _budget_of_laws(answer, begun)
-        if answer.freedom < LEAST_FREEDOM:
-            gates = (*answer.frozen.gates, few_samples_gate(answer.freedom))
+        plain = answer.search.null.fit
+        freedom = plain.num_samples - len(plain.problem.names)
+        if freedom < LEAST_FREEDOM:
+            gates = (*answer.frozen.gates, few_samples_gate(freedom))
             answer = replace(answer, frozen=replace(answer.frozen, gates=gates))
         elif budget.steps == 0.0:
             answer = _without_laws(answer)
@@ -191,12 +193,6 @@ class _Answer:
         """What was searched."""
         assert self.found is not None
         return self.found
-
-    @property
-    def freedom(self) -> int:
-        """Samples that were fitted, less the numbers of the plain model."""
-        fit = self.search.null.fit
-        return fit.num_samples - len(fit.problem.names)
 
     @property
     def lacks_something(self) -> bool:

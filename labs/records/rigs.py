@@ -158,6 +158,10 @@ def pendulum(rng: Rng) -> Folder:
     return Folder("pendulum", study, tables, {})
 
 
+def _towards(lag: float, x: Array, v: float) -> Array:
+    return (v - x) / lag
+
+
 def stage(rng: Rng) -> Folder:
     """Two axes with goals of their own."""
     step, lags = 0.01, 0.06 * rng.uniform(0.6, 1.6, 2)
@@ -167,7 +171,7 @@ def stage(rng: Rng) -> Folder:
         table = {"time_s": t}
         for i, axis in enumerate("xy"):
             u = course(rng, t, KINDS[(k + i) % 5], 40.0)
-            x = followed(lambda x, v, lag=lags[i]: (v - x) / lag, u[:1], u, step)[:, 0]
+            x = followed(partial(_towards, float(lags[i])), u[:1], u, step)[:, 0]
             table[f"goal_{axis}_mm"] = u
             table[f"{axis}_mm"] = x + rng.normal(0.0, 0.02, len(t))
         tables[run] = table

@@ -67,11 +67,11 @@ def _shared_runs(
         [run.measured for run in ordered], lambda a, b: may_share(ordered[a], ordered[b])
     ):
         pair = (found.first, found.second)
-        if pair not in longest or found.num_rows > longest[pair].num_rows:
+        if pair not in longest or found.length > longest[pair].length:
             longest[pair] = found
     for (a, b), found in sorted(longest.items()):
-        if bits_of(ordered[b].measured[found.start : found.start + found.num_rows]) > SHARED_BITS:
-            yield ordered[a], ordered[b], found.num_rows
+        if bits_of(ordered[b].measured[found.start : found.start + found.length]) > SHARED_BITS:
+            yield ordered[a], ordered[b], found.length
 
 
 def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
@@ -87,7 +87,7 @@ def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
             lambda a, b: _may_share(runs[a], runs[b]),
             distinct=True,
         ):
-            part = runs[one.second].measured[one.start : one.start + one.num_rows, [c]]
+            part = runs[one.second].measured[one.start : one.start + one.length, [c]]
             pair = (one.first, one.second)
             bits[pair] = bits.get(pair, 0.0) + bits_of(part)
         for pair, size in bits.items():
