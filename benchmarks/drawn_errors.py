@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -131,7 +131,7 @@ def sites_of(path: Path, text: str) -> Iterator[Site]:
     for line in text.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
 
-    def span(node: ast.AST) -> tuple[int, int]:
+    def span(node: Any) -> tuple[int, int]:
         # columns count bytes; the package is ASCII but for a few texts
         first, last = starts[node.lineno - 1], starts[node.end_lineno - 1]
         return first + node.col_offset, last + node.end_col_offset
@@ -174,8 +174,8 @@ def _mistakes(node, text, span):  # type: ignore[no-untyped-def]
         for default in [*node.defaults, *filter(None, node.kw_defaults)]:
             if isinstance(default, ast.Constant) and isinstance(default.value, (bool, int, float)):
                 value = default.value
-                new = not value if isinstance(value, bool) else 2 * value + type(value)(1)
-                yield *span(default), repr(new), "default"
+                other = not value if isinstance(value, bool) else 2 * value + type(value)(1)
+                yield *span(default), repr(other), "default"
 
 
 def _is_text(node: ast.BinOp) -> bool:

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require_constant, require_number, require_tensor
-from diffsim.core.checked import checked
+from diffsim.core.check import require, require_constant, require_number, require_tensor
 from diffsim.core.values import amounts, as_array
 
 
@@ -35,8 +34,7 @@ class OpenLoop(nn.Module):
 
     def forward(self, observation: Tensor | None, step: int | Tensor) -> Tensor:
         """Commands (batch, num_commands); (num_commands,) without an observation."""
-        step = step.to(torch.float64) if isinstance(step, Tensor) else step
-        time = amounts("step", step) * self.dt
+        time = _doubles("step", step) * self.dt
         command = self.signal(time)
         if observation is None or command.dim() > 1:
             return command
@@ -56,7 +54,6 @@ class Sinusoid(OpenLoop):
         learn_phases: Whether phases are parameters.
     """
 
-    @checked
     def __init__(
         self,
         num_commands: int,
@@ -99,9 +96,9 @@ class Sinusoid(OpenLoop):
         """(num_commands,)."""
         return torch.tanh(self.raw_amplitude)
 
-    @checked
     def signal(self, time: Tensor) -> Tensor:
         """See the class."""
+        time = _doubles("time", time)
         turn = 2.0 * math.pi * self.frequency * time[..., None]
         return self.amplitude * torch.sin(turn + self.phase)
 
@@ -117,7 +114,6 @@ class Knots(OpenLoop):
         start: First guess (num_knots, num_commands) in (-1, 1); zero by default.
     """
 
-    @checked
     def __init__(
         self,
         num_commands: int,
@@ -134,15 +130,12 @@ class Knots(OpenLoop):
         self.periodic = periodic
         require_constant("start", start, "it is a first guess of the parameters")
         values = torch.zeros(count, num_commands, dtype=torch.float64) if start is None else start
-        if tuple(values.shape) != (count, num_commands):
-            raise ValueError(
-                f"start must have shape ({count}, {num_commands}), got {tuple(values.shape)}"
-            )
-        self.raw = nn.Parameter(torch.atanh(values.double().clamp(-0.999, 0.999)))
+        values = require("start", _doubles("start", values), (count, num_commands))
+        self.raw = nn.Parameter(torch.atanh(values.clamp(-0.999, 0.999)))
 
-    @checked
     def signal(self, time: Tensor) -> Tensor:
         """See the class."""
+        time = _doubles("time", time)
         values, count = torch.tanh(self.raw), len(self.raw)
         if self.periodic:
             place = (time / self.duration % 1.0) * count
@@ -156,10 +149,15 @@ class Knots(OpenLoop):
         return (1.0 - share) * values[first] + share * values[second]
 
 
+def _doubles(name: str, value: float | Tensor) -> Tensor:
+    """Finite numbers as a float64 tensor, of any precision, with their gradient."""
+    return amounts(name, value.to(torch.float64) if isinstance(value, Tensor) else value)
+
+
 def _row(name: str, values: Sequence[float] | None, width: int, default: float) -> Tensor:
     require_constant(name, values, "it is a first guess of parameters")
     given = [default] * width if values is None else values
     row = as_array(name, given).detach().to(torch.float64).clone()
     if row.shape != (width,):
         raise ValueError(f"{name} must have {width} entries, one per command, got {len(row)}")
-    return row
+    return require(name, row, (width,))

@@ -146,6 +146,7 @@ class ChamberSet:
         return torch.stack([chamber.volume(x) for chamber in self.chambers], dim=-1)
 
 
+@checked
 def sealed_pressure(
     volume: Tensor,
     filled_volume: Tensor | float,

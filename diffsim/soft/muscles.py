@@ -101,6 +101,8 @@ class MuscleSet:
     """All muscles of a body, as the flat fiber arrays that kernels read."""
 
     def __init__(self, muscles: Sequence[Muscle], num_elements: int):
+        if not isinstance(muscles, Sequence):
+            raise TypeError(f"muscles must be a list of Muscle, got {type(muscles).__name__}")
         for k, muscle in enumerate(muscles):
             if not isinstance(muscle, Muscle):
                 raise TypeError(f"muscles[{k}] must be a Muscle, got {type(muscle).__name__}")

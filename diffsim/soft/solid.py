@@ -17,7 +17,6 @@ from diffsim.core.check import (
     require_indices,
     require_number,
 )
-from diffsim.core.checked import checked
 from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
 from diffsim.core.values import as_array
@@ -62,7 +61,6 @@ class Solid(Float64Module):
     nodal_volume: Tensor
     nodal_shares: Tensor
 
-    @checked
     def __init__(
         self,
         mesh: HexMesh | TetMesh,

@@ -314,6 +314,13 @@ def test_size_and_cost_are_linear():
     assert next(e for e in entries if e.name == "arm_1").dimensions["length"] == pytest.approx(0.8)
 
 
+def test_what_is_printed_costs_what_it_weighs():
+    """The cost that a search sees is that of the list, whose frame is printed plastic."""
+    printed = load_design("x_quadcopter")
+    prices = sum(entry.price for entry in printed.bill_of_materials())
+    assert float(printed.cost()) == pytest.approx(prices, rel=1e-12)
+
+
 def test_closest_pair_of_patches():
     """Thesis 3.2.2: without named patches the two closest that fit are joined."""
     spec = DesignSpec(
