@@ -3,14 +3,16 @@
 A table has a domain: what commands pass (``actuator``), what shows channels (``sensor``), and one
 for each kind of system. Who looks for a cause, its usual size or its words finds them there. A
 table may take rows of another one, ``{include: load/tip_mass}``, or all of it, ``{include:
-actuator}``: then it says in which order its system has them. ``each: record`` says that a row is of
-the instruments of all channels together.
+actuator}``: then it says in which order its system has them. A kind of system of another package
+has its table ``KIND.yaml`` beside the module of its description. ``each: record`` says that a row
+is of the instruments of all channels together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
@@ -19,6 +21,7 @@ from pydantic import ValidationError
 from diffsim.causes.row import Row
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
+from diffsim.core.plugins import SYSTEMS, find_plugins
 from diffsim.core.schema import problem_lines
 from diffsim.core.yaml_text import read_yaml_file
 
@@ -26,8 +29,23 @@ _HERE = Path(__file__).parent
 
 
 def domains() -> tuple[str, ...]:
-    """Names of the tables."""
-    return tuple(sorted(path.stem for path in _HERE.glob("*.yaml")))
+    """Names of the tables, those of other packages last."""
+    own = sorted(path.stem for path in _HERE.glob("*.yaml"))
+    return (*own, *(name for name in find_plugins(SYSTEMS) if _path_of(name).is_file()))
+
+
+def _path_of(domain: str) -> Path:
+    """The table of a domain: ours, or that beside the module of another package's description."""
+    path = _HERE / f"{domain}.yaml"
+    entry = find_plugins(SYSTEMS).get(domain)
+    if entry is None or path.is_file():
+        return path
+    module = find_spec(entry.module)
+    return (
+        path
+        if module is None or module.origin is None
+        else Path(module.origin).with_name(path.name)
+    )
 
 
 @cache
@@ -58,7 +76,7 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
             f"no causes of {domain!r}{did_you_mean(domain, domains())}; "
             f"known: {', '.join(domains())}"
         )
-    path = _HERE / f"{domain}.yaml"
+    path = _path_of(domain)
     found, wrong = list[tuple[str, Row]](), []
     for name, given in read_yaml_file(path).items():
         if "include" in given:
