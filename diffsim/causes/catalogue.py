@@ -5,13 +5,15 @@ for each kind of system. Who looks for a cause, its usual size or its words find
 table may take rows of another one, ``{include: load/tip_mass}``, or all of it, ``{include:
 actuator}``: then it says in which order its system has them. Keys beside ``include`` replace those
 of the rows, such as ``when: asked``; ``each: record`` says that a row is of the instruments of all
-channels together.
+channels together. A kind of system of another package has its table ``KIND.yaml`` beside the module
+of its description.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,6 +23,7 @@ from pydantic import ValidationError
 from diffsim.causes.row import Row
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
+from diffsim.core.plugins import SYSTEMS, find_plugins
 from diffsim.core.schema import problem_lines
 from diffsim.core.yaml_text import read_yaml_file
 
@@ -28,8 +31,23 @@ _HERE = Path(__file__).parent
 
 
 def domains() -> tuple[str, ...]:
-    """Names of the tables."""
-    return tuple(sorted(path.stem for path in _HERE.glob("*.yaml")))
+    """Names of the tables, those of other packages last."""
+    own = sorted(path.stem for path in _HERE.glob("*.yaml"))
+    return (*own, *(name for name in find_plugins(SYSTEMS) if _path_of(name).is_file()))
+
+
+def _path_of(domain: str) -> Path:
+    """The table of a domain: ours, or that beside the module of another package's description."""
+    path = _HERE / f"{domain}.yaml"
+    entry = find_plugins(SYSTEMS).get(domain)
+    if entry is None or path.is_file():
+        return path
+    module = find_spec(entry.module)
+    return (
+        path
+        if module is None or module.origin is None
+        else Path(module.origin).with_name(path.name)
+    )
 
 
 @cache
@@ -60,7 +78,7 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
             f"no causes of {domain!r}{did_you_mean(domain, domains())}; "
             f"known: {', '.join(domains())}"
         )
-    path = _HERE / f"{domain}.yaml"
+    path = _path_of(domain)
     found, wrong = list[tuple[str, Row]](), []
     for name, given in read_yaml_file(path).items():
         try:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from diffsim.data.study import Run, Study
 
+SESSIONS = "sessions"  # place in a study's frame: labels of the runs that were fitted
+
 
 @dataclass(frozen=True)
 class Sessions:
@@ -21,7 +23,8 @@ class Sessions:
 
     @classmethod
     def of(cls, fact: str | None, study: Study) -> Sessions | None:
-        """Sessions of a study's runs; None: there are not two.
+        """Sessions of a study's runs, those of the fitted ones where a frame says which they were;
+        None: there are not two.
 
         Args:
             fact: Name of the fact; None: none is stated.
@@ -29,7 +32,9 @@ class Sessions:
         """
         if fact is None:
             return None
-        labels = {str(run.setup[fact]) for run in study.runs if fact in run.setup}
+        labels = study.frame.get(SESSIONS) or {
+            str(run.setup[fact]) for run in study.runs if fact in run.setup
+        }
         return cls(fact, tuple(sorted(labels))) if len(labels) > 1 else None
 
     def index_of(self, run: Run) -> int | None:
@@ -43,4 +48,4 @@ class Sessions:
         return self.labels.index(label) - 1 if label in self.labels[1:] else None
 
 
-__all__ = ["Sessions"]
+__all__ = ["SESSIONS", "Sessions"]

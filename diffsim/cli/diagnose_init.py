@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from diffsim.data.joined_files import Kind
 from diffsim.data.record import record_findings
 from diffsim.data.study_check import TODO
 from diffsim.data.study_file import load_study
-from diffsim.systems.registry import DESCRIPTIONS
+from diffsim.systems.registry import description_class, known_systems
 
 WIDTH = 96
 MANY = 13  # runs, that are one entry where a pattern tells them all
@@ -63,7 +62,7 @@ def init(
     Args:
         folder: Folder with the recordings.
         out: File to be written; by default study.yaml in the folder.
-        system: Kind of system, a key of ``DESCRIPTIONS``.
+        system: Kind of system, one of ``known_systems()``.
         parts: Tables of files that hold several, the record first; empty: as they look.
         force: Replace a file that is there.
 
@@ -74,7 +73,7 @@ def init(
         FileExistsError: the file is there, and ``force`` is not given.
         ValueError: nothing in the folder looks like a recording, or no such kind of system.
     """
-    require_choice("--system", system, DESCRIPTIONS)
+    require_choice("--system", system, known_systems())
     out = require_target(folder, out, force=force)
     guess = guess_study(folder, parts)
     text = study_text(guess, folder, out, system)
@@ -262,10 +261,9 @@ def _fact(column: str, name: str, unit: str | None) -> Any:
 def _model(system: str) -> Iterator[str]:
     """Keys of the description, those that it needs to be filled in, others as comments."""
     yield "model:"
-    yield f"  system: {system}    # one of {', '.join(DESCRIPTIONS)}"
-    module, name = DESCRIPTIONS[system]
+    yield f"  system: {system}    # one of {', '.join(known_systems())}"
     try:
-        description: type[Part] = getattr(import_module(module), name)
+        description: type[Part] = description_class(system)
     except ImportError:
         yield f"  description: {TODO}"
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from diffsim.core.files import write_text_atomic
 from diffsim.core.schema_json import definitions, name_of
 from diffsim.core.version import __version__
 from diffsim.data.study_schema import StudyFile
-from diffsim.systems.registry import DESCRIPTIONS
+from diffsim.systems.registry import description_class, known_systems
 
 LIKE = "_like"  # of definitions that another study completes
 
@@ -20,9 +19,9 @@ def study_schema() -> dict[str, Any]:
     """Schema of a study: its keys, and those of ``model`` by the kind of system."""
     defs = definitions(StudyFile)
     cases = []
-    for system, (module, name) in sorted(DESCRIPTIONS.items()):
+    for system in sorted(known_systems()):
         try:
-            description = getattr(import_module(module), name)
+            description = description_class(system)
         except ImportError:  # of an extra that is not installed: its keys are not known here
             continue
         defs |= definitions(description)
@@ -34,7 +33,7 @@ def study_schema() -> dict[str, Any]:
         )
     defs[name_of(StudyFile)]["properties"]["model"] = {
         "type": "object",
-        "properties": {"system": {"enum": sorted(DESCRIPTIONS)}},
+        "properties": {"system": {"enum": sorted(known_systems())}},
         "required": ["system"],
         "allOf": cases,
         "description": "Description of the system that was recorded",

@@ -20,6 +20,7 @@ from diffsim.causes.listing import list_causes
 from diffsim.causes.own import OwnRow, own_causes
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES
+from diffsim.causes.sessions import SESSIONS
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import KindWords, Part, number
@@ -254,7 +255,8 @@ class Description(Part):
         plant = self.plant(used)
         assert plant is not None
         model = self.model(used)
-        model.frame = {SCALES: plant.scales.saved()}
+        sessions = {} if plant.sessions is None else {SESSIONS: list(plant.sessions.labels)}
+        model.frame = {SCALES: plant.scales.saved(), **sessions}
         return DiagnosisSetup(
             model,
             chosen_effects(list_causes(plant), self.effects, used, plant),

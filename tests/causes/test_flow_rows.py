@@ -107,28 +107,3 @@ def test_samples_at_one_level_have_slopes_of_their_own(name):
     (slope,) = torch.autograd.grad(score(leaf), leaf)
     at = [float(score(torch.full((1,), k * h, dtype=torch.float64))) for k in (0, 1, 2)]
     assert float(slope) == pytest.approx((4.0 * at[1] - at[2] - 3.0 * at[0]) / (2.0 * h), rel=1e-3)
-
-
-def test_a_cause_of_a_user_acts_through_the_same_ports():
-    rows = [
-        {"name": "stronger_pump", "at": "command", "map": "u*(1 + size)", "typical": 0.1},
-        {"name": "wider", "at": "number", "scale": "width_a", "typical": 0.01},
-        {"name": "thicker", "at": "number", "scale": "viscosity", "typical": 0.1},
-    ]
-    made = study_of(effects={"own": rows})
-    setup = setup_of(made)
-    names = ("stronger_pump", "pump_gain_1", "thicker", "viscosity", "wider")
-    run, q = made.runs[0], setup.model.at_prior()
-    size = torch.tensor([0.1], dtype=torch.float64)
-    with torch.no_grad():
-        plain = setup.model.predict(run, q)
-        shown = {
-            e.name: setup.model.predict(run, q, {e: size}) for e in setup.effects if e.name in names
-        }
-    torch.testing.assert_close(shown["stronger_pump"], shown["pump_gain_1"], atol=0.0, rtol=0.0)
-    torch.testing.assert_close(shown["thicker"], shown["viscosity"], atol=0.0, rtol=0.0)
-    # a slit's resistance falls with the cube of its width; sides of a rectangle change it a little
-    ratio = float(shown["wider"][30, 0] / plain[30, 0])
-    assert ratio == pytest.approx(1.1**-3, rel=0.05)
-    with pytest.raises(ValueError, match="no command 'pmp'; did you mean 'pump'"):
-        setup_of(study_of(effects={"own": [{**rows[0], "of": "pmp"}]}))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import fit
@@ -70,48 +69,8 @@ def test_a_sensor_that_is_late_or_off_beside_another_is_found(body, hidden, caus
     assert found.chi2 / (4 * 3 * len(TIME)) == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("body", BODIES)
-def test_many_points_are_as_one_by_one_through_sensors(body):
-    made = study_of(body)
-    setup = setup_of(made)
-    run = (setup.study or made).runs[1]
-    for name in ("sensor_delay_of_radar", "sensor_lag_of_camera", "sensor_backlash_of_radar"):
-        cause = next(e for e in setup.effects if e.name == name)
-        q = torch.zeros(3, len(setup.model.base), dtype=torch.float64)
-        sizes = cause.typical * torch.tensor([[0.0], [1.0], [2.0]], dtype=torch.float64)
-        with torch.no_grad():
-            many = setup.model.predict_many(run, q, {cause: sizes})
-            plain = setup.model.predict(run, q[0])
-            one = [setup.model.predict(run, q[0], {cause: s}) for s in sizes]
-        torch.testing.assert_close(many, torch.stack(one), atol=1e-12, rtol=0.0)
-        torch.testing.assert_close(many[0], plain, atol=1e-12, rtol=0.0)
-        assert float((many[2] - plain).abs().max()) > 1e-6
-
-
 def test_a_study_that_names_no_sensor_has_none_of_their_causes():
     made = study_of("ball")
     plain = tuple(Channel(c.name, c.unit, c.kind, c.sd) for c in made.channels)
     names = {e.name for e in setup_of(Study(**{**vars(made), "channels": plain})).effects}
     assert not [n for n in names if n.startswith("sensor_")]
-
-
-@pytest.mark.parametrize("body", BODIES)
-def test_a_cause_of_a_user_acts_through_the_same_ports(body):
-    rows = [
-        {"name": "stronger_gravity", "at": "number", "scale": "gravity", "typical": 0.01},
-        {"name": "slow_radar", "at": "clock", "of": "vz", "unit": "s", "typical": 0.01},
-    ]
-    made = study_of(body, effects={"own": rows})
-    setup = setup_of(made)
-    known = {e.name: e for e in setup.effects}
-    run, q = (setup.study or made).runs[0], setup.model.at_prior()
-    size = torch.tensor([0.01], dtype=torch.float64)
-    with torch.no_grad():
-        stronger = setup.model.predict(run, q, {known["stronger_gravity"]: size})
-        weaker = setup.model.predict(run, q, {known["weaker_gravity"]: -size * GRAVITY})
-        late = setup.model.predict(run, q, {known["slow_radar"]: size})
-        same = setup.model.predict(run, q, {known["sensor_delay_of_radar"]: size})
-    torch.testing.assert_close(stronger, weaker, atol=1e-10, rtol=0.0)
-    torch.testing.assert_close(late, same, atol=0.0, rtol=0.0)
-    with pytest.raises(ValueError, match="no number 'gravty'; did you mean 'gravity'"):
-        setup_of(study_of(body, effects={"own": [{**rows[0], "scale": "gravty"}]}))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.scales import SCALES
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import fit
 from diffsim.systems.registry import setup_of
@@ -100,42 +99,3 @@ def test_poses_have_no_causes_in_time_and_few_of_signals():
     assert known == {"drive_loss", "saturation", "sensor_scale"}
     with pytest.raises(ValueError, match="no cause 'lag'"):
         setup_of(replace(made, model={**MODEL, "effects": {"only": ["lag"]}}))
-
-
-def test_a_cause_of_a_user_acts_through_the_same_ports():
-    rows = [
-        {"name": "pulley", "at": "command", "map": "u*(1 + size)", "typical": 0.1},
-        {"name": "softer", "at": "number", "scale": "youngs_modulus", "typical": 0.1},
-        {"name": "late", "at": "clock", "of": "tip_x", "unit": "s", "typical": 0.02},
-    ]
-    made = pulled(effects={"own": rows})
-    setup = setup_of(made)
-    known = {e.name: e for e in setup.effects}
-    own, gain = {row["name"]: known[row["name"]] for row in rows}, known["command_gain"]
-    run, q = made.runs[0], setup.model.at_prior()
-    size = torch.tensor([0.1], dtype=torch.float64)
-    with torch.no_grad():
-        plain = setup.model.predict(run, q)
-        by_row = {name: setup.model.predict(run, q, {e: size}) for name, e in own.items()}
-        torch.testing.assert_close(by_row["pulley"], setup.model.predict(run, q, {gain: size}))
-    assert not torch.equal(by_row["softer"], plain)
-    moved = (by_row["late"] != plain).any(0)
-    assert moved.tolist() == [False] * 3 + [True] + [False] * 2
-    with pytest.raises(ValueError, match="no number 'stifness'"):
-        setup_of(pulled(effects={"own": [{**rows[1], "scale": "stifness"}]}))
-
-
-def test_sizes_mean_the_same_on_other_recordings():
-    made = pulled()
-    frame = dict(setup_of(made).model.frame)
-    harder = replace(
-        made,
-        runs=tuple(
-            replace(r, command={k: 3.0 * v for k, v in r.command.items()}) for r in made.runs
-        ),
-    )
-    usual = {e.name: e.typical for e in setup_of(made).effects}
-    assert {e.name: e.typical for e in setup_of(harder).effects} != usual
-    framed = setup_of(replace(harder, frame=frame))
-    assert {e.name: e.typical for e in framed.effects} == usual
-    assert framed.model.frame[SCALES] == frame[SCALES]

@@ -53,22 +53,6 @@ def named(study, name):
     return next(e for e in setup_of(study).effects if e.name == name)
 
 
-@pytest.mark.parametrize(
-    ("row", "name"),
-    [
-        ({"at": "command", "map": "u*(1 + size)"}, "command_gain"),
-        ({"at": "reading", "of": "mid_z_m", "map": "u + size"}, "sensor_offset_of_laser"),
-        ({"at": "clock", "of": "tip_z_m"}, "sensor_delay_of_camera"),
-        ({"at": "number", "scale": "clock_rate"}, "clock_rate"),
-    ],
-)
-def test_a_cause_of_a_user_acts_as_that_of_the_library(row, name):
-    mine, theirs = own(PULLED, **row), named(PULLED, name)
-    found = predicted(PULLED, mine, 0.1)
-    torch.testing.assert_close(found, predicted(PULLED, theirs, 0.1), rtol=0, atol=0)
-    assert float((found - predicted(PULLED)).abs().max()) > 1e-6
-
-
 def test_a_force_of_a_user_pulls_at_its_marker():
     """Its power is that of the marker: -size v^2 along the axis, whatever the nodes do."""
     damper = own(SWUNG, at="force", of="tip.z", law="-size*v", typical="push/speed")

@@ -4,72 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-import torch
 
 from diffsim.cli.diagnose_inputs import inputs_of
-from diffsim.data.study import Channel, Study
+from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.identify.model_file import read_extended
 from diffsim.systems import setup_of
 from tests.systems.test_bench_description import NOISE, bench, found
-from tests.systems.toy_cart import cart_study
-
-
-def _at(setup, run, effect=None):
-    q = torch.tensor([0.0 if "@" in p.name else 0.3 for p in setup.model.base]).double()
-    sizes = {}
-    if effect is not None:
-        known = {e.name: e for e in setup.effects}[effect.name]
-        assert known.components == effect.components
-        sizes = {known: torch.full((len(effect.components),), effect.typical).double()}
-    with torch.no_grad():
-        return setup.model.predict(run, q, sizes).numpy()
-
-
-def _large_carts():
-    return replace(cart_study(), channels=(Channel("position_m", "m", "position", 1e-3),))
 
 
 def _fast_bench():
     return bench(runs=(("A", "fit"), ("B", "fit"), ("C", "fit"), ("B", "test")))
-
-
-@pytest.mark.parametrize(
-    ("made", "faster"), [(_large_carts, "force"), (_fast_bench, "speed")], ids=["ode", "bench"]
-)
-def test_causes_mean_the_same_on_new_runs(made, faster):
-    study = made()
-    full = setup_of(study)
-    like = study.runs[1]
-    new = replace(
-        like,
-        name="new",
-        use="test",
-        time_s=like.time_s * 1.5,
-        command={**like.command, faster: 3.0 * like.command[faster]},
-    )
-    later = replace(study, runs=(new,))
-    framed = setup_of(replace(later, frame=full.model.frame))
-    plain, moved, alone = _at(full, new), [], setup_of(later)
-    for effect in full.effects:
-        if effect.components[0].startswith("@"):  # each run has its own: only its scale is kept
-            (same,) = [e for e in framed.effects if e.name == effect.name]
-            assert same.typical == effect.typical and same.components == ("@new",)
-            continue
-        there = _at(full, new, effect)
-        np.testing.assert_allclose(_at(framed, new, effect), there, rtol=1e-12, atol=1e-15)
-        moved.append(np.nanmax(np.abs(there - plain)) > 0.0)
-    assert sum(moved) > 5
-    # without what the fit took from its runs some mean something else, or have other sizes
-    known = {e.name: e for e in alone.effects}
-    assert any(
-        known[e.name].components != e.components
-        or not np.allclose(_at(alone, new, e), _at(full, new, e))
-        for e in full.effects
-    )
 
 
 def test_an_unseen_propeller_tells_its_own_coefficient(tmp_path):

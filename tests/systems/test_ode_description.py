@@ -88,19 +88,6 @@ def test_plain_model_is_the_equation(plain):
         assert whole / half == pytest.approx(2.0**4, rel=0.02)
 
 
-def test_many_points_at_once_are_the_points_one_by_one(plain):
-    run = plain_study().fit_runs[0]
-    torch.manual_seed(0)
-    q = 0.3 * torch.randn(3, len(plain.model.base), dtype=torch.float64)
-    sizes = {
-        e: e.typical * torch.rand(3, len(e.components), dtype=torch.float64) for e in plain.effects
-    }
-    many = plain.model.predict_many(run, q, sizes)
-    for k in range(3):
-        one = plain.model.predict(run, q[k], {e: s[k] for e, s in sizes.items()})
-        torch.testing.assert_close(many[k], one, rtol=1e-9, atol=1e-12)
-
-
 def test_finer_steps_change_little(plain):
     run, q = plain_study().fit_runs[2], plain.model.at_prior()
     fine = plain.model.predict(run, q, numerics=Numerics(time_step=0.25))

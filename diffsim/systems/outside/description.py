@@ -33,6 +33,7 @@ from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
 
+HELD = "held"  # place in a study's frame: whether commands of the fitted runs are held
 _MAX_NAME = 255  # letters; what is longer is a text, and no file
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
@@ -183,6 +184,7 @@ class OutsideDescription(Description):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
+        held = self._are_commands_held(study)
         made = outside_setup(
             study,
             self.source(study),
@@ -190,10 +192,11 @@ class OutsideDescription(Description):
             places=self._list_places(),
             commands=self.hooks.command,
             outputs=self.hooks.output,
-            held=self._are_commands_held(study),
+            held=held,
             clocks=self.clocks,
             workers=self.workers,
         )
+        made.model.frame = {**made.model.frame, HELD: held}
         return replace(
             made,
             effects=chosen_effects(made.effects, self.effects, study, self.plant(study)),
@@ -221,6 +224,8 @@ class OutsideDescription(Description):
     def _are_commands_held(self, study: Study) -> bool:
         if self.commands_are is not None:
             return self.commands_are == "held"
+        if (kept := study.frame.get(HELD)) is not None:
+            return bool(kept)
         return looks_held(study.runs, list(dict.fromkeys(c for r in study.runs for c in r.command)))
 
     def _list_options(self, folder: Path | None) -> Mapping[str, Any]:

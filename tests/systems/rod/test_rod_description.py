@@ -115,19 +115,6 @@ def test_a_session_that_no_run_states_is_said():
     assert "moved_tip" not in [e.name for e in setup_of(made).effects]
 
 
-def test_many_points_at_once_are_as_one_by_one():
-    setup = setup_of(plain_study())
-    cause = {e.name: e for e in setup.effects}
-    run = plain_study().runs[2]
-    q = torch.tensor([[0.0], [0.3], [-2.0]], dtype=torch.float64)
-    sizes = torch.tensor([[0.0], [0.2], [0.5]], dtype=torch.float64)
-    with torch.no_grad():
-        many = setup.model.predict_many(run, q, {cause["tendon_friction"]: sizes})
-        for k in range(3):
-            one = setup.model.predict(run, q[k], {cause["tendon_friction"]: sizes[k]})
-            torch.testing.assert_close(many[k], one, atol=1e-9, rtol=0.0)
-
-
 def test_poses_near_the_best_guess_need_no_new_slopes_and_stay_the_same(monkeypatch):
     setup = setup_of(plain_study())
     run = plain_study().fit_runs[3]

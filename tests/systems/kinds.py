@@ -1,0 +1,490 @@
+"""The contract of a kind of system: what a study of any kind keeps, whoever wrote the kind.
+
+``check_kind(study)`` checks every statement. Each one is a function of a :class:`Ready`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.causes.catalogue import rows_in_order
+from diffsim.causes.channel_groups import channel_groups
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
+from diffsim.causes.row import Row
+from diffsim.core.units import factor
+from diffsim.data import load_study, save_study
+from diffsim.data.study import Run, Study
+from diffsim.identify import Effect, Problem, WhiteNoise, fit
+from diffsim.identify.model_file import read_extended, rebuilt, save_extended
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.ode.description import OdeDescription
+from diffsim.systems.ode.effects import plant_of
+from diffsim.systems.ode.library import library_of
+from diffsim.systems.ode.names import Reader
+from diffsim.systems.registry import description_of, setup_of
+
+SHARE = 0.3  # of usual sizes: one-sided causes act there, and no delay is a whole sample
+ROUNDING = 1e-9  # of a channel [noise sd]
+SEEN = 1e-2  # change of a channel that is something [noise sd]
+#: kinds whose own code still lists causes: the rules of the tables say nothing of them
+LISTED_BY_CODE = ("multicopter",)
+OWN = {
+    "command": {"map": "u*(1 + size)"},
+    "reading": {"map": "u + size*abs(u)"},
+    "clock": {"unit": "s"},
+    "number": {},
+    "force": {"law": "-size*x*abs(x)"},
+}
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A study and its setup.
+
+    Attributes:
+        study: As described; its last run is for testing.
+    """
+
+    study: Study
+
+    @cached_property
+    def setup(self) -> DiagnosisSetup:
+        return setup_of(self.study)
+
+    @cached_property
+    def cut(self) -> Study:
+        """The study as the model sees it, such as the flights of its bodies."""
+        return self.setup.study or self.study
+
+    @cached_property
+    def plant(self) -> Plant | None:
+        """What the system tells of itself; None: nothing but laws of formulas."""
+        described, known = description_of(self.study), self.study.without_tests()
+        if not isinstance(described, OdeDescription):
+            return described.plant(known)
+        return plant_of(library_of(described._read_model(known, Reader(known))))
+
+    @cached_property
+    def effects(self) -> Mapping[str, Effect]:
+        return {effect.name: effect for effect in self.setup.effects}
+
+    @property
+    def run(self) -> Run:
+        return self.cut.runs[0]
+
+    @property
+    def channels(self) -> list[Any]:
+        return [c if c.sd is not None else replace(c, sd=1.0) for c in self.cut.channels]
+
+    @cached_property
+    def noise(self) -> Tensor:
+        return torch.tensor([c.sd for c in self.channels], dtype=torch.float64)
+
+    def shown(self, run: Run, sizes: Mapping[Effect, Tensor] | None = None) -> Tensor:
+        """Channels of a run at the best guess [noise sd]."""
+        model = self.setup.model
+        with torch.no_grad():
+            return model.predict(run, model.at_prior(), sizes) / self.noise
+
+    @cached_property
+    def plain(self) -> list[Tensor]:
+        """Channels of all runs without a cause [noise sd]."""
+        return [self.shown(run) for run in self.cut.runs]
+
+    def with_own(self, *rows: Mapping[str, Any]) -> Ready:
+        """The study with causes of a user."""
+        model = {**self.study.model, "effects": {"own": [dict(row) for row in rows]}}
+        return Ready(replace(self.study, model=model))
+
+
+def uniform(effect: Effect, share: float) -> Tensor:
+    """The same share of its usual size in every component."""
+    return torch.full((len(effect.components),), share * effect.typical, dtype=torch.float64)
+
+
+def change(found: Tensor, plain: Tensor) -> float:
+    return float((found - plain).nan_to_num().abs().max())
+
+
+def causes_act(ready: Ready, silent: tuple[str, ...] = ()) -> None:
+    """A cause is nothing at size 0, and something at its usual size.
+
+    Most are nothing bit for bit; what is read between samples is off by rounding.
+    """
+    assert len(ready.effects) == len(ready.setup.effects) > 3
+    for name, effect in ready.effects.items():
+        largest = 0.0  # in the first run that shows it
+        for run, before in zip(ready.cut.runs, ready.plain, strict=True):
+            none = ready.shown(run, {effect: uniform(effect, 0.0)})
+            assert change(none, before) <= ROUNDING, name
+            some = ready.shown(run, {effect: uniform(effect, 1.0)})
+            assert torch.equal(some.isfinite(), before.isfinite()), name
+            largest = max(largest, change(some, before))
+            if largest > SEEN:
+                break
+        assert (largest > SEEN) == (name not in silent), (name, largest)
+
+
+def ports_act(ready: Ready) -> None:
+    """A row of a user acts through every port that the plant has; at size 0 it is nothing."""
+    plant = ready.plant
+    if plant is None:
+        return
+    in_time = {"clock"} if plant.is_in_time else set()
+    ports = {"reading", *in_time, *(("command",) if plant.commands else ())}
+    rows = [{"at": port, **OWN[port]} for port in sorted(ports)]
+    ways = itertools.cycle(("scale", "add"))  # a number that is zero is scaled in vain
+    rows += [{"at": "number", way: n} for way, n in zip(ways, plant.numbers, strict=False)]
+    rows += [{"at": "force", "of": place, **OWN["force"]} for place in plant.places]
+    rows = [{"name": f"own_{i}", "typical": 0.01, **row} for i, row in enumerate(rows)]
+    mine = ready.with_own(*rows)
+    acts = set()
+    for row in rows:
+        effect = mine.effects[row["name"]]
+        none = mine.shown(mine.run, {effect: uniform(effect, 0.0)})
+        assert change(none, ready.plain[0]) <= ROUNDING, row
+        if change(mine.shown(mine.run, {effect: uniform(effect, 1.0)}), ready.plain[0]) > 0.0:
+            acts.add(row["at"])
+    assert acts == {row["at"] for row in rows}
+
+
+def rows_of_a_user(ready: Ready) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A cause of the library by its name, and the row by which a user would say the same."""
+    plant, kind = ready.plant, ready.plant.kind
+    sensors: dict[str, list[str]] = {}
+    for channel in ready.study.channels:
+        sensors.setdefault(channel.sensor or "", []).append(channel.name)
+    for _, row in rows_in_order(kind):
+        if row.name in plant.functions:
+            continue  # the system's own code does more than its port
+        own = {"at": row.at, "kink": row.said("kink", kind)}
+        if row.at == "command" and row.each is None:
+            for group in plant.ways:
+                if set(group.names) <= set(plant.commands):
+                    yield (
+                        row.name + group.ending,
+                        own | {"map": row.said("map", kind), "of": group.names},
+                    )
+        elif row.at in ("reading", "clock"):
+            for sensor, names in sensors.items():
+                way = {"map": row.said("map", kind)} if row.at == "reading" else {}
+                yield f"{row.name}_of_{sensor}", own | way | {"of": names}
+        elif row.at == "number" and row.per is None and row.map is None:
+            for ending, of in row.of_parts(plant.parts):
+                way = {"add": of.add} if of.add else {"scale": of.scale}
+                yield row.name + ending, own | way | {"components": of.components}
+        elif row.at == "force":
+            for name, place in plant.places.items():
+                ending = f"_at_{name}" if place.ending is None else place.ending
+                yield row.name + ending, own | {"law": row.said("law", kind), "of": name}
+
+
+def rows_are_the_librarys(ready: Ready) -> None:
+    """A row of a user does what the library's cause of the same map does."""
+    if ready.plant is None or ready.plant.kind in LISTED_BY_CODE:
+        return
+    pairs = [(name, row) for name, row in rows_of_a_user(ready) if name in ready.effects]
+    rows = [
+        {"name": f"own_{i}", "typical": 1.0, "unit": ready.effects[name].unit, **row}
+        for i, (name, row) in enumerate(pairs)
+    ]
+    assert rows
+    mine = ready.with_own(*rows)
+    for (name, _), row in zip(pairs, rows, strict=True):
+        its, own = ready.effects[name], mine.effects[row["name"]]
+        size = torch.full((len(own.components),), its.typical, dtype=torch.float64)
+        wanted = ready.shown(ready.run, {its: uniform(its, 1.0)})
+        found = mine.shown(mine.run, {own: size})
+        torch.testing.assert_close(
+            found, wanted, rtol=1e-12, atol=1e-9, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
+        )
+
+
+def known_before(ready: Ready) -> tuple[Any, ...]:
+    """All that a search starts from: causes with their sizes, priors, scales, effort.
+
+    A test run's own start is no prior of the search: it is fitted to that run after the answer.
+    """
+    own = tuple(f"@{run.name}" for run in ready.study.test_runs)
+    causes = [
+        (e.name, e.form, e.family, e.kind, e.unit, e.typical, e.components)
+        for e in ready.setup.effects
+    ]
+    unknowns = [
+        {k: np.asarray(v).tolist() for k, v in vars(u).items() if isinstance(v, (str, float, int))}
+        for u in ready.setup.unknowns
+    ]
+    base = [
+        (p.name, p.value, p.sd, p.lower, p.upper, p.step)
+        for p in ready.setup.model.base
+        if not p.name.endswith(own)
+    ]
+    return causes, unknowns, base, dict(ready.setup.model.frame or {}), ready.setup.settings
+
+
+def with_holes(values: Any) -> np.ndarray:
+    """Every other sample missing."""
+    out = np.array(values, dtype=float)
+    out[::2] = np.nan
+    return out
+
+
+#: change of commands, of readings, of times
+SPOILED = {
+    "ten times": (lambda v: 10.0 * v, lambda v: 10.0 * v, lambda t: t),
+    "negative": (lambda v: -v - 1.0, lambda v: -v - 1.0, lambda t: t),
+    "not a number": (lambda v: v, with_holes, lambda t: t),
+    "longer": (lambda v: v, lambda v: v, lambda t: 3.0 * t),
+}
+
+
+def spoiled(study: Study, how: str) -> Study:
+    """The study with other values, or times, in its test runs."""
+    commands, readings, times = SPOILED[how]
+
+    def changed(run: Run) -> Run:
+        if run.use != "test":
+            return run
+        return replace(
+            run,
+            time_s=times(np.asarray(run.time_s)),
+            command={k: commands(np.asarray(v, dtype=float)) for k, v in run.command.items()},
+            measured=readings(run.measured),
+        )
+
+    return replace(study, runs=tuple(changed(run) for run in study.runs))
+
+
+def test_runs_change_nothing(ready: Ready) -> None:
+    """What a test run holds changes no cause, prior or scale before the answer is frozen."""
+    assert ready.study.test_runs and ready.study.without_tests().runs
+    before = known_before(ready)
+    assert before[0], "a system without causes would tell nothing"
+    for how in SPOILED:
+        assert known_before(Ready(spoiled(ready.study, how))) == before, how
+
+
+def saved_means_the_same(ready: Ready) -> None:
+    """A saved study is the same study; a saved model says the same, and means it on new runs."""
+    with TemporaryDirectory() as made:
+        again = Ready(load_study(save_study(ready.study, Path(made) / "study")))
+        assert known_before(again) == known_before(ready)
+        assert torch.equal(again.plain[0].nan_to_num(), ready.plain[0].nan_to_num())
+        some = next(e for e in ready.setup.effects if e.smooth)
+        runs = ready.cut.fit_runs[:1]
+        found = fit(ready.setup.model, runs, ready.channels, effects=[some], max_evaluations=1)
+        save_extended(found, Path(made) / "model.yaml", study=ready.study, verdict="named")
+        saved = read_extended(Path(made) / "model.yaml")
+    model = rebuilt(saved, ready.setup)
+    with torch.no_grad():
+        shown = model.predict(runs[0], model.at_prior())
+        wanted = found.problem.predict(runs[0], torch.from_numpy(found.x))
+    torch.testing.assert_close(shown / ready.noise, wanted / ready.noise, rtol=1e-9, atol=1e-6)
+    like = ready.study.runs[0]
+    commands = {name: 1.5 * np.asarray(u) for name, u in like.command.items()}
+    new = replace(like, name="new", group="new", use="test", command=commands)
+    framed = Ready(saved.framed(replace(ready.study, runs=(new,))))
+    whole = Ready(replace(ready.study, runs=(*ready.study.runs[:-1], new)))
+    run = next(run for run in whole.cut.runs if run.name == "new")
+    for name, effect in ready.effects.items():
+        same = framed.effects[name]
+        # a drift from run to run is as large as runs are many; its size means the same
+        assert "drift" in name or same.typical == effect.typical, name
+        if effect.components[0].startswith("@"):  # each run has its own: only its scale is kept
+            continue
+        assert same.components == effect.components, name
+        there = framed.shown(framed.run, {same: uniform(same, SHARE)})
+        here = whole.shown(run, {whole.effects[name]: uniform(same, SHARE)})
+        torch.testing.assert_close(
+            there, here, rtol=1e-9, atol=1e-9, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
+        )
+
+
+def why_not(row: Row, plant: Plant) -> str | None:
+    """Why a row of the kind's table is no cause of a system; None: it is one."""
+    facts = {name for name, holds in plant.facts.items() if holds}
+    if plant.kind in row.not_for:
+        return "not for this kind"
+    on_its_way = row.at == "command" or row.each == "command"
+    if on_its_way and row.each in (None, "command"):
+        of_parts = [
+            {*facts, *g.facts, *(("one_sided",) if g.is_one_sided else ())} for g in plant.ways
+        ]
+    elif row.each == "place" or (row.at == "force" and row.name not in plant.functions):
+        of_parts = [facts | {*place.facts} for place in plant.places.values()]
+    elif row.each == "record":
+        return None if plant.record and row.name in plant.record.causes else "no such record"
+    elif row.at in ("reading", "clock"):
+        groups = channel_groups(plant.channels, late_record=bool(plant.facts.get(LATE_RECORD)))
+        of_parts = [
+            facts | ({"known_clock"} if group.channels in plant.clocks else set())
+            for group in (groups if plant.instruments is None else plant.instruments)
+            if row.name in group.causes
+        ]
+    elif row.at == "store":
+        of_parts = [facts] * len(plant.stores)
+    else:
+        filled = [own for _, own in row.of_parts(plant.parts)]
+        of_parts = [facts] * len(filled)
+        if row.at == "number" and row.name not in plant.functions:
+            numbers = [own.add or own.scale for own in filled]
+            if not any({*names} <= {*plant.numbers} for names in numbers):
+                return "no such number"
+            if row.per is None and all({*names} & {*plant.fitted} for names in numbers):
+                return "a base parameter"
+            if row.per is not None and plant.sessions is None:
+                return "no sessions"
+        elif row.at != "command" and row.name not in plant.functions:
+            return "no such function"
+    if not of_parts:
+        return "nothing to act on"
+    if row.over_time and IN_TIME not in facts:
+        return "not in time"
+    missing = [{f for f in row.when if f not in known} for known in of_parts]
+    kept = [{f for f in row.unless if f in known} for known in of_parts]
+    if all(m or k for m, k in zip(missing, kept, strict=True)):
+        return f"when {sorted(missing[0])}, unless {sorted(kept[0])}"
+    return None
+
+
+def rows_are_judged_or_refused(ready: Ready) -> None:
+    """Every row of the kind's table is a cause, or there is a reason why it is none.
+
+    What is listed is judged, or a study lacks what it needs, which is said in words.
+    """
+    for effect in ready.setup.effects:
+        lacks = effect.needs(ready.study)
+        assert lacks is None or len(lacks) > 5, effect.name
+    if ready.plant is None or ready.plant.kind in LISTED_BY_CODE:
+        return
+    reasons: dict[str, list[str | None]] = {}
+    for _, row in rows_in_order(ready.plant.kind):
+        reasons.setdefault(row.name, []).append(why_not(row, ready.plant))
+    for name, own in reasons.items():
+        named = re.compile(re.escape(name) + r"(_\w+)?$")
+        listed = [effect for effect in ready.effects if named.match(effect)]
+        assert (None in own) == bool(listed), (name, own, listed)
+
+
+def slopes_are_those_of_differences(ready: Ready) -> None:
+    """Columns of base parameters and of smooth causes, and the gradient of the misfit.
+
+    Beside others tangents of a body that moves are off by a percent, and its adjoint by seven
+    (stiffness_loss beside stiffening): there each third cause is taken alone.
+    """
+    smooth = tuple(e for e in ready.setup.effects if e.smooth)
+    moves = ready.study.model["system"] == "soft_body" and not ready.study.commands
+    for causes in [(cause,) for cause in smooth[::3]] if moves else [smooth]:
+        problem = Problem(ready.setup.model, (ready.run,), WhiteNoise(ready.channels), causes)
+        x = np.full(len(problem.names), SHARE)
+        residual, columns = problem.linearize(x)
+        _, gradient = problem.gradient(x)
+        for i, name in enumerate(problem.names):
+            step = np.eye(len(x))[i] * 1e-3
+            slope = -(problem.residual(x + step) - problem.residual(x - step)) / 2e-3
+            assert np.abs(columns[:, i] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-6, name
+            reach = np.linalg.norm(residual) * np.linalg.norm(slope)
+            assert abs(gradient[i] + columns[:, i] @ residual) <= 1e-3 * reach + 1e-6, name
+
+
+def many_points_are_as_one_by_one(ready: Ready) -> None:
+    """Several points side by side, in base parameters and in every cause."""
+    model, base = ready.setup.model, len(ready.setup.model.base)
+    q = torch.zeros(3, base, dtype=torch.float64)
+    q[1], q[2] = 0.2, -0.1
+    for name, effect in ready.effects.items():
+        sizes = torch.stack([uniform(effect, share) for share in (0.0, SHARE, 2.0 * SHARE)])
+        with torch.no_grad():
+            many = model.predict_many(ready.run, q, {effect: sizes}) / ready.noise
+            alone = [
+                model.predict(ready.run, at, {effect: size}) / ready.noise
+                for at, size in zip(q, sizes, strict=True)
+            ]
+        torch.testing.assert_close(
+            many, torch.stack(alone), rtol=1e-7, atol=1e-6, equal_nan=True,
+            msg=lambda m, n=name: f"{n}: {m}",
+        )  # fmt: skip
+
+
+def answers_do_not_depend_on_what_was_asked_before(ready: Ready) -> None:
+    """Predictions, slopes and batches have the same bits in whatever order they are asked for."""
+
+    def problem() -> Problem:
+        fresh = Ready(ready.study)
+        causes = fresh.setup.effects[:: max(1, len(fresh.setup.effects) // 3)][:3]
+        runs = fresh.cut.runs[:2]
+        return Problem(fresh.setup.model, runs, WhiteNoise(fresh.channels), tuple(causes))
+
+    one, other = problem(), problem()
+    rng = np.random.default_rng(0)
+    points = np.vstack([np.zeros(len(one.names)), 0.1 * rng.standard_normal((1, len(one.names)))])
+    points[:, one.num_base :] = np.abs(points[:, one.num_base :])  # causes may be one-sided
+    columns = [0, one.num_base, len(one.names) - 1]
+    questions = [(way, r, k) for way in range(3) for r in range(len(one.runs)) for k in range(2)]
+
+    def answer(of: Problem, way: int, run: int, k: int) -> bytes:
+        asked = replace(of, runs=(of.runs[run],))
+        if way == 0:
+            return asked.residual(points[k]).tobytes()
+        if way == 1:
+            return asked.linearize(points[k], only=columns)[1].tobytes()
+        return asked.records(np.roll(points, k, axis=0)[:2]).tobytes()
+
+    def answers(of: Problem, seed: int) -> dict[tuple[int, int, int], bytes]:
+        order = np.random.default_rng(seed).permutation(len(questions))
+        with torch.no_grad():
+            return {questions[i]: answer(of, *questions[i]) for i in order}
+
+    first = answers(one, 1)
+    assert len(set(first.values())) > len(first) // 2, "points that answer alike tell nothing"
+    assert answers(other, 2) == first
+    assert answers(other, 3) == first, "a model that was used answers otherwise"
+
+
+def names_are_spelled_one_way(ready: Ready) -> None:
+    """Names, families and units of causes, and the units in which people read sizes."""
+    for e in ready.setup.effects:
+        assert re.fullmatch(r"[a-z][a-zA-Z0-9_]*", e.name), e.name
+        assert re.fullmatch(r"[a-z][a-zA-Z0-9_]*", e.family), e.family
+        assert "centre" not in e.name + e.family  # American spelling
+        assert not re.search(r"[a-z][0-9]", e.unit), (e.name, e.unit)  # powers with ^: m/s^2
+        assert len(set(e.components)) == len(e.components) > 0
+        if e.shown_unit is not None and e.shown_times is None:
+            assert factor(e.unit, e.shown_unit) > 0.0  # raises where none leads there
+
+
+def check_kind(study: Study, silent: tuple[str, ...] = ()) -> None:
+    """Every statement of the contract, for a study whose last run is for testing.
+
+    Args:
+        study: Study with ``model``.
+        silent: Causes that it cannot show.
+    """
+    ready = Ready(study)
+    causes_act(ready, silent)
+    for statement in STATEMENTS:
+        statement(ready)
+
+
+STATEMENTS = (
+    ports_act,
+    rows_are_the_librarys,
+    test_runs_change_nothing,
+    saved_means_the_same,
+    rows_are_judged_or_refused,
+    slopes_are_those_of_differences,
+    many_points_are_as_one_by_one,
+    answers_do_not_depend_on_what_was_asked_before,
+    names_are_spelled_one_way,
+)
