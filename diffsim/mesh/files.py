@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
-from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.files import replacing
 from diffsim.core.numbers import to_numpy
@@ -145,7 +144,6 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     return surface
 
 
-@checked
 def save(
     mesh: HexMesh | TetMesh,
     path: str | Path,
@@ -168,6 +166,8 @@ def save(
     """
     path = Path(path)
     suffix = _suffix(path, [*VOLUME_FORMATS, *SURFACE_FORMATS])
+    if not isinstance(mesh, (HexMesh, TetMesh)):
+        raise TypeError(f"mesh must be a HexMesh or TetMesh, got {type(mesh).__name__}")
     if x is not None:
         x = require("x", as_array("x", x).detach(), (mesh.num_nodes, 3))
     data = {
