@@ -22,6 +22,7 @@ from diffsim.copter.exchange.vehicle_file import load_vehicle
 from diffsim.core.schema_keys import keys_of
 from diffsim.core.schema_paths import CODE, INSIDE
 from diffsim.data import load_study
+from diffsim.mesh import load_surface
 from diffsim.systems.registry import setup_of
 from tests.envs.soft_files import finger, with_model
 
@@ -203,3 +204,16 @@ def test_what_a_file_names_stays_in_its_folder(tmp_path, where):
         assert "hunter2" not in str(refused.value)
         assert where[1] in str(refused.value) or where[0].startswith("kind")
         assert not [name for name in opened if "secret.csv" in name or "link.csv" in name]
+
+
+def test_surfaces_read_no_other_file(tmp_path):
+    """Materials of an OBJ file were looked for wherever it said."""
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd secret.png\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    path = tmp_path / "theirs" / "it.obj"
+    path.write_text(f"mtllib ../secret.mtl\n{corners}usemtl a\n{faces}")
+    with noting_files() as opened:
+        assert len(load_surface(path).faces) == 4
+    assert {name for name in opened if str(tmp_path) in name} == {str(path)}

@@ -15,12 +15,14 @@ from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.channel_groups import channel_groups
 from diffsim.causes.commands import CommandGroup, cause_of_commands
 from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
-from diffsim.causes.ports import on_commands, on_numbers, on_numbers_between, on_place
+from diffsim.causes.ports import on_commands, on_numbers, on_numbers_between
 from diffsim.causes.readings import cause_of_readings, instrument_of, pace, with_ending
 from diffsim.causes.row import Row, spell_plainly
 from diffsim.identify.effect import Effect
 
 RECORD = "record"  # what rows of the whole record are each of
+_INERTIA = "F s^2/X"
+_OF_SHARES = {"X/s": "1/s", "(X)^0.5/s": "1/s"}  # units where levels are shares
 
 
 def list_causes(plant: Plant) -> tuple[Effect, ...]:
@@ -66,7 +68,7 @@ def is_offered(row: Row, plant: Plant, facts: Mapping[str, bool]) -> bool:
 def _way_of(row: Row) -> str:
     """What stands side by side in a list: rows of one way are asked part after part."""
     if row.each is not None:
-        return f"each {row.each}"
+        return {"command": "commands", "place": "force"}.get(row.each, f"each {row.each}")
     return {"command": "commands", "reading": "readings", "clock": "readings"}.get(row.at, row.at)
 
 
@@ -80,6 +82,8 @@ def _list_way(way: str, found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
         yield from _list_in_record(found, plant)
     elif way == "force":
         yield from _list_at_places(found, plant)
+    elif way == "store":
+        yield from _list_of_stores(found, plant)
     else:
         yield from _list_of_parts([r for r in found if is_offered(r, plant, {})], plant)
 
@@ -87,8 +91,13 @@ def _list_way(way: str, found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
 def _list_on_the_way(found: Sequence[Row], group: CommandGroup, plant: Plant) -> Iterator[Effect]:
     facts = {"one_sided": group.is_one_sided, **dict.fromkeys(group.facts, True)}
     for row in found:
-        if is_offered(row, plant, facts):
+        if not is_offered(row, plant, facts):
+            continue
+        if row.at == "command":
             yield cause_of_commands(row, group, system=plant.kind)
+        else:
+            apply = plant.functions[row.name](*group.names, row.name + group.ending)
+            yield row.effect(apply, plant.magnitudes, system=plant.kind, ending=group.ending)
 
 
 def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
@@ -99,12 +108,13 @@ def _list_in_instruments(found: Sequence[Row], plant: Plant) -> Iterator[Effect]
     if plant.instruments is not None:
         return
     late = bool(plant.facts.get(LATE_RECORD))
-    for group in channel_groups(plant.channels, late_record=late):
+    watched = [c for c in plant.channels if c.name not in plant.unwatched]
+    for group in channel_groups(watched, late_record=late):
         of = instrument_of(group, plant.channels, plant.scales)
         facts = {"known_clock": group.channels in plant.clocks}
         for row in found:
             if row.name in group.causes and is_offered(row, plant, facts):
-                named = with_ending(of, row.name, group, plant.channels)
+                named = with_ending(of, row.name, group, watched)
                 yield cause_of_readings(row, named, system=plant.kind)
 
 
@@ -117,28 +127,55 @@ def _list_in_record(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
 
 def _list_at_places(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
     """Forces on the whole, by the system's own functions; others at each place."""
-    for row in found:
-        if row.name in plant.functions and is_offered(row, plant, {}):
-            yield _say_units(row, "N", "m").effect(
-                plant.functions[row.name], plant.magnitudes, system=plant.kind
+    of_whole = [row for row in found if row.name in plant.functions and row.each is None]
+    for row in of_whole:
+        if is_offered(row, plant, {}):
+            yield row.effect(
+                plant.functions[row.name],
+                plant.magnitudes,
+                system=plant.kind,
+                unit=_say_unit(row.unit, "N", "m"),
             )
-    found = [row for row in found if row.name not in plant.functions]
     for name, place in plant.places.items():
         facts = dict.fromkeys(place.facts, True)
+        ending = f"_at_{spell_plainly(name)}" if place.ending is None else place.ending
         for row in found:
-            if is_offered(row, plant, facts):
-                yield _say_units(row, place.unit, place.length).effect(
-                    on_place(row, name),
-                    place.magnitudes,
-                    system=plant.kind,
-                    ending=f"_at_{spell_plainly(name)}",
-                )
+            if row in of_whole or not is_offered(row, plant, facts):
+                continue
+            of_place = row.model_copy(update={"name": row.name + ending})
+            yield row.effect(
+                plant.push(of_place, name)
+                if row.at == "force"
+                else plant.functions[row.name](name, of_place.name),
+                place.magnitudes,
+                system=plant.kind,
+                ending=ending,
+                unit=_say_unit(row.unit, place.unit, place.length),
+            )
 
 
-def _say_units(row: Row, force: str, length: str) -> Row:
-    """A row of forces with units in place of F, that of the force, and X, that of the position."""
-    unit = row.unit.replace("F", force).replace("X", length)
-    return row.model_copy(update={"unit": unit})
+def _say_unit(pattern: str, force: str, length: str) -> str:
+    """A unit with that of the force in place of F, and that of the position in place of X."""
+    if pattern == _INERTIA and force == "N":
+        return "kg"
+    if length == "-":
+        pattern = pattern.split("/X")[0].replace("X", "-")
+    return pattern.replace("F", force).replace("X", length)
+
+
+def _list_of_stores(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
+    for name, store in plant.stores.items():
+        for row in found:
+            assert plant.flow is not None
+            plain = _OF_SHARES.get(row.unit, row.unit) if store.unit == "-" else row.unit
+            yield row.effect(
+                plant.flow(row.model_copy(update={"name": row.name + store.ending}), name),
+                store.magnitudes,
+                system=plant.kind,
+                ending=store.ending,
+                unit=plain.replace("X", store.unit),
+                masks=row.said("masks", plant.kind),
+            )
 
 
 def _list_of_parts(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
@@ -172,9 +209,12 @@ def _cause_of_part(row: Row, filled: Row, ending: str, plant: Plant) -> Effect |
             return None
         apply, sizes = on_numbers_between(filled, plant.sessions)
         return filled.effect(apply, usual, system=system, ending=ending, components=sizes)
-    apply = plant.functions.get(row.name + ending) or plant.functions.get(row.name)
-    if apply is None:
+    if row.name not in plant.functions:
         return None
+    apply = plant.functions[row.name]
+    if row.each is not None:
+        part = plant.parts[row.each][ending.removeprefix("_")]
+        apply = apply(part, row.name + ending)
     return filled.effect(apply, usual, system=system, ending=ending)
 
 

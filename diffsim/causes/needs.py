@@ -77,6 +77,13 @@ def needs_pumps(study: Study) -> str | None:
     return None
 
 
+def needs_impact(study: Study) -> str | None:
+    """Tosses that go on through their impact."""
+    if not any(run.setup.get("_hits") for run in study.runs):
+        return "tosses recorded through their impact"
+    return None
+
+
 def _has_regulators(study: Study) -> bool:
     return any(name.startswith("pressure_in") for run in study.runs for name in run.command)
 
@@ -95,6 +102,7 @@ NEEDS: Mapping[str, Needs] = MappingProxyType(
         "order": needs_order,
         "levels": needs_levels,
         "water": needs_water,
+        "impact": needs_impact,
         "pressure": needs_pressure,
         "pumps": needs_pumps,
         "pumps_and_pressure": needs_pumps_and_pressure,

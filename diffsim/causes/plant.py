@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.ports import on_place
@@ -36,12 +36,29 @@ class Place:
         facts: What is known of it, as rows ask for it: "distance" (springs), "speed" (friction).
         unit: Unit of the force.
         length: Unit of the displacement.
+        ending: What names of its causes end with; None: "_at_" and its name.
     """
 
     magnitudes: Mapping[str, float]
     facts: tuple[str, ...] = ("distance", "speed")
     unit: str = "N"
     length: str = "m"
+    ending: str | None = None
+
+
+@dataclass(frozen=True)
+class Store:
+    """What fills and empties.
+
+    Attributes:
+        magnitudes: Usual magnitudes by the names that rows of stores use: ``flow`` and ``level``.
+        unit: Unit of the level.
+        ending: What names of its causes end with, such as "_of_upper".
+    """
+
+    magnitudes: Mapping[str, float]
+    unit: str = "-"
+    ending: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,20 +75,24 @@ class Plant:
         fitted: Those among them that are base parameters already: a cause beside one could not be
             told from it.
         places: Where forces may act, by name.
+        stores: What fills and empties, by name.
         facts: What holds of the system, by the names that rows ask for; what is not there does not.
         parts: Parts that are alike, such as tendons: of each kind their names, and what stands for
             them in names of numbers.
-        functions: What rows ``at: scene`` do, by name of the row, or of the cause in one part.
+        functions: What rows ``at: scene`` do, by name of the row; of rows ``each``, a function of
+            what stands for the part and of the effect's name that says what they do.
         magnitudes: What ``typical`` of rows may use, beside magnitudes of commands.
         sessions: Groups of runs between which something may have changed; None: there are none.
         instruments: What shows the channels, where a study says which; None: by their sensors and
             kinds.
         record: All channels as one instrument, for rows of the whole record; None: none is judged.
+        unwatched: Channels that no instrument shows, such as a height at rest.
         clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
         sample_s: Usual time between two samples; instruments may be late by half of it without
             surprise; 0: their rows say what is usual [s].
-        push: Function (row, place) -> how a force of a user acts; other than through the scene's
-            port where a system writes forces into its formulas.
+        push: Function (row, place) -> how a force acts, whose effect has the row's name; other than
+            through the scene's port where a system writes forces into its formulas.
+        flow: Function (row, store) -> how what a store gains acts, likewise.
     """
 
     kind: str
@@ -82,16 +103,19 @@ class Plant:
     numbers: tuple[str, ...] = ()
     fitted: Collection[str] = ()
     places: Mapping[str, Place] = field(default_factory=dict)
+    stores: Mapping[str, Store] = field(default_factory=dict)
     facts: Mapping[str, bool] = field(default_factory=dict)
     parts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    functions: Mapping[str, Apply] = field(default_factory=dict)
+    functions: Mapping[str, Any] = field(default_factory=dict)
     magnitudes: Mapping[str, float] = field(default_factory=dict)
     sessions: Sessions | None = None
     instruments: tuple[Instrument, ...] | None = None
     record: Instrument | None = None
+    unwatched: Collection[str] = ()
     clocks: Collection[tuple[str, ...]] = ()
     sample_s: float = 0.0
     push: Callable[[Row, str], Apply] = on_place
+    flow: Callable[[Row, str], Apply] | None = None
 
     @property
     def is_in_time(self) -> bool:
@@ -104,4 +128,4 @@ class Plant:
         return tuple(c.name for c in self.channels)
 
 
-__all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant"]
+__all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant", "Store"]

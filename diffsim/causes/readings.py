@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.catalogue import rows
-from diffsim.causes.channel_groups import WHOLE, ChannelGroup, channel_groups
+from diffsim.causes.channel_groups import WHOLE, ChannelGroup
 from diffsim.causes.ports import on_clock, on_readings
 from diffsim.causes.row import ANY, Row, spell_plainly
 from diffsim.causes.scales import Scales
@@ -85,33 +85,6 @@ def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
 _NAMED = ("sensor_offset", "sensor_drift")  # after the kind, even where there is no other
 
 
-def instrument_causes(
-    channels: Sequence[Channel],
-    scales: Scales,
-    *,
-    late_record: bool,
-    without: Sequence[str] = (),
-    clocks: Collection[tuple[str, ...]] = (),
-    system: str = ANY,
-) -> Iterator[Effect]:
-    """Causes of every instrument of a study, the widest first.
-
-    Args:
-        channels: Channels of the study.
-        scales: Usual magnitudes of commands and readings.
-        late_record: Whether a record that is late as a whole shows as no late command does.
-        without: Names of rows that are left out.
-        clocks: Channels whose lateness is known or a base parameter, sensor by sensor.
-        system: Kind of system.
-    """
-    for group in channel_groups(channels, late_record=late_record):
-        of = instrument_of(group, channels, scales)
-        left_out = (*without, "sensor_delay") if group.channels in clocks else without
-        for name in rows(SENSOR):
-            if name in group.causes and name not in left_out:
-                yield reading_cause(name, with_ending(of, name, group, channels), system=system)
-
-
 def instrument_of(group: ChannelGroup, channels: Sequence[Channel], scales: Scales) -> Instrument:
     """The instrument that shows a group of channels, its causes named by their rows alone.
 
@@ -174,7 +147,6 @@ __all__ = [
     "SENSOR",
     "Instrument",
     "cause_of_readings",
-    "instrument_causes",
     "instrument_of",
     "pace",
     "reading_cause",

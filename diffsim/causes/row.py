@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from diffsim.causes.needs import NEEDS
 from diffsim.core.expression import parse_expression
+from diffsim.core.fill_in import fill_in
 from diffsim.core.schema import Part
 from diffsim.identify.effect import Apply, Effect
 
@@ -30,10 +32,15 @@ def _for_any(given: Any) -> Any:
 
 def _check_words(words: str) -> str:
     try:
-        words.format(0.5)
-    except (KeyError, IndexError, ValueError) as error:
+        fill_in(words, {"": 0.5})
+    except (KeyError, ValueError) as error:
         raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
     return words
+
+
+def with_size(words: str, size: float) -> str:
+    """A text of :data:`SizeWords` with a size in it."""
+    return fill_in(words, {"": size})
 
 
 #: Text that a size is filled into: `{:.2g} N lost in each drive`.
@@ -244,13 +251,13 @@ class Row(Part):
             "tries": self.tries,
             "masks": tuple(m + ending for m in self.said("masks", system)),
             "also_looks_like": self.like,
-            "words": None if self.words is None else self.words.format,
+            "words": None if self.words is None else partial(with_size, self.words),
             "needs": NEEDS[self.said("needs", system) or "nothing"],
         }
         if "typical" not in own:
             own["typical"] = self.typical_in(known, system)
         if "form" not in own:
-            own["form"] = self.form.format_map(known)
+            own["form"] = fill_in(self.form, known)
         return Effect(apply=apply, **{**stated, **own})
 
 
@@ -272,4 +279,4 @@ def spell_plainly(name: str) -> str:
     return kept.strip("_") or "x"
 
 
-__all__ = ["ANY", "Port", "Row", "spell_plainly"]
+__all__ = ["ANY", "Port", "Row", "spell_plainly", "with_size"]

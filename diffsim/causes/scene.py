@@ -104,6 +104,18 @@ class Commands:
         """
         return self.pass_through(self.values, grid)
 
+    def each_heard(self, grid: Grid) -> list[Tensor]:
+        """The same row by row, (..., num_times) each: points of one row are not those of others.
+
+        Args:
+            grid: Times of the commands.
+        """
+        rows = list(self.values.unbind(-2))
+        for places, change in self.changes:
+            for k in places:
+                rows[k] = change(rows[k][..., None, :], grid)[..., 0, :]
+        return rows
+
     def pass_through(self, values: Tensor, grid: Grid) -> Tensor:
         """What becomes of other values of the commands, such as those of a part of the run.
 

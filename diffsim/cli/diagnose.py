@@ -71,6 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         help="good in the mean of N draws from the posterior (default: at the file's values)",
     )
     made["command"].add_argument("--seed", type=int, default=0, help="of the draws (default: 0)")
+    for name in ("check", "fit", "explain", "extend", "judge", "next"):
+        _accepting(made[name])
     for name in ("extend", "judge", "export", "next", "command", "worth"):
         made[name].add_argument(
             "--report" if name == "next" else "--model",
@@ -98,7 +100,16 @@ def _starting(step: argparse.ArgumentParser) -> None:
     step.add_argument("--force", action="store_true", help="replace a file that is there")
 
 
+def _accepting(step: argparse.ArgumentParser) -> None:
+    step.add_argument(
+        "--accept-record",
+        action="store_true",
+        help="go on although the record itself is at fault (frozen, wrapped, in another unit, ...)",
+    )
+
+
 def _finding(step: argparse.ArgumentParser) -> None:
+    _accepting(step)
     step.add_argument(
         "study", metavar="STUDY", help="study.yaml with `faults`, its folder, or a published set"
     )

@@ -35,12 +35,13 @@ class StudyError(DiffsimError):
     """Recordings that cannot be diagnosed."""
 
 
-def check(study: Study, given: str) -> None:
+def check(study: Study, given: str, *, accept_record: bool = False) -> None:
     """Show a study and what is wrong with it.
 
     Args:
         study: Study as it was read.
         given: What the user called it, for messages.
+        accept_record: Whether faults of the record itself are no errors.
 
     Raises:
         StudyError: the study has errors, printed above.
@@ -49,6 +50,7 @@ def check(study: Study, given: str) -> None:
         print(line)
     only_judged = bool(study.test_runs) and not study.fit_runs
     problems = [_as_note(p) if only_judged else p for p in problems_of(study)]
+    problems = accepted(problems) if accept_record else problems
     if not any(p.severity == "error" for p in problems) and study.model is not None:
         problems, made = [*problems, *(found := _of_setup(study))[0]], found[1]
         print(made) if made else None
@@ -64,27 +66,51 @@ def _as_note(problem: Problem) -> Problem:
     return replace(problem, severity="note") if problem.message == NO_FIT_RUN else problem
 
 
-def require_ready(study: Study, given: str, *, plan: bool = True) -> None:
+def accepted(problems: Sequence[Problem]) -> list[Problem]:
+    """Problems of which those of the record keep nobody from a diagnosis."""
+    return [replace(p, severity="warning") if p.rule and is_error(p) else p for p in problems]
+
+
+def certain_faults(study: Study) -> list[Problem]:
+    """Faults of the record that keep physics from being asked, if there is no other mistake."""
+    errors = [p for p in check_study(study) if is_error(p)]
+    return errors if all(p.rule for p in errors) else []
+
+
+def is_error(problem: Problem) -> bool:
+    """Whether a problem keeps a study from a diagnosis."""
+    return problem.severity == "error"
+
+
+def require_ready(
+    study: Study, given: str, *, plan: bool = True, accept_record: bool = False
+) -> None:
     """Print what is wrong with a study, and refuse one with errors.
 
     Args:
         study: Study to be used.
         given: What the user called it, for messages.
         plan: Whether uses and commands of its runs matter, as they do for a fit.
+        accept_record: Whether faults of the record itself are no errors.
 
     Raises:
         StudyError: the study has errors, printed above.
     """
-    _tell([p for p in problems_of(study) if plan or p.where != "study"], given)
+    problems = [p for p in problems_of(study) if plan or p.rule or p.where != "study"]
+    _tell(accepted(problems) if accept_record else problems, given)
 
 
 def _tell(problems: Sequence[Problem], given: str) -> None:
     ordered = sorted(problems, key=lambda p: p.severity != "error")
     for line in _merge_alike_problems(ordered):
         print(line)
-    errors = sum(problem.severity == "error" for problem in ordered)
+    errors = [problem for problem in ordered if is_error(problem)]
     if errors:
-        raise StudyError(f"{errors} of {len(ordered)} problems keep {given} from a diagnosis")
+        by_record = all(problem.rule for problem in errors)
+        goes_on = "; --accept-record goes on as it is" if by_record else ""
+        raise StudyError(
+            f"{len(errors)} of {len(ordered)} problems keep {given} from a diagnosis{goes_on}"
+        )
 
 
 def _merge_alike_problems(problems: Sequence[Problem]) -> Iterator[str]:
@@ -252,6 +278,7 @@ def _summary(study: Study) -> Iterator[str]:
     if study.columns:
         shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in study.columns]
         yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
+    yield from (f"done to the record: {sentence}" for sentence in study.mended)
     yield from not_used(study.left_out)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
-from diffsim.cli.diagnose_check import check, not_used, require_ready
+from diffsim.cli.diagnose_check import certain_faults, check, not_used, require_ready
 from diffsim.cli.diagnose_export import EXPORT_FILE, constants_of, notes_of
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
@@ -33,6 +33,7 @@ from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
+from diffsim.data.study_check import Problem
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.apart import apart_words
@@ -51,6 +52,7 @@ from diffsim.identify.numerics import Numerics
 
 CACHE, JUDGE_FILE, JUDGE_PAGE, NEXT_FILE = "interrupted", "judge.json", "judge.html", "next.json"
 FAULTS_PAGE = "faults.html"
+RECORD = "record"  # verdict where the record itself is at fault
 MAX_OUTSIDE = 3  # lines per run; the file holds all
 MAX_FITTED = 4  # values in a run's line; the file holds all
 
@@ -73,7 +75,7 @@ def _schema(args: argparse.Namespace) -> None:
 
 def _check(args: argparse.Namespace) -> None:
     """Show the study and what is wrong with it."""
-    check(read_study(args.study), args.study)
+    check(read_study(args.study), args.study, accept_record=args.accept_record)
 
 
 def _inputs(
@@ -81,7 +83,7 @@ def _inputs(
 ) -> tuple[Inputs, Path]:
     """Study (read unless it is given) and setup as chosen; the folder of the results."""
     study = study or read_study(args.study)
-    require_ready(study, args.study, plan=args.step != "judge")
+    require_ready(study, args.study, plan=args.step != "judge", accept_record=args.accept_record)
     inputs = inputs_of(
         study,
         seed=args.seed,
@@ -133,9 +135,12 @@ def _fit(args: argparse.Namespace) -> None:
 
 def _explain(args: argparse.Namespace) -> None:
     study = read_study(args.study)
+    if not args.accept_record and (faults := certain_faults(study)):
+        _blame_record(study, faults, args.out or Path(DIAGNOSES) / study.name)
+        return
     if study.faults is not None:
         print(f"{study.name} has `faults`: every group is judged for itself, by the others")
-        require_ready(study, args.study, plan=False)
+        require_ready(study, args.study, plan=False, accept_record=args.accept_record)
         out = args.out or Path(DIAGNOSES) / study.name
         _judge_groups(study, out, everything=True, seed=args.seed)
         return
@@ -162,6 +167,29 @@ def _explain(args: argparse.Namespace) -> None:
         report = diagnosed(inputs, progress=progress, cache=cache)
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
+
+
+def _blame_record(study: Study, faults: Sequence[Problem], out: Path) -> None:
+    """The answer where the record is at fault: no physics is asked, and no cause is named."""
+    for name in (INPUTS_FILE, PAGE_FILE, RECORDING_FILE, MODEL_FILE):
+        (out / name).unlink(missing_ok=True)  # of an answer before: not to pass for this one
+    first = faults[0]
+    headline = f"The record is at fault, {first.where}: {first.message}."
+    sentences = [str(fault) for fault in faults[1:]]
+    sentences.append("No physics was asked; --accept-record goes on with the record as it is.")
+    content = {
+        "study": study.name,
+        "verdict": RECORD,
+        "headline": headline,
+        "sentences": sentences,
+        "faults": [asdict(fault) for fault in faults],
+    }
+    path = write_json_atomic(out / REPORT_FILE, content)
+    print(headline)
+    print(f"verdict: {RECORD}")
+    for sentence in sentences:
+        print(sentence)
+    print(f"wrote {path}")
 
 
 def _pictures_left_out() -> list[str]:
@@ -328,7 +356,7 @@ def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:
 def _faults(args: argparse.Namespace) -> None:
     """Verdict on every group of runs, new ones included."""
     study = with_new(args.study, args.new, dict(args.fact))
-    require_ready(study, args.study, plan=False)
+    require_ready(study, args.study, plan=False, accept_record=args.accept_record)
     out = args.out or Path(DIAGNOSES) / study.name
     groups = args.groups or new_labels(len(args.new))
     _judge_groups(study, out, groups=groups, everything=args.all, seed=args.seed)

@@ -33,6 +33,7 @@ from diffsim.core.interrupts import (
     terminate_as_interrupt,
 )
 from diffsim.core.progress import hide_progress
+from diffsim.core.streams import open_standard_streams
 from diffsim.core.version import __version__
 
 MOST_LETTERS = 2_000  # of a line of an error: one may quote what stands in a file
@@ -99,6 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0, 2 after a user's or a numerical error, 130 after Ctrl-C or SIGTERM.
     """
     if argv is None:  # of the process itself: a queue's or a service's stop is one, too
+        open_standard_streams()
         terminate_as_interrupt()
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if given[:2] == ["examples", "run"] and "--" in given else len(given)
@@ -124,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `diffsim info | head`: nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_MISTAKE
-    except (DiffsimError, ValueError, ImportError, OSError) as err:
+    except (DiffsimError, ValueError, ImportError, OSError, MemoryError) as err:
         if args.debug:
             raise
         print(f"diffsim: {_format_error(err)}", file=sys.stderr)
@@ -139,6 +141,8 @@ def _format_error(error: Exception) -> str:
     if len(lines) > 1:
         count = error.count if isinstance(error, Mistakes) else len(lines)
         return "\n    ".join([f"{count} mistakes:", *lines])
+    if isinstance(error, MemoryError):
+        lines = [f"more memory is needed than there is{': ' if lines[0] else ''}{lines[0]}"]
     kind = ValueError if isinstance(error, Mistakes) else type(error)
     return f"{kind.__name__}: {lines[0]}"
 

@@ -6,12 +6,21 @@ wrong with them, a line for each mistake with its path in the file.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from functools import cache
+from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    model_validator,
+)
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
@@ -29,8 +38,14 @@ class KindWords:
     words: str
 
 
+MOST = 1_000_000  # of a whole number for which its key states no other bound
+
+
 class Part(BaseModel):
-    """A block of a file: immutable, and a key that it does not know is an error."""
+    """A block of a file: immutable, and a key that it does not know is an error.
+
+    Whole numbers are counts of something that is made: beyond ``MOST`` they are refused.
+    """
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
 
@@ -46,6 +61,51 @@ class Part(BaseModel):
                         f"known: {', '.join(known)}"
                     )
         return given
+
+    @model_validator(mode="after")
+    def _bounded_counts(self) -> Part:
+        for name in _counts_without_bound(type(self)):
+            for count in _whole_numbers(getattr(self, name)):
+                if abs(count) > MOST:
+                    raise ValueError(f"{name} must be at most {MOST:,}, got {count:,}")
+        return self
+
+
+@cache
+def _counts_without_bound(part: type[Part]) -> tuple[str, ...]:
+    """Keys of a block that are whole numbers, or made of them, without a bound of their own."""
+    return tuple(
+        name
+        for name, field in part.model_fields.items()
+        if _is_of(int, field.annotation)
+        and not any(getattr(m, "le", None) is not None for m in field.metadata)
+    )
+
+
+def _is_of(kind: type, annotation: Any) -> bool:
+    return annotation is kind or any(_is_of(kind, inner) for inner in get_args(annotation))
+
+
+def _whole_numbers(value: Any) -> Iterator[int]:
+    """Those of a value, and of the lists and mappings that it is made of; blocks have their own."""
+    if isinstance(value, int):
+        yield value
+    elif isinstance(value, (tuple, list)):
+        for one in value:
+            yield from _whole_numbers(one)
+    elif isinstance(value, Mapping):
+        for one in value.values():
+            yield from _whole_numbers(one)
+
+
+def _few_cells(counts: Any) -> Any:
+    if math.prod(counts) > MOST:
+        raise ValueError(f"at most {MOST:,} cells, got {' x '.join(map(str, counts))}")
+    return counts
+
+
+FewCells2 = Annotated[tuple[int, int], AfterValidator(_few_cells)]
+FewCells3 = Annotated[tuple[int, int, int], AfterValidator(_few_cells)]
 
 
 class FinitePart(Part):

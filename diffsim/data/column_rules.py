@@ -29,11 +29,13 @@ from diffsim.data.names import (
 )
 from diffsim.data.signal import scatter
 from diffsim.data.steps import rest_and_jump, step_of
+from diffsim.data.table_guess import Column
 
 _SET_UNITS = ("N", "Nm", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
 _SMOOTH = 1e-5  # standard deviation over the range: a sensor scatters by more
 _ROUNDED = 0.5  # of a step between readings: so much scatters what was rounded, at most
 _HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
+_IS_HELD = "held for many samples"
 MIN_EQUAL = 10  # samples: fewer may be equal by chance
 _LARGE = 0.05  # of the range: changes of what is held and looks commanded
 _CLEANER = 0.2  # of the noise of what follows it
@@ -57,19 +59,15 @@ def texts(guess: Guess) -> Iterable[str]:
 
 def facts(guess: Guess) -> Iterable[str]:
     """Columns that are constant in each run; one that was commanded is a command all the same."""
-    idle = []
     for c in guess.those(""):
         found = _constants(guess, c)
-        if not found:
-            continue
         is_asked = c.column.is_asked or is_command(c.column)
-        if len(guess.runs) > 1 and (is_asked or c.place):
-            is_same = len(set(found)) == 1
-            c.role = "idle" if is_same else "" if is_asked else "fact"
-            idle += [c.column.name] if is_same else []
-        else:
+        if len(set(found)) == 1 < len(found) and (is_asked or c.place):
+            c.role = "idle"
+        elif found and not (is_asked and len(found) > 1):
             c.role = "fact"
     yield from listed("facts, constant in each run", [c.column.name for c in guess.those("fact")])
+    idle = [c.column.name for c in guess.those("idle")]
     yield from listed("commands that are the same in all runs, not used", idle)
 
 
@@ -80,7 +78,7 @@ def counters_and_flags(guess: Guess) -> Iterable[str]:
         rows = run.rows if not c.place else np.arange(len(run.tables[c.place]))
         if is_counter(c.column, run.tables[c.place], rows) or IDLE.search(c.column.base):
             c.role = "idle"
-    names = [c.column.name for c in guess.those("idle") if _moves(guess, c)]
+    names = [c.column.name for c in guess.those("idle") if not _constants(guess, c)]
     return listed("counters and flags, not used (see missing_if)", names)
 
 
@@ -113,10 +111,9 @@ def named(guess: Guess) -> Iterable[str]:
 
 def beside_measured(guess: Guess) -> Iterable[str]:
     """A column whose name another has with `measured` to it: torque and torque_meas."""
-    measured = {without_role(c.column.base)[0]: c for c in guess.those("channel")
-                if without_role(c.column.base)[1] == "measured"}  # fmt: skip
+    twins = {without_role(c.column.base): c for c in guess.those("channel")}
     for c in guess.those(""):
-        if twin := measured.get(c.column.base.lower()):
+        if twin := twins.get((c.column.base.lower(), "measured")):
             _decide(c, f"since {twin.column.name} is its measurement")
     return ()
 
@@ -131,7 +128,7 @@ def held(guess: Guess) -> Iterable[str]:
             steps = np.abs(np.concatenate([np.diff(v[np.isfinite(v)]) for v in values]))
             size = _LARGE * _range(values)
             is_large = bool((steps > 0.0).any()) and float(np.median(steps[steps > 0.0])) > size
-            _decide(c, "held for many samples" if is_large else "")
+            _decide(c, _IS_HELD if is_large else "")
     return ()
 
 
@@ -191,12 +188,12 @@ def channels(guess: Guess) -> Iterable[str]:
     return ()
 
 
-def said_of_columns(guess: Guess) -> Iterable[str]:
+def names_and_ends(guess: Guess) -> Iterable[str]:
     """Names, units, noise and ends of channels and commands."""
     chosen = [c for c in guess.columns if c.role in ("channel", "command")]
     taken: Counter[str] = Counter()
     for c in chosen:
-        c.name = c.column.name if _keeps_name(c.column.name, c) else c.column.base
+        c.name = c.column.name if _keeps_name(c.column) else c.column.base
         if taken[c.name] and c.tag:
             c.name = f"{c.name}_{re.sub(r'[^A-Za-z0-9_]', '_', c.tag)}"
         if taken[c.name]:
@@ -208,14 +205,18 @@ def said_of_columns(guess: Guess) -> Iterable[str]:
             c.sd = _noise(values)
             continue
         finite = np.concatenate([v[np.isfinite(v)] for v in values])
-        c.lower, c.upper = (
-            (float(finite.min()), float(finite.max())) if len(finite) else (None,) * 2
-        )
-        c.is_measured |= bool(GIVEN_OUT.search(c.column.base)) and "held" not in c.why
+        if len(finite):
+            c.lower, c.upper = float(finite.min()), float(finite.max())
+        c.is_measured |= bool(GIVEN_OUT.search(c.column.base)) and c.why != _IS_HELD
         c.fill = _fill(guess, c) if c.place else ""
-    commands = guess.those("command")
-    yield from (f"command: {c.name}, {c.why}" for c in commands)
+    yield from (f"command: {c.name}, {c.why}" for c in guess.those("command"))
     yield from listed("channels: what is left", [c.name for c in guess.those("channel")])
+
+
+def to_be_stated(guess: Guess) -> Iterable[str]:
+    """What no header says of channels and commands."""
+    chosen = [c for c in guess.columns if c.role in ("channel", "command")]
+    commands = guess.those("command")
     guess.todo += listed(
         "units, which the header does not state",
         [c.name for c in chosen if c.column.unit is None and not QUATERNION.match(c.column.base)],
@@ -233,6 +234,7 @@ def said_of_columns(guess: Guess) -> Iterable[str]:
         if guess.those("channel")
         else "channels: no column changes in any run; what did you measure?"
     )
+    return ()
 
 
 COLUMN_RULES: tuple[Callable[[Guess], Iterable[str]], ...] = (
@@ -249,14 +251,16 @@ COLUMN_RULES: tuple[Callable[[Guess], Iterable[str]], ...] = (
     followed,
     driving,
     channels,
-    said_of_columns,
+    names_and_ends,
+    to_be_stated,
 )
 
 
 def _of_no_motion(guess: Guess) -> list[GuessedColumn]:
     """Open columns that are called no motion, where nothing is called a command."""
-    is_known = bool(guess.those("command"))
-    return [] if is_known else [c for c in guess.those("") if not is_motion(c.column)]
+    if any(c.why != _IS_HELD for c in guess.those("command")):
+        return []
+    return [c for c in guess.those("") if not is_motion(c.column)]
 
 
 def _decide(c: GuessedColumn, why: str) -> None:
@@ -280,10 +284,6 @@ def _constants(guess: Guess, c: GuessedColumn) -> list[str]:
                 return []
             found.append(cells.pop())
     return found
-
-
-def _moves(guess: Guess, c: GuessedColumn) -> bool:
-    return not _constants(guess, c)
 
 
 def _is_equal(a: Array, b: Array) -> bool:
@@ -337,11 +337,11 @@ def _follows(values: Sequence[Array], leader: Sequence[Array]) -> bool:
     return later > 0
 
 
-def _keeps_name(name: str, c: GuessedColumn) -> bool:
+def _keeps_name(column: Column) -> bool:
     """Whether the header itself is a name for formulas, with an SI unit at its end or none."""
-    if c.column.is_said or not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+    if column.is_said or not re.fullmatch(r"[A-Za-z_]\w*", column.name, re.ASCII):
         return False
-    return c.column.unit is None or to_si(c.column.unit)[1:] == (1.0, 0.0)
+    return column.unit is None or to_si(column.unit)[1:] == (1.0, 0.0)
 
 
 def _fill(guess: Guess, c: GuessedColumn) -> str:

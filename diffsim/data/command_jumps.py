@@ -1,7 +1,7 @@
 """Jumps of commands that nothing commanded: a marker that is lost for a sample, a value misread.
 
-A channel's outliers are taken out by the diagnosis, which knows what the model expects there;
-`check` tells of them, too. An outlier in a motion that drives a model is an acceleration to it:
+A channel's outliers are taken out by the diagnosis, which knows what the model expects there. An
+outlier in a motion that drives a model is an acceleration to it:
 the diagnosis simulates a measured command with and without its jumps.
 """
 

@@ -63,7 +63,7 @@ class FaultKeys(Part):
     together: tuple[str, ...] = Field(
         (), description="Causes that may come together; each other cause comes alone"
     )
-    max_causes: int = Field(2, ge=1, description="Most causes in one group")
+    max_causes: int = Field(2, ge=1, le=20, description="Most causes in one group")
     sound: float = Field(
         0.5, gt=0, lt=1, description="Probability that a group is sound, before it is seen"
     )

@@ -99,7 +99,9 @@ class FoundTable:
 
     @cached_property
     def error(self) -> ValueError | None:
-        """Why it cannot be read; None: it can."""
+        """Why it cannot be read; None: it can, as those of containers were when they were found."""
+        if self.path.suffix.lower() in SUFFIXES:
+            return None
         try:
             len(self.table)
         except ValueError as error:

@@ -78,6 +78,13 @@ def join_files(
     for kinds, groups, num_lacking in sorted(found, key=lambda one: len(one[1]) == 1):
         is_lone = len(groups) == 1 and groups[0][1] == groups[0][0].name
         if not _are_of_one_run(kinds, is_lone=is_lone):
+            if len(groups) > 1 and groups[0][1] == groups[0][0].name:
+                unclear = ", ".join(map(_shown, kinds))
+                said.append(
+                    f"runs: {unclear} have the same columns and no name that says what was "
+                    f"commanded; if they are of one run, write file: [{unclear}], and file: 2 of "
+                    "the columns of the second"
+                )
             continue
         fitting = _fit_clocks(kinds)
         if isinstance(fitting, str):

@@ -24,6 +24,8 @@ TINY = 1e-300  # keeps ratios of nothing finite
 MOST = 4  # records in which the period is looked for: those that move most
 CANDIDATES = 3  # beats whose sawteeth are tried
 PHASES = 24  # that are tried of a record
+PART = 1500  # samples of a record that are looked at first
+HINT = 0.5  # of what is asked for, from which on all samples are looked at
 EXPLAINED = 0.5  # share of the squared lags from which on a clock is one
 MISREAD = 3.0  # usual greatest steps: what lies further from its neighbors was misread
 FULL = (0.7, 1.3)  # how much of its sawtooth must be there
@@ -112,9 +114,32 @@ def phase_of(times: Array, readings: Array, period: float) -> float:
 def refresh_period(records: Iterable[tuple[Array, Array]]) -> float | None:
     """Period of a sensor's own clock [s], from records alone; None where there is none.
 
+    Of long records a part is looked at first: where that shows no clock, the whole does not.
+
     Args:
         records: Times (num_samples,) [s] and readings (num_samples,) of each record.
     """
+    whole = list(records)
+    if any(len(times) > PART for times, _ in whole):
+        found = _best_period([_most_moving(times, readings) for times, readings in whole])
+        if found is None or found[1] < HINT * EXPLAINED:
+            return None
+    found = _best_period(whole)
+    return None if found is None or found[1] < EXPLAINED else found[0]
+
+
+def _most_moving(times: Array, readings: Array) -> tuple[Array, Array]:
+    """The part of ``PART`` samples in which readings change most, or all."""
+    if len(times) <= PART:
+        return times, readings
+    changes = np.nan_to_num(np.abs(np.diff(readings, prepend=readings[:1])))
+    total = np.concatenate([[0.0], np.cumsum(changes)])
+    start = int(np.argmax(total[PART:] - total[:-PART]))
+    return times[start : start + PART], readings[start : start + PART]
+
+
+def _best_period(records: Iterable[tuple[Array, Array]]) -> tuple[float, float] | None:
+    """Period of the clock that explains most [s], and the share of the squares that it explains."""
     found = sorted(
         (lags for lags in starmap(_Lags.of, records) if lags is not None and lags.moves > 0.0),
         key=lambda lags: -lags.moves,
@@ -122,29 +147,47 @@ def refresh_period(records: Iterable[tuple[Array, Array]]) -> float | None:
     if not found:
         return None
     step = float(np.mean(np.diff(found[0].times)))
-    fine = 1.0 / (FINE * max(float(np.ptp(lags.times)) for lags in found))
     # readings at even times show the beat alone, which several periods would make
-    beats = np.arange(0.0, 0.5 / step, fine)
-    power = np.zeros(len(beats))
-    for lags in found:
-        wave = np.exp(2j * np.pi * np.outer(beats, lags.times))
-        power += np.abs(wave @ (lags.velocity * lags.off)) ** 2 / lags.moves
-    inner = power[1:-1]
+    beats, power = _spectrum(found, step)
+    fine, inner = float(beats[1]), power[1:-1]
     peaks = 1 + np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]))
     strongest = beats[peaks[np.argsort(-power[peaks])][:CANDIDATES]]
     rates = {
         abs(n / step + side * beat) for beat in strongest for n in range(4) for side in (-1, 1)
     }
     tried = [1.0 / r for r in rates if 1.0 / LONGEST < r * step < 1.0 / SHORTEST]
-    total = sum(float((lags.off[lags.velocity != 0.0] ** 2).sum()) for lags in found)
-
-    def explained(period: float) -> float:
-        fits = [lags.fit(period) for lags in found]
-        is_full = FULL[0] < float(np.median([size for _, _, size in fits])) < FULL[1]
-        return is_full * sum(gain for _, gain, _ in fits) / max(total, TINY)
-
-    shares = [explained(period) for period in tried]
-    if not tried or max(shares) < EXPLAINED:
+    if not tried:
         return None
-    rate = 1.0 / tried[int(np.argmax(shares))]
-    return max((1.0 / (rate + k * fine / 4.0) for k in range(-3, 4)), key=explained)
+    rate = 1.0 / max(tried, key=lambda period: _explained(found, period))
+    ways = [1.0 / (rate + k * fine / 4.0) for k in range(-3, 4)]
+    shares = [_explained(found, period) for period in ways]
+    best = int(np.argmax(shares))
+    # the coarse period decides whether there is a clock: refining only makes it exact
+    return ways[best], shares[3]
+
+
+def _spectrum(found: list[_Lags], step: float) -> tuple[Array, Array]:
+    """Frequencies up to half a rate of samples [Hz], and the power of all records there.
+
+    Samples are put on the next place of an even grid, two places a sample: linear in their number.
+    """
+    from scipy.fft import next_fast_len, rfft  # dear to load
+
+    place = step / 2.0
+    longest = max(float(np.ptp(lags.times)) for lags in found)
+    count = next_fast_len(round(FINE * longest / place), real=True)
+    beats = np.arange(count // 4 + 1) / (count * place)
+    power = np.zeros(len(beats))
+    for lags in found:
+        at = np.round((lags.times - lags.times[0]) / place).astype(np.int64) % count
+        grid = np.bincount(at, lags.velocity * lags.off, count)
+        power += np.abs(rfft(grid)[: len(beats)]) ** 2 / lags.moves
+    return beats, power
+
+
+def _explained(found: list[_Lags], period: float) -> float:
+    """Share of the squares that a clock of a period explains; 0 where its sawtooth is not whole."""
+    total = sum(float((lags.off[lags.velocity != 0.0] ** 2).sum()) for lags in found)
+    fits = [lags.fit(period) for lags in found]
+    is_full = FULL[0] < float(np.median([size for _, _, size in fits])) < FULL[1]
+    return is_full * sum(gain for _, gain, _ in fits) / max(total, TINY)

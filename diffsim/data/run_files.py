@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns_beside import choose_columns, numeric_columns
+from diffsim.data.formula import names_in
 from diffsim.data.run_plan import (
     RunFiles,
     cases_of,
@@ -31,11 +32,15 @@ from diffsim.data.run_samples import (
     facts_of,
     in_si,
     kept_rows,
+    mean_of_equal,
     unfilled,
+    without_gaps,
     zero_of,
 )
+from diffsim.data.stamps import Duplicates, mended, of_further, require_increasing
 from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import (
+    MOST_BLOCKS,
     ChannelEntry,
     CommandEntry,
     RunEntry,
@@ -44,7 +49,7 @@ from diffsim.data.study_schema import (
     TableFormat,
     TimeSource,
 )
-from diffsim.data.table import Rows, Table, require_increasing
+from diffsim.data.table import Rows, Table
 
 Array = NDArray[np.float64]
 _WITH_HEADER = TableFormat()
@@ -78,12 +83,14 @@ class RunReader:
     Attributes:
         problems: What is wrong, one line each.
         left_out: What is not used, one line each.
+        mended: What was done to the record, with the names of the runs.
         columns: What the runs hold beside channels and commands.
     """
 
     def __init__(self, study: StudyFile, root: Path, given: Collection[Path] = ()):
         self.study, self.root, self.given = study, root, given
         self.problems: list[str] = []
+        self.mended: dict[str, list[str]] = {}
         self.left_out: list[str] = []
         self.tables: dict[Path, Table] = {}
         self.columns: tuple[Column, ...] = ()
@@ -177,11 +184,18 @@ class RunReader:
         labels: Sequence[str],
     ) -> Run:
         entry, table = case.entry, tables[0]
-        clocks = [self._seconds(entry, table)]
-        clocks += [self._seconds_beside(entry, other, table, clocks[0]) for other in tables[1:]]
-        recorded = clocks[0][rows]
-        clock = self._clock(entry, table).column or _TIME
-        require_increasing(table, rows, recorded, clock)
+        own = self._seconds(entry, table)
+        others = [self._seconds_beside(entry, other, table, own) for other in tables[1:]]
+        kept, recorded = mended(own[rows], entry.stamps, _keeping(entry))
+        rows, clock = rows[kept], self._clock(entry, table).column or _TIME
+        lines = [table.lines[row] for row in rows]
+        repeats = entry.duplicates == "mean"
+        require_increasing(table.path, lines, np.unique(recorded) if repeats else recorded, clock)
+        for further, clock_of in zip(tables[1:], others, strict=True):
+            if np.isnan(clock_of).any() and entry.stamps.missing is None:
+                column = self._clock(entry, further).column or _TIME
+                require_increasing(further.path, further.lines, clock_of, column)
+        clocks = [own, *(of_further(c, entry.stamps, entry.duplicates) for c in others)]
         samples = RunSamples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
         whole = samples.with_facts(facts).at(recorded)
@@ -195,11 +209,12 @@ class RunReader:
             )
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
         samples = samples.with_facts(facts)
-        channels = [self._values(c, entry, samples) for c in self.study.channels]
+        raw: dict[str, tuple[str, Array]] = {}
+        channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
         if entry.missing_if is not None:
             measured[samples.formula(entry.missing_if) != 0.0] = np.nan
-        command = {c.name: self._values(c, entry, samples) for c in self.study.commands}
+        command = {c.name: self._values(c, entry, samples, raw) for c in self.study.commands}
         columns = {
             name: values
             for name, values in numeric_columns(samples).items()
@@ -214,14 +229,45 @@ class RunReader:
             setup=facts,
             columns=columns,
             files=tuple(str(table.path.absolute()) for table in tables),
+            raw=raw,
         )
         run = run.part(keep)
+        self._tell_mended(name, entry)
+        if repeats:
+            run = mean_of_equal(run)
+        if entry.gaps is not None:
+            run = without_gaps(run)
         return run if entry.every == 1 or not entry.average else averaged(run, entry.every)
 
+    def _tell_mended(self, name: str, entry: RunEntry) -> None:
+        """What was done to the record of a run."""
+        said = [f"rows with equal stamps: {entry.duplicates}"] if entry.duplicates else []
+        said += [entry.stamps.words] if entry.stamps.words else []
+        said += ["lost rows put back, commands on lines"] if entry.gaps else []
+        named: list[ChannelEntry | CommandEntry] = [*self.study.channels, *self.study.commands]
+        for stated in named:
+            source: Source = entry.columns.get(stated.name) or stated
+            words = [source.decode.words] if source.decode.words else []
+            words += [f"unwrapped at {source.unwrap:g}"] if source.unwrap else []
+            said += [f"{stated.name}: {', '.join(words)}"] if words else []
+        if said:
+            self.mended.setdefault("; ".join(said), []).append(name)
+
     def _values(
-        self, stated: ChannelEntry | CommandEntry, entry: RunEntry, samples: RunSamples
+        self,
+        stated: ChannelEntry | CommandEntry,
+        entry: RunEntry,
+        samples: RunSamples,
+        raw_of: dict[str, tuple[str, Array]] | None = None,
     ) -> Array:
-        """A channel or command in SI units, at all rows of the run."""
+        """A channel or command in SI units, at all rows of the run.
+
+        Args:
+            stated: The channel or command.
+            entry: Entry of the run.
+            samples: Rows of the run.
+            raw_of: Gets what one column holds of it, by name.
+        """
         source: Source = stated
         unit = stated.unit
         if stated.name in entry.columns:
@@ -233,11 +279,16 @@ class RunReader:
                 factor(unit, stated.unit)  # refuses a unit of another quantity
         if isinstance(stated, CommandEntry) and stated.fill == "hold":
             samples = samples.holding()
-        raw = (
-            samples.formula(source.formula, file=source.file)
-            if source.formula is not None
-            else samples.column(source.column or stated.name, source.file)
-        )
+        samples = samples.decoding(source.decode)
+        columns: tuple[str, ...] = (source.column or stated.name,)
+        if source.formula is None:
+            raw = samples.column(columns[0], source.file)
+        else:
+            raw = samples.formula(source.formula, file=source.file)
+            columns = tuple(n for n in names_in(source.formula) if n not in samples.facts)
+        if raw_of is not None and len(columns) == 1 and "derivative" not in (source.formula or ""):
+            own = raw if source.formula is None else samples.column(columns[0], source.file)
+            raw_of[stated.name] = (columns[0], own)
         values = in_si(raw, source, unit)
         if isinstance(stated, ChannelEntry) and stated.zero_s is not None:
             start, end = stated.zero_s
@@ -294,6 +345,11 @@ class RunReader:
                 self._tell(ValueError(f"{where}: no run {label}{close}; there are {shown}"))
 
 
+def _keeping(entry: RunEntry) -> Duplicates | None:
+    """What is done to equal stamps while rows are read; a mean is taken of what was read."""
+    return None if entry.duplicates == "mean" else entry.duplicates
+
+
 def _is_meant(given: str, labels: Sequence[str]) -> bool:
     return any(fnmatch.fnmatchcase(label, given) for label in labels)
 
@@ -333,6 +389,12 @@ def _blocks(run: Run, entry: RunEntry, where: str) -> list[Run]:
         edges = np.linspace(0, n, blocks.num + 1).round().astype(int)
     else:
         assert blocks.length_s is not None
+        count = (run.time_s[-1] - run.time_s[0]) / blocks.length_s
+        if count > MOST_BLOCKS:
+            raise ValueError(
+                f"{where}.blocks.length_s: makes {count:,.0f} pieces of run {run.name}, at most "
+                f"{MOST_BLOCKS:,}"
+            )
         lengths = np.arange(run.time_s[0], run.time_s[-1], blocks.length_s)
         edges = np.append(np.searchsorted(run.time_s, lengths - 1e-9), n)
     by_number = {k: use for use, numbers in blocks.use.items() for k in numbers}

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.fill_in import fill_in
 from diffsim.core.inside import inside
 from diffsim.data.formats import is_container, split_part
 from diffsim.data.study_schema import RunEntry, RunKeys
@@ -18,6 +20,7 @@ from diffsim.data.table import Rows, Table, as_label
 
 _FIELD = re.compile(r"\{(\w+)(?::[^}]*)?\}")
 _RANGE = ("at_least", "below")
+_MOST_PARTS = 40  # of a pattern: words, stars, and what stands between them
 
 
 Given: TypeAlias = Collection[Path]
@@ -114,22 +117,19 @@ def _files_named(
     if "*" not in pattern and not _FIELD.search(pattern):
         return [(_resolve_file(root, pattern, where, given), {})]
     inside(root, pattern, f"{where}.file")
-    parts = re.split(r"(\*|\{\w+\})", pattern)
+    parts = [p for p in re.split(r"(\*+|\{\w+\})", pattern) if p]
     names = [p[1:-1] for p in parts if p.startswith("{")]
     if len(set(names)) < len(names):
         raise ValueError(f"{where}.file: a word occurs twice in {pattern!r}")
-    shape = re.compile(
-        "".join(
-            "[^/]*" if p == "*" else f"(?P<{p[1:-1]}>[^/]+?)" if p[:1] == "{" else re.escape(p)
-            for p in parts
-        )
-    )
+    if len(parts) > _MOST_PARTS:
+        raise ValueError(f"{where}.file: at most {_MOST_PARTS // 2} words and * in a pattern")
     found = []
-    for path in root.glob("".join("*" if p == "*" or p[:1] == "{" else p for p in parts)):
-        match = shape.fullmatch(path.relative_to(root).as_posix())
-        if match and path.is_file():
+    wild = re.sub(r"\*+", "*", "".join("*" if p[0] in "*{" else p for p in parts))
+    for path in root.glob(wild):  # ** would walk through all folders
+        words = _words_of(parts, path.relative_to(root).as_posix())
+        if words is not None and path.is_file():
             here = inside(root, path.relative_to(root).as_posix(), f"{where}.file")
-            found.append((here, match.groupdict()))
+            found.append((here, words))
     if not found:
         beside = sorted(p.name for p in root.glob("*.csv"))
         raise ValueError(
@@ -137,6 +137,36 @@ def _files_named(
             f"{root} has {', '.join(beside[:12]) or 'no CSV files'}"
         )
     return sorted(found, key=lambda f: split_numbers(f[0].as_posix()))
+
+
+def _words_of(parts: Sequence[str], name: str) -> dict[str, str] | None:
+    """What the {words} of a pattern stand for, as short as can be; None: it does not fit.
+
+    Places that led nowhere are remembered: a regular expression would try all ways to part a name.
+    """
+
+    @cache
+    def ends(k: int, at: int) -> tuple[int, ...] | None:
+        """Where the parts from the k-th on end, the first of them beginning at ``at``."""
+        if k == len(parts):
+            return () if at == len(name) else None
+        if parts[k][0] not in "*{":
+            tries: Iterable[int] = [at + len(parts[k])] if name.startswith(parts[k], at) else ()
+        else:
+            slash = name.find("/", at)
+            stop = len(name) if slash < 0 else slash
+            is_word = parts[k][0] == "{"
+            tries = range(at + 1, stop + 1) if is_word else range(stop, at - 1, -1)
+        for end in tries:
+            if (rest := ends(k + 1, end)) is not None:
+                return (end, *rest)
+        return None
+
+    found = ends(0, 0)
+    if found is None:
+        return None
+    spans = zip(parts, (0, *found), found, strict=False)
+    return {p[1:-1]: name[start:end] for p, start, end in spans if p[0] == "{"}
 
 
 def split_numbers(name: str) -> list[tuple[int, int | str]]:
@@ -151,14 +181,14 @@ def filled(text: str, words: Mapping[str, str], where: str) -> str:
         ValueError: a word that there is not.
     """
     try:
-        return text.format_map({k: as_label(v) if _is_plain(v) else v for k, v in words.items()})
+        return fill_in(text, {k: as_label(v) if _is_plain(v) else v for k, v in words.items()})
     except KeyError as error:
         name = str(error.args[0])
         raise ValueError(
             f"{where}: {text!r} has {{{name}}}{did_you_mean(name, words)}; known: "
             f"{', '.join(words) or 'nothing'}"
         ) from None
-    except (ValueError, IndexError) as error:
+    except ValueError as error:
         raise ValueError(f"{where}: {text!r} cannot be filled in: {error}") from None
 
 

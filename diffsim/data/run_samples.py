@@ -16,6 +16,8 @@ from pydantic import ValidationError
 
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
+from diffsim.data.codes import unwrapped
+from diffsim.data.decode import Decode
 from diffsim.data.formula import evaluate
 from diffsim.data.run_plan import filled
 from diffsim.data.study import Run
@@ -39,6 +41,7 @@ class RunSamples:
         facts: Facts of the run by name.
         holds: Whether columns of further files keep their value until their next sample, averaged
             from row to row; else they follow straight lines.
+        decode: How numbers of columns are coded.
     """
 
     tables: Sequence[Table]
@@ -48,6 +51,7 @@ class RunSamples:
     time_s: Array = field(default_factory=lambda: np.empty(0))
     facts: Mapping[str, Any] = field(default_factory=dict)
     holds: bool = False
+    decode: Decode = field(default_factory=Decode)
 
     @property
     def table(self) -> Table:
@@ -65,6 +69,10 @@ class RunSamples:
     def holding(self) -> RunSamples:
         """The same, columns of further files held until their next sample."""
         return replace(self, holds=True)
+
+    def decoding(self, decode: Decode) -> RunSamples:
+        """The same, with numbers of columns coded as stated."""
+        return replace(self, decode=decode)
 
     def only(self, keep: Rows) -> RunSamples:
         """Some of the rows."""
@@ -94,7 +102,8 @@ class RunSamples:
         place = self.place_of(name, file)
         values = self.tables[place].numbers(name)
         if not place:
-            return values[self.rows]
+            return self.decode(values[self.rows])
+        values = self.decode(values)
         there = np.isfinite(values)
         if not there.any():
             return np.full(len(self.rows), np.nan)
@@ -160,6 +169,8 @@ def in_si(raw: Array, source: Source, unit: str | None) -> Array:
     """Samples of a file in SI units; those that are in SI units stay as they are."""
     if source.scale != 1.0 or source.offset != 0.0:
         raw = source.scale * raw + source.offset
+    if source.unwrap is not None:
+        raw = unwrapped(raw, source.unwrap)
     if unit is None:
         return raw
     si = to_si(unit)
@@ -267,6 +278,7 @@ def averaged(run: Run, every: int | Mapping[float, int]) -> Run:
         measured=_mean(run.measured, n),
         command={name: _mean(v[:, None], n)[:, 0] for name, v in run.command.items()},
         columns={name: _mean(v[:, None], n)[:, 0] for name, v in run.columns.items()},
+        raw={},
     )
 
 
@@ -276,6 +288,61 @@ def _mean(values: Array, n: int) -> Array:
     count = np.isfinite(whole).sum(axis=1)
     total = np.nansum(whole, axis=1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def mean_of_equal(run: Run) -> Run:
+    """Rows of a run with equal stamps averaged into one; gaps are left out."""
+    first = np.flatnonzero(np.append(True, np.diff(run.time_s) != 0.0))
+
+    def mean(values: Array) -> Array:
+        there = np.isfinite(values)
+        count = np.add.reduceat(there.astype(np.float64), first, axis=0)
+        total = np.add.reduceat(np.where(there, values, 0.0), first, axis=0)
+        return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
+
+    return replace(
+        run,
+        time_s=run.time_s[first],
+        measured=mean(run.measured),
+        command={name: mean(values) for name, values in run.command.items()},
+        columns={name: mean(values) for name, values in run.columns.items()},
+        raw={name: (header, mean(values)) for name, (header, values) in run.raw.items()},
+    )
+
+
+def without_gaps(run: Run) -> Run:
+    """A run whose lost rows are put back: commands on straight lines, nothing measured."""
+    steps = np.diff(run.time_s)
+    if not len(steps):
+        return run
+    usual = float(np.median(steps))
+    lost = np.maximum(np.round(steps / usual).astype(np.int64) - 1, 0)
+    if not lost.any():
+        return run
+    at = np.append(np.repeat(np.arange(len(steps)), lost + 1), len(steps))  # row before, or itself
+    first = np.append(0, np.cumsum(lost + 1))
+    place = np.arange(len(at)) - first[at]
+    whole = np.append(lost + 1, 1)
+    share = place / whole[at]
+    time_s = run.time_s[at] + share * np.append(steps, 0.0)[at]
+    is_new = place > 0
+
+    def on_line(values: Array) -> Array:
+        return np.where(is_new, np.interp(time_s, run.time_s, values), values[at])
+
+    def without(values: Array) -> Array:
+        out = values[at].copy()
+        out[is_new] = np.nan
+        return out
+
+    return replace(
+        run,
+        time_s=time_s,
+        measured=without(run.measured),
+        command={name: on_line(values) for name, values in run.command.items()},
+        columns={name: on_line(values) for name, values in run.columns.items()},
+        raw={name: (header, without(values)) for name, (header, values) in run.raw.items()},
+    )
 
 
 def facts_of(

@@ -100,6 +100,8 @@ class Run:
         setup: Known facts of this run, numbers or labels: {"payload_kg": 0.2, "frame": "A"}.
         columns: What else was recorded, by name of ``Study.columns``, (num_samples,) each.
         files: Paths of the files that it was read from; none where it was made.
+        raw: Of channels and commands that one column holds: its header and its numbers,
+            (num_samples,), decoded but neither scaled nor shifted. Empty where nothing was read.
     """
 
     name: str
@@ -112,6 +114,7 @@ class Run:
     setup: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Array] = field(default_factory=dict)
     files: tuple[str, ...] = ()
+    raw: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
 
     def part(self, keep: slice | NDArray[Any]) -> Run:
         """Some of the samples.
@@ -125,6 +128,7 @@ class Run:
             measured=self.measured[keep],
             command={name: values[keep] for name, values in self.command.items()},
             columns={name: values[keep] for name, values in self.columns.items()},
+            raw={name: (header, values[keep]) for name, (header, values) in self.raw.items()},
         )
 
 
@@ -150,6 +154,7 @@ class Study:
             of a saved model mean the same on new runs. Empty: it is taken from these runs.
         faults: How groups of runs are judged for faults; None: they are not.
         columns: What was recorded beside channels and commands: it may explain what is left.
+        mended: What was done to the record before anything was read from it, a sentence each.
     """
 
     name: str
@@ -168,6 +173,7 @@ class Study:
     frame: Mapping[str, Any] = field(default_factory=dict)
     faults: FaultKeys | None = None
     columns: tuple[Column, ...] = ()
+    mended: tuple[str, ...] = ()
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.units import factor, to_si
-from diffsim.data.command_jumps import Array, jumps_of
+from diffsim.data.record import record_findings
+from diffsim.data.shared_rows import SHARED_BITS, bits_of, shared_stretches
 from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
 from diffsim.data.steps import step_of
-from diffsim.data.study import SYSTEMS, USES, Channel, Command, Run, Study
+from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 NO_FIT_RUN = (
     "no run with use: fit; nothing can be fitted, only `judge` works, with a model that was saved"
 )
 TODO = "TODO"  # what a user is still to fill in
 MIN_SAMPLES = 10
+BLOCK_OF = "block_of"  # fact of a run that is a declared piece of another
+COPIED = 0.5  # of the shorter of two runs
 LATE = 1e6  # s: a clock that starts here counts from some other epoch than the run
 MANY_SAMPLES = 100_000  # of all runs and channels; what is simulated at each costs time
 MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
@@ -39,11 +42,13 @@ class Problem:
             was taken for granted.
         where: "study", "channel tip_z_m", "run step_a", ...
         message: What is wrong with the study and how to mend it.
+        rule: Of the record, that saw it; "": none did.
     """
 
     severity: str
     where: str
     message: str
+    rule: str = ""
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.where}: {self.message}"
@@ -55,7 +60,16 @@ def check_study(study: Study) -> list[Problem]:
     for run in study.runs:
         problems += _check_run(run, study)
     problems += [*_check_groups(study), *_copies(study)]
+    if not any(p.severity == "error" and p.where.startswith("run ") for p in problems):
+        problems += _of_record(study)
     return sorted(problems, key=lambda p: p.severity != "error")
+
+
+def _of_record(study: Study) -> Iterator[Problem]:
+    """What rules of the record have found: errors are those that stop."""
+    for found in record_findings(study):
+        severity = "error" if found.stops else "warning" if found.remedy else "note"
+        yield Problem(severity, found.where, str(found), found.rule)
 
 
 def _check_plan(study: Study) -> Iterator[Problem]:
@@ -231,7 +245,6 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             )
         if missing < 1.0 and n >= MIN_SAMPLES and np.nanmin(values) == np.nanmax(values):
             yield Problem("warning", where, f"{channel.name} never changes; is the sensor stuck?")
-        yield from _find_misread(run, channel, values)
     for name, values in run.command.items():
         if values.shape != (n,):
             yield Problem(
@@ -241,46 +254,6 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             unknown = int((~np.isfinite(values)).sum())
             share = f"{unknown / n:.0%}" if unknown >= 0.005 * n else f"{unknown} of {n}"
             yield Problem("warning", where, f"command {name} is unknown in {share} of samples")
-        if values.shape == (n,):
-            yield from _find_jumps(run, study, name)
-
-
-_MENDED = "the diagnosis takes this for a misreading where the model is no worse without it"
-_TAKEN = "the model takes this for what acted; mend the file, or say is_measured: true"
-
-
-def _find_misread(run: Run, channel: Channel, values: Array) -> Iterator[Problem]:
-    """Samples of a channel that lie off both sides: the sensor or the bus lost them."""
-    jumps = jumps_of(values, is_measured=False, noise=channel.sd or 0.0)
-    if not jumps.back:
-        return
-    at = "sample" if len(jumps.back) == 1 else "samples"
-    yield Problem(
-        "note",
-        f"run {run.name}",
-        f"channel {channel.name} is misread at {len(jumps.back)} {at}, off by up to "
-        f"{shown_step(channel, jumps.size)}, first at {run.time_s[jumps.back[0]]:g} s: the "
-        "diagnosis leaves such samples out where the model does not jump, too",
-    )
-
-
-def _find_jumps(run: Run, study: Study, name: str) -> Iterator[Problem]:
-    """Jumps of a command: a model takes them for motion."""
-    known = next((c for c in study.commands if c.name == name), Command(name))
-    jumps = jumps_of(run.command[name], is_measured=known.is_measured, times=run.time_s)
-    unit = known.shown_unit or known.unit
-    times = 1.0 if unit == known.unit or unit is None else factor(known.unit or unit, unit)
-    does = _MENDED if known.is_measured else _TAKEN
-    by = f"by up to {times * jumps.size:.3g}{'' if unit in (None, '-') else f' {unit}'}"
-    for rows, how in ((jumps.back, "jumps off and back"), (jumps.lasting, "jumps and stays")):
-        if rows:
-            at = "sample" if len(rows) == 1 else "samples"
-            yield Problem(
-                "warning",
-                f"run {run.name}",
-                f"command {name} {how} at {len(rows)} {at}, {by}, first at "
-                f"{run.time_s[rows[0]]:g} s: {does}",
-            )
 
 
 def _check_clock(run: Run, where: str) -> Iterator[Problem]:
@@ -315,21 +288,28 @@ def _check_clock(run: Run, where: str) -> Iterator[Problem]:
 def _copies(study: Study) -> Iterator[Problem]:
     """Runs of one use that hold the same samples: a copy repeats nothing, noise included.
 
-    Runs of different uses are compared elsewhere, stretch by stretch.
+    Runs of different uses are compared elsewhere.
     """
-    first: dict[tuple[str, bytes], Run] = {}
-    for run in study.runs:
-        seen = run.measured[np.isfinite(run.measured)]
-        if len(seen) < MIN_SAMPLES or np.ptp(seen) == 0.0:
+    runs, told = [r for r in study.runs if len(r.measured) >= MIN_SAMPLES], set()
+
+    def may_share(a: int, b: int) -> bool:
+        return runs[a].use != runs[b].use or BLOCK_OF in runs[b].setup
+
+    for found in shared_stretches([run.measured for run in runs], may_share):
+        first, copy = runs[found.first], runs[found.second]
+        share = found.num_rows / min(len(first.measured), len(copy.measured))
+        part = copy.measured[found.start : found.start + found.num_rows]
+        is_whole = found.num_rows == len(first.measured) == len(copy.measured)
+        least = 1.0 if is_whole else SHARED_BITS
+        if share < COPIED or copy.name in told or bits_of(part) < least:
             continue
-        other = first.setdefault((run.use, run.measured.tobytes()), run)
-        if other is not run:
-            yield Problem(
-                "error",
-                f"run {run.name}",
-                f"it is a copy of run {other.name}: all samples are equal to the digit; "
-                "mend its file, or leave it out",
-            )
+        told.add(copy.name)
+        yield Problem(
+            "error",
+            f"run {copy.name}",
+            f"it is a copy of run {first.name}: {found.num_rows} samples are equal to the digit; "
+            "mend its file, or leave it out",
+        )
 
 
 def _check_groups(study: Study) -> Iterator[Problem]:

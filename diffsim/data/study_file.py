@@ -105,6 +105,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
         export=stated.export,
         faults=stated.faults,
         columns=reader.columns,
+        mended=_mended(reader),
     )
 
 
@@ -196,6 +197,14 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
     if unused:
         out.append(f"columns: {_list_first([_in_files(n, k) for n, k in unused.items()])}")
     return (*out, *reader.left_out)
+
+
+def _mended(reader: RunReader) -> tuple[str, ...]:
+    """What was done to the record, with the runs where that is not all of them."""
+    return tuple(
+        f"{said} ({_list_first([f'run {name}' for name in names])})"
+        for said, names in reader.mended.items()
+    )
 
 
 def _in_files(name: str, count: int) -> str:

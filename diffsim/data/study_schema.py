@@ -22,7 +22,9 @@ from diffsim.core.inside import require_file_name
 from diffsim.core.schema import KindWords, Part
 from diffsim.core.schema_paths import FolderAnywhere, PathInside
 from diffsim.core.units import to_si
+from diffsim.data.decode import Decode
 from diffsim.data.fault_keys import FaultKeys
+from diffsim.data.stamps import Duplicates, Stamps
 from diffsim.data.study import SYSTEMS
 from diffsim.data.study_types import (
     Every,
@@ -62,6 +64,9 @@ def _wrap_name(given: Any) -> Any:
 
 def _wrap_in_list(given: Any) -> Any:
     return given if isinstance(given, (list, tuple)) and given else [given]
+
+
+MOST_BLOCKS = 10_000  # pieces of a run
 
 
 class TimeSource(Part):
@@ -147,8 +152,16 @@ class Source(Part):
         description="Which of the run's files holds the column, from 1, where several have one of "
         "that name; default: the first that has it",
     )
+    decode: Decode = Field(
+        Decode(), description="How numbers of its columns are coded: {wrap: 4096}, {sign_bit: 15}"
+    )
     scale: Number = Field(1.0, description="The column is multiplied by this")
     offset: Number = Field(0.0, description="Added after `scale`, in `unit`")
+    unwrap: Positive | None = Field(
+        None,
+        description="What is read goes on over the ends of a range of this size, in `unit`, such "
+        "as 360 of an angle in deg: last of all",
+    )
 
     @model_validator(mode="after")
     def _column_or_formula(self) -> Source:
@@ -260,7 +273,9 @@ class Fact(Part):
 class Blocks(Part):
     """A long run cut into pieces, each a run of its own: name_1, name_2, ..."""
 
-    num: int | None = Field(None, ge=2, description="Number of pieces of equal length")
+    num: int | None = Field(
+        None, ge=2, le=MOST_BLOCKS, description="Number of pieces of equal length"
+    )
     length_s: Positive | None = Field(None, description="Length of a piece [s], in place of `num`")
     use: UseOfBlocks = Field(
         {}, description="Pieces by use, counted from 1; all others have the run's `use`"
@@ -338,6 +353,19 @@ class RunKeys(Part):
     missing_if: Formula | None = Field(
         None, description="Where this formula is true, nothing was measured"
     )
+    duplicates: Duplicates | None = Field(
+        None,
+        description="Rows with equal stamps: the first, the last or the mean of them is used, or "
+        "they are spread evenly until the next stamp, as of a clock that counts too coarsely",
+    )
+    stamps: Stamps = Field(
+        Stamps(), description="Stamps that are missing, go back or jump: what is done to them"
+    )
+    gaps: Literal["line"] | None = Field(
+        None,
+        description="Where rows were lost: line puts them back without measurements, and commands "
+        "on straight lines",
+    )
     columns: dict[str, Elsewhere] = Field(
         {},
         description="Channels and commands that this file has elsewhere: {name: column}, "
@@ -376,7 +404,10 @@ class RunEntry(RunKeys):
     )
     repeat_of: str | None = Field(None, description="Run whose command was executed again")
     order: int | None = Field(
-        None, description="Place in the sequence of experiments; default: place in the list"
+        None,
+        ge=-(10**15),
+        le=10**15,
+        description="Place in the sequence of experiments; default: place in the list",
     )
     blocks: Blocks | None = Field(None, description="Cut the run into pieces")
 

@@ -8,11 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, PlainValidator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.expression import parse_expression
 from diffsim.core.schema import KindWords
 from diffsim.core.schema_paths import INSIDE, PathWords
 from diffsim.core.units import in_unit, to_si
-from diffsim.data.formula import quoted_names
+from diffsim.data.formula import require_formula
 from diffsim.data.study import USES
 
 Use = Literal["fit", "select", "test"]
@@ -151,8 +150,7 @@ def _read_unit(given: Any) -> str:
 
 
 def _read_formula(given: Any) -> str:
-    parse_expression(quoted_names(str(given))[0])
-    return str(given)
+    return require_formula(str(given))
 
 
 def _read_value(given: Any) -> Any:

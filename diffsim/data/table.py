@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
-from diffsim.data.formats.columns import MOST_ENTRIES
+from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
-MAX_COLUMNS = 10_000
 MAX_LINE = 4_000_000  # characters
 MISSING = ("nan", "na", "n/a", "#n/a", "n.a.", "null", "none", "-", "--", "---", "----")
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
@@ -412,7 +411,7 @@ class Table:
         step: float | None,
         zero: float | str | None = None,
     ) -> Array:
-        """Clock of the rows [s].
+        """Clock of the rows [s]; NaN where a stamp is missing.
 
         Args:
             column: Column with the time; None: ``time_s``.
@@ -421,7 +420,7 @@ class Table:
             zero: Reading of the column that is 0 s, or "start", its first; None: 0.
 
         Raises:
-            ValueError: no such column, or a time is missing.
+            ValueError: no such column, or a cell that is no time.
         """
         if step is not None and column is None:
             return step * np.arange(len(self), dtype=np.float64)
@@ -429,25 +428,10 @@ class Table:
         if factor is None:
             return _clock(self.path, self.lines, name, self.texts(name))
         now = self.numbers(name)
-        if np.isnan(now).any():
-            line = self.lines[int(np.argmax(np.isnan(now)))]
-            raise ValueError(f"{self.path}, row {line}, column {name}: time is missing")
         if zero is not None:
             now = now - (now[0] if isinstance(zero, str) else zero)
         scale = step or factor
         return scale * now if scale != 1.0 else now
-
-
-def require_increasing(table: Table, rows: Rows, now: Array, column: str) -> None:
-    """Refuse rows whose times do not increase, with the row at which they do not."""
-    back = np.diff(now) <= 0.0
-    if back.any():
-        at = int(np.argmax(back)) + 1
-        raise ValueError(
-            f"{table.path}, row {table.lines[rows[at]]}, column {column}: time must increase, got "
-            f"{now[at]:g} s after {now[at - 1]:g} s; remove repeated rows or sort the file, or "
-            "split it into runs"
-        )
 
 
 def as_label(cell: str) -> float | int | str:

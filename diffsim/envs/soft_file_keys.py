@@ -100,7 +100,9 @@ class SoftTaskKeys(FinitePart):
     current: MetersPerSecond = Field(
         0.0, ge=0, description="Sd of each component of an episode's current, in water [m/s]"
     )
-    action_delay: int = Field(0, ge=0, description="Control steps until a command takes effect")
+    action_delay: int = Field(
+        0, ge=0, le=10_000, description="Control steps until a command takes effect"
+    )
     randomization: dict[str, tuple[float, float]] | None = Field(
         None, description="Factors by name: drives, stiffness, density, in water water"
     )

@@ -6,6 +6,7 @@ Files carry no unit: coordinates are taken as meters unless ``scale`` says other
 from __future__ import annotations
 
 import difflib
+import io
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -117,7 +118,10 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
 
     check_file(path)
     try:
-        surface = trimesh.load_mesh(path)
+        # of bytes, so that no other file is looked for: buffers, materials, pictures
+        surface = trimesh.load_mesh(
+            io.BytesIO(path.read_bytes()), file_type=path.suffix[1:].lower()
+        )
     except IndexError as error:
         raise MeshError(
             f"{path} could not be read: a face has a vertex that there is not ({error}), or the "

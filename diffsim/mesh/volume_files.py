@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import MeshError
+from diffsim.core.xml_text import refuse_document_type
 from diffsim.mesh.reference import HEX_FROM_VTK
 
 MESHIO_FORMATS = {
@@ -70,9 +71,13 @@ def read_meshio(path: Path, file_format: str) -> VolumeFile:
     if file_format == "abaqus" and _INCLUDE.search(path.read_bytes()):  # meshio reads any file
         raise MeshError(f"{path} includes another file, which is not done here; write one file")
     try:
-        content = meshio.read(path, file_format=file_format)
-    except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
-        raise MeshError(f"{path} could not be read as {file_format}: {error}") from error
+        if file_format == "vtu":
+            refuse_document_type(path)
+        # meshio.read itself prints what is wrong, and ends the program
+        content = getattr(meshio, file_format).read(path)
+    except (Exception, SystemExit) as error:
+        said = str(error) or type(error).__name__
+        raise MeshError(f"{path} could not be read as {file_format}: {said}") from error
     kind, chosen = _one_kind(path, content.cells)
     elements = _join_blocks([content.cells[b].data for b in chosen]).astype(np.int64)
     if kind == "hexahedron":

@@ -81,7 +81,7 @@ class Tracking(FinitePart):
 
     seconds: float = Field(gt=0, description="Length of the command, in s")
     every: float = Field(gt=0, description="Time between its samples, in s")
-    knots: int = Field(16, ge=2, description="Knots of each command")
+    knots: int = Field(16, ge=2, le=10_000, description="Knots of each command")
     commands: dict[str, Bounds] = Field({}, description="Bounds of commands, by name")
     wanted: dict[str, Course] = Field(min_length=1, description="Courses of channels, by name")
     calm: float = Field(1e-3, ge=0, description="Price of a change from knot to knot")

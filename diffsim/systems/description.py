@@ -187,7 +187,9 @@ class EffectChoice(Part):
 class Effort(Part):
     """How much is simulated; the defaults suit most studies."""
 
-    max_effects: int | None = Field(None, ge=1, description="Largest number of causes in one set")
+    max_effects: int | None = Field(
+        None, ge=1, le=100, description="Largest number of causes in one set"
+    )
     num_refits: int | None = Field(None, ge=1, description="Sets that are refitted per round")
     max_rounds: int | None = Field(None, ge=1, description="Moves to a better set, at most")
     scan_points: int | None = Field(
@@ -248,15 +250,29 @@ class Description(Part):
             ValueError: errors of ``problems``.
         """
         self.require_possible(study)
-        plant = self.plant(study)
+        used = self.used_of(study)
+        plant = self.plant(used)
         assert plant is not None
-        model = self.model(study)
+        model = self.model(used)
         model.frame = {SCALES: plant.scales.saved()}
         return DiagnosisSetup(
             model,
-            chosen_effects(list_causes(plant), self.effects, study, plant),
-            settings=settings_with(self.advised, self.effort),
+            chosen_effects(list_causes(plant), self.effects, used, plant),
+            settings=settings_with(self.advise(), self.effort),
+            study=None if used is study else used,
         )
+
+    def used_of(self, study: Study) -> Study:
+        """What counts of a study, such as tosses until their windows end.
+
+        Args:
+            study: Study with this description as its ``model``.
+        """
+        return study
+
+    def advise(self) -> DiagnosisSettings:
+        """Effort that suits what is described."""
+        return self.advised
 
     def model(self, study: Study) -> SimModel:
         """The simulator as described, for all runs of a study.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
 from datetime import datetime
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from pathlib import Path
+from threading import BoundedSemaphore, Lock
 from typing import Any
 from urllib.parse import quote
 
@@ -17,6 +19,16 @@ from diffsim.viz.run_folders import PAGES, PICTURES, RECORDINGS, RunFolder, run_
 
 LOCAL = "127.0.0.1"
 _INDEX = ("/", "/index.html")
+_CLIENTS = 256  # that are answered at once, and that wait for it
+_SILENCE_S = 10.0  # after which a half-sent request, or an answer that nobody takes, is given up
+#: Pages of runs, and built sites among them, ask no other machine and send nothing.
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'self' 'unsafe-inline' data: blob:; "
+    "connect-src 'self'; object-src 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'self'",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",  # runs go on
+}
 
 
 def render_index(root: Path, runs: Sequence[RunFolder], viewer: str | None, base: str) -> str:
@@ -56,7 +68,7 @@ def make_server(root: Path, port: int, viewer: str | None = None) -> ThreadingHT
     Raises:
         OSError: the port is taken.
     """
-    return ThreadingHTTPServer((LOCAL, port), partial(_Handler, root=root.resolve(), viewer=viewer))
+    return _Server((LOCAL, port), partial(_Handler, root=root.resolve(), viewer=viewer))
 
 
 def _describe_run(run: RunFolder, viewer: str | None, base: str) -> dict[str, Any]:
@@ -88,8 +100,43 @@ def _quote_name(name: str) -> str:
     return quote(os.fsencode(name))
 
 
+class _Server(ThreadingHTTPServer):
+    """A thread for each client, for so many at once; others wait in the queue of the system."""
+
+    request_queue_size = _CLIENTS
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self._free = BoundedSemaphore(_CLIENTS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, once one is free."""
+        self._free.acquire()
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, and let the next one in."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes away, as of a download, is no error; others are a line."""
+        error = sys.exc_info()[1]
+        if not isinstance(error, (ConnectionError, TimeoutError)):
+            print(f"a page could not be shown: {type(error).__name__}: {error}", file=sys.stderr)
+
+
 class _Handler(SimpleHTTPRequestHandler):
     """Files below the folder, nothing else: no listing, no link that leads out of it."""
+
+    timeout = _SILENCE_S
+    looking = Lock()  # folders are looked through for one client after the other
 
     def __init__(self, *args: Any, root: Path, viewer: str | None, **kwargs: Any):
         self._root, self._viewer = root, viewer
@@ -114,10 +161,11 @@ class _Handler(SimpleHTTPRequestHandler):
             self.send_error(404)
 
     def end_headers(self) -> None:
-        """Recordings may be read by the viewer's page; nothing is kept, as runs go on."""
+        """Recordings may be read by the viewer's page; others ask and keep nothing."""
         if self._viewer is not None:
             self.send_header("Access-Control-Allow-Origin", self._viewer)
-        self.send_header("Cache-Control", "no-store")
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
         super().end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:
@@ -137,7 +185,8 @@ class _Handler(SimpleHTTPRequestHandler):
 
     def _send_index(self) -> None:
         base = f"http://{self.headers.get('Host')}"  # checked: this machine's own
-        page = render_index(self._root, run_folders(self._root), self._viewer, base)
+        with self.looking:
+            page = render_index(self._root, run_folders(self._root), self._viewer, base)
         content = page.encode("utf-8", "replace")
         self.send_response(200)
         self.send_header("Content-Type", "text/html; charset=utf-8")

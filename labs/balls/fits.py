@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from torch import Tensor
 
+from diffsim.causes.listing import list_causes
 from diffsim.data.study import Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.rigid_body.ball_setup import Balls
 from diffsim.systems.rigid_body.camera import (
     HEIGHT_PX,
     WIDTH_PX,
@@ -37,9 +39,11 @@ def setup(study: Study) -> DiagnosisSetup:
         study: Study as imported, which holds clicks beside the balls.
     """
     described = RigidBodyDescription.model_validate(_build_description(study))
-    model = described.balls().model(study, {r.name: _get_corners(r) for r in study.runs})
+    balls = described.described
+    assert isinstance(balls, Balls)
+    model = balls.model(study, {r.name: _get_corners(r) for r in study.runs})
     settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
-    causes = described.balls().causes(study, described.scales(study))
+    causes = list_causes(described.plant(study))
     return DiagnosisSetup(model, causes, settings=settings)
 
 

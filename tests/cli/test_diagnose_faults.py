@@ -21,9 +21,9 @@ model:
   readings: {y1: left, y2: right}
   effects:
     own:
-      - {name: weak_1, multiplies: left, term: 1/(1 - size), typical: 0.1, signed: false,
+      - {name: weak_1, multiplies: left, term: 1/(1 - size), typical: 0.1, one_sided: true,
          words: "side 1 lost {:.0%}"}
-      - {name: weak_2, multiplies: right, term: 1/(1 - size), typical: 0.1, signed: false}
+      - {name: weak_2, multiplies: right, term: 1/(1 - size), typical: 0.1, one_sided: true}
 channels: [{name: y1, unit: "-", sd: 0.01}, {name: y2, unit: "-", sd: 0.01}]
 faults:
   per: day

@@ -261,6 +261,8 @@ def test_files_of_one_run_are_told_from_several_runs(tmp_path, files, num_runs):
         (tmp_path / file).parent.mkdir(exist_ok=True)
         write(tmp_path / file, "t_ms,x_mm,y_mm", [T, noisy(seed), noisy(seed + 9)])
     guess = guess_study(tmp_path)
+    unclear = "runs: cold/fast.csv, cold/slow.csv have the same columns and no name that says"
+    assert any(s.startswith(unclear) for s in guess.said) == (num_runs == 4)
     assert len(guess.runs) == num_runs
     joined = len(guess.runs[0].files) == 2
     assert joined == (num_runs < len(files)) and len(guess.those("command")) == 2 * joined

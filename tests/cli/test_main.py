@@ -235,3 +235,22 @@ def test_an_error_does_not_fill_the_screen_with_what_stands_in_a_file(capsys, tm
     assert cli.main(["diagnose", "check", str(tmp_path)]) == 2
     said = capsys.readouterr().err
     assert "log.csv" in said and "letters more" in said and len(said) < 3_000
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-", "| head -1"])
+def test_streams_that_are_closed_end_nothing_and_nothing_is_written_elsewhere(tmp_path, closed):
+    """Python has None in their place, and the first file that is opened gets their number."""
+    (tmp_path / "a.csv").write_text("time_s,q\n0,1\n1,2\n")
+    before = (tmp_path / "a.csv").read_text()
+    for command in ("info", f"convert {tmp_path}/a.csv {tmp_path}/b.csv", "--help"):
+        line = f"{sys.executable} -m diffsim {command} {closed}"
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+        assert done.returncode == 0 and "Traceback" not in done.stderr, (command, done.stderr)
+    assert (tmp_path / "a.csv").read_text() == before
+    assert (tmp_path / "b.csv").read_text().split("\n")[1].startswith("0")
+
+
+def test_too_little_memory_is_a_sentence(fake_demo, capsys):
+    fake_demo.error = MemoryError()
+    assert cli.main(["demo"]) == 2
+    assert capsys.readouterr().err.startswith("diffsim: MemoryError: more memory is needed than")

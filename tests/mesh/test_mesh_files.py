@@ -98,3 +98,16 @@ def test_contents(tmp_path):
     with pytest.raises(MeshError, match=r"6 of 6 elements are inverted.*load_arrays"):
         m.load(tmp_path / "left.vtk")
     assert m.repair(*m.load_arrays(tmp_path / "left.vtk")).num_elements == 6
+
+
+def test_entities_of_a_vtu_are_refused_in_words(tmp_path):
+    """meshio said "1", and read on."""
+    m.save(m.hex_box((1, 1, 1)), tmp_path / "box.vtu")
+    content = (tmp_path / "box.vtu").read_bytes()
+    entity = b"<!DOCTYPE x [<!ENTITY a SYSTEM 'file:///etc/hostname'>]><VTKFile"
+    (tmp_path / "box.vtu").write_bytes(content.replace(b"<VTKFile", entity))
+    with pytest.raises(MeshError, match=r"box.vtu, line 2: a document type .* is not read"):
+        m.load(tmp_path / "box.vtu")
+    (tmp_path / "box.vtu").write_bytes(content[:300])
+    with pytest.raises(MeshError, match=r"box.vtu could not be read as vtu: \D{5}"):
+        m.load(tmp_path / "box.vtu")

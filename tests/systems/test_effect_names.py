@@ -7,13 +7,15 @@ from collections import defaultdict
 
 import pytest
 
+from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.listing import list_causes
+from diffsim.causes.plant import Plant
+from diffsim.causes.scales import Scales
 from diffsim.core.units import factor
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
 from diffsim.systems.multicopter import copter_plant, unknown_wrench
 from diffsim.systems.registry import setup_of
-from diffsim.systems.rigid_body import causes as rigid_causes
 from diffsim.systems.soft_body import unknown_force
 from labs.systems import copter, network
 from labs.systems.beam_causes import causes
@@ -26,13 +28,23 @@ from tests.systems.toy_cart import cart_study
 DESCRIBED = ("speeds", "lags_speed", "radius", "battery", "sees_position", *copter.FACTS[-3:])
 
 
+def rigid_bodies(kind: str) -> tuple[Effect, ...]:
+    """All causes of a table that suit some body."""
+    rows = [row for _, row in rows_in_order(kind)]
+    return list_causes(
+        Plant(
+            kind=kind,
+            scales=Scales.of_runs(rod_study()),
+            channels=(),
+            numbers=tuple(name for row in rows for name in row.add),
+            facts={fact: True for row in rows for fact in row.when},
+            magnitudes={"lift": 0.05, "drag": 0.02},
+        )
+    )
+
+
 @pytest.fixture(scope="module")
 def libraries() -> dict[str, tuple[Effect, ...]]:
-    air = rigid_causes.measure_scales(rod_study(), (), 9.81)
-    of_balls = (
-        *(*rigid_causes.EVERYWHERE, *rigid_causes.GROUND, "weaker_gravity", *rigid_causes.BOUNCES),
-        *(*rigid_causes.PAIR, *rigid_causes.CAMERA, "merged_regions", *rigid_causes.POSITIONS),
-    )
     return {
         "soft_body": tuple(CAUSES.values()),
         "multicopter": copter.causes(6),
@@ -40,9 +52,9 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "flow_device": causes_of(DEVICES["pumps"]),
         "flow_network": network.setup(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),
-        "balls": tuple(rigid_causes.ball_causes(air, of_balls)),
+        "balls": rigid_bodies("balls"),
         "ode": setup_of(cart_study()).effects,
-        "rigid_body": tuple(rigid_causes.toss_causes(air, ())),
+        "toss": rigid_bodies("toss"),
         "rod": setup_of(rod_study()).effects,
         "unknown": (
             unknown_wrench(3, 1.0),

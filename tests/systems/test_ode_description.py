@@ -400,6 +400,24 @@ def test_own_causes_change_definitions_parameters_and_add_states():
     assert np.abs(found - exact).max() < left_out(np.sqrt(40.0)) * swings
 
 
+def test_keys_of_before_are_read_as_those_of_today_and_check_says_so():
+    old = {"name": "stop", "adds_to": "v", "term": "-size*v", "typical": 0.1}
+    new = {**old, "one_sided": True, "kink": True, "like": ["a brake"]}
+    old |= {"signed": False, "smooth": False, "also_looks_like": ["a brake"]}
+    was, now = (cart_study(model=described(effects={"own": [block]})) for block in (old, new))
+    effects = [effect(setup_of(study), "stop") for study in (was, now)]
+    for name in ("signed", "smooth", "also_looks_like", "typical", "form"):
+        assert getattr(effects[0], name) == getattr(effects[1], name)
+    assert not effects[0].signed and not effects[0].smooth
+    notes = [p for p in description_of(was).problems(was) if p.severity == "note"]
+    assert [p.where.rpartition(".")[2] for p in notes] == ["signed", "smooth", "also_looks_like"]
+    assert "one_sided: true" in notes[0].message and "kink: true" in notes[1].message
+    assert not [p for p in description_of(now).problems(now) if "stop" in p.message]
+    both = cart_study(model=described(effects={"own": [{**old, "one_sided": True}]}))
+    with pytest.raises(ValueError, match="signed is the old name of one_sided"):
+        setup_of(both)
+
+
 def test_values_per_run_and_from_the_data():
     model = described(
         states={"x": {"value": "0 mm", "sd": "20 mm", "per": "run"}, "v": "0"},

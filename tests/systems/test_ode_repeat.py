@@ -66,7 +66,7 @@ def test_names_in_a_repeated_formula_count_as_used():
     [
         ({"repeat": {"k": 2}, "define": {"a_{j}": "1"}}, "repeat states no 'j'"),
         ({"repeat": {"k": 2}, "define": {"a_{k}": ["1", "2", "3"]}}, "3 values, but k counts to 2"),
-        ({"repeat": {"k": 0}, "define": {}}, "a number above 0"),
+        ({"repeat": {"k": 0}, "define": {}}, "a number from 1 to 200"),
         ({"repeat": {"k": 2}, "define": {"a_{k}": "1", "a_2": "3"}}, "a_2 is stated twice"),
         ({"repeat": {"k": 2, "j": 2}, "define": {"a_{k}_{j}": "1"}}, "one index for each entry"),
     ],

@@ -339,7 +339,7 @@ def test_missing_points_are_told_and_a_stated_camera_does_without(tmp_path):
     (tmp_path / "points.csv").unlink()
     (found,) = description_of(study).problems(study)
     assert (found.severity, found.where) == ("warning", "model.camera.points.file")
-    assert "calibration_points" not in [r.name for r in setup_of(study).study.runs]
+    assert "calibration_points" not in [r.name for r in (setup_of(study).study or study).runs]
     camera = {k: v for k, v in study.model["camera"].items() if k != "focal"}
     less = replace(study, model={**study.model, "camera": camera})
     with pytest.raises(ValueError, match="nothing else finds it"):

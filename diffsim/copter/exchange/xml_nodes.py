@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from diffsim.core.check import require_choice
+from diffsim.core.xml_text import NO_DOCUMENT_TYPE
 
 MAX_BYTES = 20_000_000
 MAX_NODES = 1_000_000
@@ -132,7 +133,7 @@ def parse_nodes(content: bytes, source: str) -> Node:
         node.content = "".join(texts)
 
     def refuse(*_: object) -> None:
-        raise ValueError(f"{here()}: a document type (<!DOCTYPE ...>) is not read; take it out")
+        raise ValueError(f"{here()}: {NO_DOCUMENT_TYPE}")
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end

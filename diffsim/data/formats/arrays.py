@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from diffsim.core.optional import optional
 from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat
 
+_MOST_ROWS = 1_048_576  # of a sheet, by Excel
+_MOST_UNPACKED = 1_000_000_000  # bytes of a book
 _HEADER_ROWS = 60  # in which the names of a sheet's columns must be
 _EPOCH = datetime(1970, 1, 1)
 
@@ -68,12 +71,13 @@ def read_xlsx(path: Path, part: str) -> Columns:
         found = _header(sheet)
         assert found is not None  # of xlsx_parts
         line, names = found
-        rows = [row for row in sheet.iter_rows(min_row=line + 1, values_only=True) if any(
-            cell is not None for cell in row)]  # fmt: skip
+        cells = sheet.iter_rows(
+            min_row=line + 1, max_row=_MOST_ROWS, max_col=max(names) + 1, values_only=True
+        )
+        rows = [row for row in cells if any(cell is not None for cell in row)]
     finally:
         book.close()
-    return {name: _column([row[k] if k < len(row) else None for row in rows])
-            for k, name in names.items()}  # fmt: skip
+    return {name: _column([row[k] for row in rows]) for k, name in names.items()}
 
 
 def _header(sheet: Any) -> tuple[int, dict[int, str]] | None:
@@ -115,4 +119,11 @@ def _seconds_or_number(cell: Any) -> float:
 
 def _open(path: Path) -> Any:
     openpyxl = optional("openpyxl", purpose="an Excel file")
-    return openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+    with zipfile.ZipFile(path) as archive:
+        unpacked = sum(member.file_size for member in archive.infolist())
+    if unpacked > _MOST_UNPACKED:
+        raise ValueError(f"it unpacks to {unpacked:,} bytes, at most {_MOST_UNPACKED:,} are read")
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()  # one cell in the last corner would fill all rows with gaps
+    return book

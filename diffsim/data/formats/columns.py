@@ -11,7 +11,19 @@ from numpy.typing import NDArray
 #: Columns by name, all of one length: float64, integers or text.
 Columns = dict[str, NDArray[Any]]
 
+MAX_COLUMNS = 10_000  # of a table
 MOST_ENTRIES = 64  # of a list in a message: clouds and pictures are no columns
+
+
+def require_few(count: int, what: str = "columns") -> None:
+    """Refuse a table of more columns than ``MAX_COLUMNS``.
+
+    Args:
+        count: How many it has.
+        what: What it calls them.
+    """
+    if count > MAX_COLUMNS:
+        raise ValueError(f"at most {MAX_COLUMNS:,} {what}, got {count:,}")
 
 
 def flat(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:

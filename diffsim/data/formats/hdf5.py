@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat
+from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, require_few
 
 _CLOCK = re.compile(r"(t|time|timestamps?|stamps?|seconds|elapsed)([_\W].*)?", re.I)
 _LONGEST_UNIT = 40  # letters
@@ -62,7 +62,7 @@ def _group(h5py: Any, file: Any, part: str) -> Any:
     """A group by its path, which leads through the file's own groups only."""
     group = file
     for name in filter(None, part.split("/")):
-        group = dict(_own(h5py, group)).get(name)
+        group = _held(h5py, group, name) if name in group else None
         if not isinstance(group, h5py.Group):
             raise ValueError(f"{file.filename}: has no group {part!r} of its own")
     return group
@@ -89,12 +89,13 @@ def _tables(
     if place in seen:  # a few dozen groups could lead to each other in more ways than can be gone
         raise ValueError(f"group {name!r} holds itself, or stands in two places")
     seen.add(place)
-    arrays = _arrays(h5py, group)
+    held = dict(_own(h5py, group))
+    arrays = _arrays(h5py, held)
     rows = _rows(arrays)
     if arrays and (upright or above is None or rows != above or _has_clock(arrays)):
         yield name, group
         above = rows
-    for key, inner in _own(h5py, group):
+    for key, inner in held.items():
         if isinstance(inner, h5py.Group):
             yield from _tables(h5py, f"{name}/{key}" if name else key, inner, above, upright, seen)
 
@@ -118,11 +119,11 @@ def _gather(
     *,
     inner: bool = True,
 ) -> None:
-    arrays = _arrays(h5py, group)
+    own = dict(_own(h5py, group))
+    arrays = _arrays(h5py, own)
     if prefix and (_has_clock(arrays) or (arrays and _rows(arrays) != _rows(found))):
         return  # a table of its own
     found |= {f"{prefix}{name}": data for name, data in arrays.items()}
-    own = dict(_own(h5py, group))
     for name, held in own.items():
         if isinstance(held, h5py.Dataset) and name not in arrays:
             others.append(f"array {prefix}{name}: a single value, or neither numbers nor text")
@@ -156,21 +157,27 @@ def _rate(group: Any) -> float | None:
 
 
 def _own(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
-    """What a group itself holds: links, and arrays kept elsewhere, could read any other file."""
+    """What a group itself holds, by name."""
+    require_few(len(group), f"entries of a group, {group.name!r}")
     for name in group:
-        is_own = isinstance(group.get(name, getlink=True), h5py.HardLink)
-        if is_own and name[:1] != "#":  # MATLAB's own records
-            inner = group[name]
-            is_array = isinstance(inner, h5py.Dataset)
-            if not (is_array and (inner.external or inner.is_virtual)):
-                yield name, inner
+        if (inner := _held(h5py, group, name)) is not None:
+            yield name, inner
 
 
-def _arrays(h5py: Any, group: Any) -> dict[str, Any]:
-    """Arrays of numbers or text that a group itself holds, unread."""
+def _held(h5py: Any, group: Any, name: str) -> Any:
+    """What a name of a group holds; None: links, and arrays kept elsewhere, could read any file."""
+    if name[:1] == "#" or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        return None  # MATLAB's own records, or a link
+    inner = group[name]
+    is_array = isinstance(inner, h5py.Dataset)
+    return None if is_array and (inner.external or inner.is_virtual) else inner
+
+
+def _arrays(h5py: Any, held: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays of numbers or text among what a group itself holds, unread."""
     return {
         name: data
-        for name, data in _own(h5py, group)
+        for name, data in held.items()
         if isinstance(data, h5py.Dataset) and data.shape and _is_readable(h5py, data.dtype)
     }
 

@@ -22,6 +22,8 @@ from diffsim.data.formats.columns import Columns, fields_left_out, of_messages
 TIME = "time_s"
 _ULOG_HEADER = 16  # bytes before the first record
 _ULOG_KINDS = b"BFIMPQARDLCSO"  # the format's letters of records
+_ULOG_FIRST = b"FB"  # of definitions: they come before the first sample
+_ULOG_LEVELS = b"01234567"  # of a logged text
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _MCAP_FOOTER = 8 + 8 + 4 + 8  # bytes at the end: two offsets, a checksum, the magic
 
@@ -42,9 +44,15 @@ def read_ulog(path: Path, part: str) -> Columns:
 def ulog_lost(path: Path, part: str) -> list[str]:
     """What a ULog lacks, whatever the topic: records that are damaged, cut off or dropped."""
     log, lost = _ulog(path), []
-    unknown, lacking = _walk_records(path)
-    if log.file_corruption or unknown:
+    unknown, lacking, samples = _walk_records(path)
+    unread = samples - sum(len(next(iter(t.data.values()), ())) for t in log.data_list)
+    if log.file_corruption or unknown or unread > 0:
         lost.append("damaged: records that cannot be read are left out")
+    lost += [
+        f"topic {topic.name}: has no timestamp, so its definition is damaged"
+        for topic in log.data_list
+        if "timestamp" not in topic.data
+    ]
     if lacking and not log.has_data_appended:
         last = (log.last_timestamp - log.start_timestamp) / 1e6
         lost.append(
@@ -57,19 +65,24 @@ def ulog_lost(path: Path, part: str) -> list[str]:
     return lost
 
 
-def _walk_records(path: Path) -> tuple[int, int]:
-    """Records of no known kind, and how many bytes the last one lacks.
+def _walk_records(path: Path) -> tuple[int, int, int]:
+    """Records of no known kind, how many bytes the last one lacks, and whole samples.
 
-    A record states its size in two bytes and its kind in one; pyulog skips others in silence.
+    A record states its size in two bytes and its kind in one; pyulog skips others in silence. A
+    flipped bit may make a sample a definition, or a text of a level that there is not.
     """
-    size, at, unknown = path.stat().st_size, _ULOG_HEADER, 0
+    size, at, unknown, samples = path.stat().st_size, _ULOG_HEADER, 0, 0
     with path.open("rb") as file:
         while at < size:
             file.seek(at)
-            head = file.read(3)
-            unknown += head[2:] not in _ULOG_KINDS
+            head = file.read(4)
+            kind, begin = head[2:3], head[3:]
+            is_late = kind != b"" and kind in _ULOG_FIRST and samples > 0
+            is_odd = kind == b"L" and begin not in _ULOG_LEVELS
+            unknown += kind not in _ULOG_KINDS or is_late or is_odd
             at += 3 + int.from_bytes(head[:2], "little")
-    return unknown, max(at - size, 0)
+            samples += kind == b"D" and at <= size
+    return unknown, max(at - size, 0), samples
 
 
 def mcap_parts(path: Path) -> list[str]:
@@ -164,14 +177,20 @@ def _ulog(path: Path) -> Any:
 @lru_cache(maxsize=1)  # a log is read whole, and has a hundred topics
 def _read_once(path: Path, changed_ns: int) -> Any:
     pyulog = optional("pyulog", purpose="a PX4 log")
-    with redirect_stdout(io.StringIO()):  # what it prints of damage, ``ulog_lost`` says
-        return pyulog.ULog(str(path))
+    try:
+        with redirect_stdout(io.StringIO()):  # what it prints of damage, ``ulog_lost`` says
+            return pyulog.ULog(str(path))
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise ValueError("damaged: a record leads to a place before the file begins") from error
 
 
 def _topics(path: Path) -> dict[str, Any]:
     return {
         topic.name if topic.multi_id == 0 else f"{topic.name}.{topic.multi_id}": topic
         for topic in _ulog(path).data_list
+        if "timestamp" in topic.data  # else its definition is damaged, as ``ulog_lost`` says
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.files import replacing
 from diffsim.data.formats import arrays, hdf5, json_records, logs, mat, parquet
-from diffsim.data.formats.columns import Columns
+from diffsim.data.formats.columns import Columns, require_few
 
 Parts = Callable[[Path], list[str]]
 Read = Callable[[Path, str], Columns]
@@ -88,11 +89,21 @@ def parts_of(path: Path) -> list[str]:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read, or holds no table.
     """
-    parts = _read_guarded(path, lambda: _READERS[path.suffix.lower()][0](path))
+    parts = _read_guarded(path, lambda: _list_parts(path, *_state(path)))
     if not parts:
         why = "; ".join(_look_for_left_out(path, "")[:3])
         raise ValueError(f"{path}: holds no table{f': {why}' if why else ''}")
-    return parts
+    return list(parts)
+
+
+@lru_cache(maxsize=64)  # of a file with a thousand tables, each is asked for by its name
+def _list_parts(path: Path, size: int, changed_ns: int) -> tuple[str, ...]:
+    return tuple(_READERS[path.suffix.lower()][0](path))
+
+
+def _state(path: Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_size, found.st_mtime_ns
 
 
 def read_columns(path: str | Path) -> Columns:
@@ -110,7 +121,13 @@ def read_columns(path: str | Path) -> Columns:
         ValueError: the file cannot be read, or holds several tables, or not this one.
     """
     file, part = _part_of(path)
-    columns = _read_guarded(file, lambda: _READERS[file.suffix.lower()][1](file, part))
+
+    def read() -> Columns:
+        found = _READERS[file.suffix.lower()][1](file, part)
+        require_few(len(found))
+        return found
+
+    columns = _read_guarded(file, read)
     lengths = {len(values) for values in columns.values()}
     if not columns or lengths == {0}:
         raise ValueError(f"{path}: no rows")

@@ -7,15 +7,16 @@ nothing about its other half.
 from __future__ import annotations
 
 import hashlib
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, groupby
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from diffsim.data.shared_rows import SHARED_BITS, STRETCH, Shared, bits_of, shared_stretches
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import SPIKE, UNREPEATABLE
@@ -24,11 +25,7 @@ from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
 
 Array = NDArray[np.float64]
-Place = tuple[int, int]  # run and sample
-SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains them
-COMMON = 50  # places of a row from which it says nothing, such as a sensor at rest
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
-STRETCH = 8  # rows of a stretch that is remembered of a fitted run
 REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 
 
@@ -38,17 +35,13 @@ def require_separate(study: Study) -> None:
     Raises:
         ValueError: two runs share samples; the message names both.
     """
-    for ours, theirs in _uses(study):
-        index = _rows_by_content(ours)
-        for b in theirs:
-            for a, count in _find_shared(index, ours, b):
-                if not _are_blocks_of_one(a, b):
-                    raise ValueError(
-                        f"run {b.name} (use: {b.use}) and run {a.name} (use: {a.use}) share "
-                        f"{count} samples: they are one recording. Give both the same use, leave "
-                        f"one out, or declare them as blocks of one run with setup: "
-                        f"{{{BLOCK_OF}: NAME}}"
-                    )
+    for a, b, count in _shared_runs(study.runs, _may_share):
+        raise ValueError(
+            f"run {b.name} (use: {b.use}) and run {a.name} (use: {a.use}) share "
+            f"{count} samples: they are one recording. Give both the same use, leave "
+            f"one out, or declare them as blocks of one run with setup: "
+            f"{{{BLOCK_OF}: NAME}}"
+        )
 
 
 def shared_samples(a: Run, b: Run) -> int:
@@ -56,40 +49,49 @@ def shared_samples(a: Run, b: Run) -> int:
 
     Whole rows are compared, all channels to the last digit; missing channels equal each other.
     """
-    return max((count for _, count in _find_shared(_rows_by_content([a]), [a], b)), default=0)
+    return max((count for _, _, count in _shared_runs([a, b], lambda *_: False)), default=0)
+
+
+def _may_share(a: Run, b: Run) -> bool:
+    return a.use == b.use or _are_blocks_of_one(a, b)
+
+
+def _shared_runs(
+    runs: Sequence[Run], may_share: Callable[[Run, Run], bool]
+) -> Iterator[tuple[Run, Run, int]]:
+    """Pairs of runs with a stretch that was recorded once, and its length; runs to fit first."""
+    ordered = [run for use in ("fit", "select", "test") for run in runs if run.use == use]
+    longest: dict[tuple[int, int], Shared] = {}
+    for found in shared_stretches(
+        [run.measured for run in ordered], lambda a, b: may_share(ordered[a], ordered[b])
+    ):
+        pair = (found.first, found.second)
+        if pair not in longest or found.num_rows > longest[pair].num_rows:
+            longest[pair] = found
+    for (a, b), found in sorted(longest.items()):
+        if bits_of(ordered[b].measured[found.start : found.start + found.num_rows]) > SHARED_BITS:
+            yield ordered[a], ordered[b], found.num_rows
 
 
 def alike_channels(study: Study) -> list[tuple[Run, Run, list[str]]]:
     """Pairs of runs of different uses, with the channels of which both hold a stretch that was
     recorded once, such as the height in two frames of one recording."""
-    found: dict[tuple[str, str], list[str]] = {}
-    by_name = {run.name: run for run in study.runs}
+    found: dict[tuple[int, int], list[str]] = {}
+    runs = study.runs
     for c, channel in enumerate(study.channels):
-        for pair in _alike(study, c):
-            found.setdefault(pair, []).append(channel.name)
-    return [(by_name[a], by_name[b], names) for (a, b), names in found.items()]
-
-
-def _alike(study: Study, column: int) -> Iterator[tuple[str, str]]:
-    """Names of runs of different uses that share a stretch of one channel."""
-    places: dict[bytes, list[Place]] = {}
-    for k, run in enumerate(study.runs):
-        values = run.measured[:, column] + 0.0
-        for i in range(len(values) - STRETCH + 1):
-            part = values[i : i + STRETCH]
-            if len(set(part.tolist())) == STRETCH and np.isfinite(part).all():
-                places.setdefault(part.tobytes(), []).append((k, i))
-    shared: dict[tuple[int, int], set[int]] = {}
-    for alike in places.values():
-        for (a, _), (b, i) in combinations(alike, 2) if 1 < len(alike) <= COMMON else ():
-            if study.runs[a].use != study.runs[b].use and not _are_blocks_of_one(
-                study.runs[a], study.runs[b]
-            ):
-                shared.setdefault((a, b), set()).update(range(i, i + STRETCH))
-    for (a, b), rows in shared.items():
-        values = study.runs[b].measured[:, [column]]
-        if sum(_bits(values[part]) for part in _parts(sorted(rows))) > SHARED_BITS:
-            yield study.runs[a].name, study.runs[b].name
+        bits: dict[tuple[int, int], float] = {}
+        for one in shared_stretches(
+            [run.measured[:, [c]] for run in runs],
+            lambda a, b: _may_share(runs[a], runs[b]),
+            distinct=True,
+        ):
+            part = runs[one.second].measured[one.start : one.start + one.num_rows, [c]]
+            pair = (one.first, one.second)
+            bits[pair] = bits.get(pair, 0.0) + bits_of(part)
+        for pair, size in bits.items():
+            if size > SHARED_BITS:
+                found.setdefault(pair, []).append(channel.name)
+    return [(runs[a], runs[b], names) for (a, b), names in found.items()]
 
 
 def stretches_of(run: Run) -> dict[str, int]:
@@ -124,7 +126,7 @@ def shared_with(run: Run, known: Mapping[str, str]) -> tuple[str, int] | None:
     if not found:
         return None
     name = max(found, key=lambda n: len(found[n]))
-    bits = sum(_bits(run.measured[part]) for part in _parts(sorted(found[name])))
+    bits = sum(bits_of(run.measured[part]) for part in _parts(sorted(found[name])))
     return (name, len(found[name])) if bits > SHARED_BITS else None
 
 
@@ -166,41 +168,6 @@ def _uses(study: Study) -> Iterator[tuple[Sequence[Run], Sequence[Run]]]:
 def _are_blocks_of_one(a: Run, b: Run) -> bool:
     """Whether both runs are declared as blocks of one recording."""
     return BLOCK_OF in a.setup and a.setup[BLOCK_OF] == b.setup.get(BLOCK_OF)
-
-
-def _rows_by_content(runs: Sequence[Run]) -> dict[bytes, list[Place]]:
-    """Places of every row by its content, those left out that many samples have."""
-    out: dict[bytes, list[Place]] = {}
-    for k, run in enumerate(runs):
-        for i, row in enumerate(run.measured):
-            if np.isfinite(row).any():
-                out.setdefault(_key(row), []).append((k, i))
-    return {key: places for key, places in out.items() if len(places) <= COMMON}
-
-
-def _find_shared(
-    index: dict[bytes, list[Place]], runs: Sequence[Run], b: Run
-) -> Iterator[tuple[Run, int]]:
-    """Runs with a stretch of ``b`` that was recorded once, and its length."""
-    longest: dict[int, Place] = {}  # by run: length of the stretch and its end in b
-    running: dict[Place, int] = {}
-    for end, row in enumerate(b.measured):
-        # for each place: how many rows up to it were equal, too
-        running = {(k, i): running.get((k, i - 1), 0) + 1 for k, i in index.get(_key(row), ())}
-        for (k, _), count in running.items():
-            longest[k] = max(longest.get(k, (0, 0)), (count, end + 1))
-    for k, (count, end) in longest.items():
-        if _bits(b.measured[end - count : end]) > SHARED_BITS:
-            yield runs[k], count
-
-
-def _bits(rows: Array) -> float:
-    """Information in the changes from row to row: none in a constant or a steady ramp."""
-    steps = np.diff(rows, axis=0)
-    largest = np.nanmax(np.abs(steps), axis=0, initial=0.0)
-    steps = np.round(steps / np.where(largest > 0.0, largest, 1.0), 6)  # rounding is no change
-    counts = np.array(list(Counter(_key(d) for d in steps).values()), dtype=np.float64)
-    return float(-(counts * np.log2(counts / counts.sum())).sum())
 
 
 def _key(row: Array) -> bytes:

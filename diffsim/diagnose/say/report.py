@@ -148,7 +148,9 @@ class Report(Answer):
         left_out |= {"screened", "num_spikes", "num_misread", "bands"}
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")
-        plain = {name: getattr(self, name) for name in (*own, *more, "noise", "findings")}
+        first = ("headline", "verdict")  # before the tables: of a long file, lists read the head
+        names = (*first, *own, *more, "noise", "findings")
+        plain = {name: getattr(self, name) for name in names}
         for name in (
             "hypotheses",
             "table",

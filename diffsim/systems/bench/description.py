@@ -14,6 +14,7 @@ from diffsim.causes.catalogue import rows
 from diffsim.causes.plant import Plant
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
+from diffsim.core.fill_in import fill_in
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effect import Effect
@@ -46,7 +47,7 @@ class BenchDescription(FormulaKeys):
         """Mistakes in names, formulas and units, found without a simulation."""
         reader = Reader(study)
         self._read_model(study, reader)
-        return list(reader.problems)
+        return sorted(reader.problems, key=lambda p: p.severity == "note")
 
     def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
@@ -106,7 +107,7 @@ def _run_zero(study: Study, at: int, channel: Channel, scales: Scales) -> Effect
         partial(_shift_run, channel=at, places=places),
         scales.of_channels((channel.name,)),
         ending=f"_of_{spell_plainly(channel.name)}",
-        form=row.form.format(channel=channel.name),
+        form=fill_in(row.form, {"channel": channel.name}),
         family=f"{row.family}_of_{channel.name}",
         unit=channel.unit,
         shown_unit=None if channel.shown_formula else channel.shown_unit,

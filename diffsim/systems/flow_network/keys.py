@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from diffsim.core.schema import Part
+from diffsim.core.schema import FewCells2, Part
 from diffsim.core.schema_numbers import (
     KilogramsPerCubicMeter,
     Meters,
@@ -139,7 +139,7 @@ class PlaneKeys(Part):
         0.5, gt=0, le=1, description="Where on the inlet a second pressure is read, as a share"
     )
     size: tuple[Meters, Meters] = Field(description="Size of the box along x and y [m]")
-    cells: tuple[int, int] | None = Field(
+    cells: FewCells2 | None = Field(
         None, description="Grid cells along x and y; default: 6.8 across the narrowest channel"
     )
     depth: Meters = Field(gt=0, description="Out of the plane; plane flows times this are flows")
@@ -160,7 +160,7 @@ class ManifoldKeys(Part):
     size: tuple[Meters, Meters] = Field(description="Size of the box along x and y [m]")
     manifold: tuple[Meters, Meters] = Field(description="Lower and upper x of the manifold [m]")
     fillet: Meters = Field(gt=0, description="Blend that rounds the corners [m]")
-    cells: tuple[int, int] = Field((96, 72), description="Grid cells along x and y")
+    cells: FewCells2 = Field((96, 72), description="Grid cells along x and y")
     drive: Literal["flow", "pressure"] = Field("flow", description="What the commands prescribe")
     nominal_drive: float = Field(
         1e-4, gt=0, description="A usual level of the command [m^2/s or Pa]"

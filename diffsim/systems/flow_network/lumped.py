@@ -108,8 +108,8 @@ class LumpedScene(SteadyScene):
         # one Newton step more carries the gradients (implicit function theorem)
         y = y - torch.linalg.solve(slope.detach(), residual)
         readings = self.layout.readings
-        zeros = torch.stack([self.number(f"pressure_zero_{r.channel}") for r in readings])
-        shown = balance.read(y) * self.several("meter", len(readings)) + zeros
+        offsets = [self.numbers.get(f"pressure_zero_{r.channel}", _ZERO) for r in readings]
+        shown = balance.read(y) * self.several("meter", len(readings)) + torch.stack(offsets)
         return self.instruments.read_late(shown[level], self.grid)
 
 

@@ -41,10 +41,6 @@ class SteadyScene(Scene):
     rtol: float
     is_in_time: bool = False
 
-    def number(self, name: str) -> Tensor:
-        """A number of the scene; zero, where nothing has changed it."""
-        return self.numbers.get(name, _ZERO)
-
     def several(self, name: str, count: int) -> Tensor:
         """Numbers that are counted from one, such as ``meter_1``, (count,)."""
         each = [self.number(f"{name}_{i + 1}") for i in range(count)]

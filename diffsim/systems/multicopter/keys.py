@@ -219,7 +219,7 @@ class WindowKeys(Part):
     length: Seconds | None = Field(
         None, gt=0, description="Length [s]; default: 1 s, shorter where the model needs it"
     )
-    substeps: int = Field(2, ge=1, description="Integration steps per sample")
+    substeps: int = Field(2, ge=1, le=1_000, description="Integration steps per sample")
 
 
 class NuisanceKeys(Part):

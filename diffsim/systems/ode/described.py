@@ -9,9 +9,11 @@ from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from diffsim.causes.readings import PLAY_START, with_play_start
+from diffsim.causes.scene import Commands
 from diffsim.causes.signals import Grid, delayed, held_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run, Study
@@ -20,7 +22,7 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.gaps import Gap
-from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store, Swing
+from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
 from diffsim.systems.ode.names import data_values, facts_of, scalars
 from diffsim.systems.ode.network import TIME, Network
 from diffsim.systems.ode.pieces import Piece, start_name
@@ -58,7 +60,6 @@ class FormulaSystem:
 
     Attributes:
         keys: Keys that all systems of formulas share.
-        given: What drives the system.
         motion: States and what goes with them.
         study: Study with the recordings.
         held: Inputs, with whether they are held between samples.
@@ -78,7 +79,6 @@ class FormulaSystem:
     """
 
     keys: FormulaKeys
-    given: tuple[Input, ...]
     motion: DescribedMotion
     study: Study
     held: Mapping[str, bool]
@@ -110,7 +110,7 @@ class FormulaSystem:
     @cached_property
     def formulas(self) -> str:
         """What the model is made of, in text."""
-        return repr((self.keys, self.given, self.motion, self.parts, self.held))
+        return repr((self.keys, self.parts, self.held))
 
 
 def model_of(system: FormulaSystem) -> SimModel:
@@ -145,9 +145,9 @@ def _build_scene(
         run=run,
         network=system.network,
         grid=grid,
-        values=known,
+        numbers=known,
         starts=system.starts,
-        inputs={n: _evaluate_input(system, n, run, grid, known, values) for n in system.inputs},
+        commands=_evaluate_inputs(system, run, grid, known, values),
         channels=tuple(c.name for c in study.channels),
         ranges=keys.ranges,
         columns={
@@ -162,6 +162,21 @@ def _build_scene(
         places = tuple(scene.channels.index(c) for c in channels)
         scene = scene.with_clock(places, known[name])
     return scene
+
+
+def _evaluate_inputs(
+    system: FormulaSystem,
+    run: Run,
+    grid: Grid,
+    known: Mapping[str, Tensor],
+    values: Mapping[str, Tensor],
+) -> Commands:
+    """Inputs (..., num_inputs, num_times), with points in front where any of them has some."""
+    found = [_evaluate_input(system, n, run, grid, known, values) for n in system.inputs]
+    lead = np.broadcast_shapes(*(u.shape for u in found)) if found else (len(grid.times),)
+    none = torch.zeros(0, len(grid.times), dtype=torch.float64)
+    stacked = torch.stack([u.expand(lead) for u in found], -2) if found else none
+    return Commands.named(tuple(system.inputs), stacked)
 
 
 def _evaluate_input(

@@ -36,7 +36,7 @@ from diffsim.systems.ode.mends import PARTS
 from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
 from diffsim.systems.ode.reading import HELD, LONGEST, read_system
 from diffsim.systems.ode.refresh_effects import REFRESH, refresh_periods
-from diffsim.systems.ode.repeat import write_out
+from diffsim.systems.ode.repeat import MOST_REPEATS, write_out
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
 
@@ -58,7 +58,7 @@ class OdeDescription(FormulaKeys):
         "parameters, by the names of its arguments, that returns the rates by state. It is run, "
         "once, only where the command line says so: --setup FILE.py",
     )
-    repeat: dict[str, Annotated[int, Field(ge=1)]] = Field(
+    repeat: dict[str, Annotated[int, Field(ge=1, le=MOST_REPEATS)]] = Field(
         {},
         description="Entries of names with {k} in them are written once for all of a row: {k: 5} "
         "makes five, and in them {k}, {k-1}, {k+1} are numbers; a list has an item for each",
@@ -103,7 +103,7 @@ class OdeDescription(FormulaKeys):
             return [Problem("warning", f"{where_of(study)}.function", self._say_not_run())]
         reader = Reader(study)
         self._read_model(study, reader)
-        return [*reader.problems, *reader.notes]
+        return sorted(reader.problems, key=lambda p: p.severity == "note")
 
     def _say_not_run(self) -> str:
         file = str(self.function).partition(":")[0]

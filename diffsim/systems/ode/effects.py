@@ -1,35 +1,41 @@
-"""The candidate causes of a described system that moves, in their order."""
+"""What a described system that moves tells of itself, and its candidate causes in their order."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
-from diffsim.causes.plant import IN_TIME, Place, Plant
-from diffsim.causes.readings import pace, usual_sample
+from diffsim.causes.listing import list_causes
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Place, Plant, Store
+from diffsim.causes.readings import usual_sample
 from diffsim.causes.row import Row
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.ode.event_effects import event_effects
-from diffsim.systems.ode.input_effects import input_effects
+from diffsim.systems.ode.input_effects import (
+    between_samples,
+    come_slowly,
+    drift_in_order,
+    input_ways,
+)
 from diffsim.systems.ode.law_effects import law_effects
-from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.place_effects import magnitudes_at, place_effects, push_at
+from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
+from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_at
 from diffsim.systems.ode.refresh_effects import refresh_effects
-from diffsim.systems.ode.sensor_effects import sensor_effects
-from diffsim.systems.ode.store_effects import store_effects
+from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
+
+ODE = "ode"  # the kind of system, and its table
 
 
 def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect, ...]:
-    """Causes at places and stores, of inputs and of sensors, in time, of laws, and the user's own.
+    """Causes by rule, then those of clocks, in time, of laws, and the user's own.
 
     Args:
         library: Names and magnitudes of the system.
         periods: Period of each channel's own clock [s]; 0 where there is none.
     """
-    timed = (*input_effects(library), *sensor_effects(library))
     return (
-        *place_effects(library),
-        *store_effects(library),
-        *pace(timed, usual_sample(library.study.runs)),
+        *list_causes(plant_of(library)),
         *refresh_effects(library, periods),
         *event_effects(library),
         *law_effects(library),
@@ -45,17 +51,65 @@ def plant_of(library: Library) -> Plant:
     """
     system = library.system
     places = {place.name: (place, scale) for place, scale in library.places}
+    stores = {store.name: (store, scale) for store, scale in library.stores}
 
     def push(row: Row, name: str) -> Apply:
-        return push_at(library, *places[name], row, row.name)
+        return push_at(library, *places[name], row)
 
+    def flow(row: Row, name: str) -> Apply:
+        return flow_of(library, *stores[name], row, row.name.startswith(FLOWS_ON))
+
+    def inertia(place: str, name: str) -> Apply:
+        return add_inertia(library, places[place][0], name)
+
+    functions: dict[str, Any] = {
+        "extra_inertia": inertia,
+        "slow_share": come_slowly,
+        "held_between_samples": partial(between_samples, held=True),
+        "straight_between_samples": partial(between_samples, held=False),
+        "gain_drift": drift_in_order,
+    }
     return Plant(
-        kind="ode",
+        kind=ODE,
         scales=library.scales,
         channels=library.study.channels,
         commands={name: "held" if held else "straight" for name, held in system.held.items()},
+        ways=input_ways(library),
         numbers=tuple(system.base.quantities),
-        places={name: Place(magnitudes_at(scale)) for name, (_, scale) in places.items()},
-        facts={IN_TIME: True},
+        places=_list_places(library),
+        stores=_list_stores(library),
+        facts={
+            IN_TIME: True,
+            LATE_RECORD: library.scales.facts["begins_moving"] or not system.held,
+        },
+        functions=functions,
+        magnitudes={"runs": float(max(len({r.order for r in library.study.fit_runs}), 1))},
+        clocks=frozenset(system.clocks.values()),
+        sample_s=usual_sample(library.study.runs),
         push=push,
+        flow=flow,
     )
+
+
+def _list_places(library: Library) -> dict[str, Place]:
+    found = {}
+    for place, scale in library.places:
+        is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
+        found[place.name] = Place(
+            magnitudes_at(scale),
+            # where a force is stated, other rates hold the inertia, too
+            ("distance", "speed", *(("inertia",) if place.force is None else ())),
+            place.unit,
+            place.position_unit,
+            "" if is_plain else f"_at_{place.name}",
+        )
+    return found
+
+
+def _list_stores(library: Library) -> dict[str, Store]:
+    found = {}
+    for store, scale in library.stores:
+        is_named = len(library.stores) > 1 or store.unit != "-"
+        usual = {"flow": SHARE_OF_USUAL * scale.rate, "level": scale.level}
+        found[store.name] = Store(usual, store.unit, f"_of_{store.name}" if is_named else "")
+    return found

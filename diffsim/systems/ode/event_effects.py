@@ -214,7 +214,7 @@ def _apply_event(
         return scene
     times = scene.grid.times
     edge = float(times.diff().median())
-    timing = {timing: scene.values[name] for timing, name in names.items()}
+    timing = {timing: scene.numbers[name] for timing, name in names.items()}
     return add(scene, size[..., :1] * shape_of(form, times, timing, edge))
 
 

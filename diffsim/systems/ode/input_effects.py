@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import torch
 from torch import Tensor
 
-from diffsim.causes.catalogue import rows
-from diffsim.causes.commands import CommandGroup, command_causes
+from diffsim.causes.commands import CommandGroup
+from diffsim.causes.readings import usual_sample
 from diffsim.causes.signals import Grid
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect, needs_nothing
+from diffsim.identify.effect import Apply
 from diffsim.systems.ode.applying import by_formulas, symbol
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
@@ -23,54 +22,39 @@ from diffsim.systems.ode.scene import OdeScene
 _INSTANT = 1e-12  # s: shorter than any step
 
 
-def input_effects(library: Library) -> tuple[Effect, ...]:
-    """Causes on the way of every input, each for itself where there are several."""
-    out: list[Effect] = []
-    for name in library.system.held:
-        ending = "" if len(library.system.held) == 1 else f"_of_{name}"
-        out += _list_causes(library, name, ending)
-        out.append(_make_gain_drift(name, ending, len({r.order for r in library.study.fit_runs})))
-    return tuple(out)
-
-
-def group_of(library: Library, name: str, ending: str = "") -> CommandGroup:
-    """An input as causes of commands see it.
+def input_ways(library: Library) -> tuple[CommandGroup, ...]:
+    """Every input by itself, as causes of commands see it.
 
     Args:
         library: Names and magnitudes of the system.
-        name: Name of the input.
-        ending: What names of its causes end with.
     """
+    system, several = library.system, len(library.system.held) > 1
     units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
-    unit, shown = units.get(name, (None, None))
-    return CommandGroup(
-        (name,),
-        library.scales.of_commands((name,)),
-        "held" if library.system.held[name] else "straight",
-        library.scales.is_one_sided((name,)),
-        ending,
-        unit,
-        shown,
+    return tuple(
+        CommandGroup(
+            (name,),
+            library.scales.of_commands((name,)),
+            "held" if held else "straight",
+            library.scales.is_one_sided((name,)),
+            f"_of_{name}" if several else "",
+            *units.get(name, (None, None)),
+            facts=("unsure",) * (name in system.unsure) + ("assumed",) * (name in system.assumed),
+            sample_s=usual_sample(library.study.runs),
+        )
+        for name, held in system.held.items()
     )
 
 
-def _list_causes(library: Library, name: str, ending: str) -> list[Effect]:
-    found = [
-        # what a study must have is checked where the input is read
-        effect if effect.name == f"quantization{ending}" else replace(effect, needs=needs_nothing)
-        for effect in command_causes(group_of(library, name, ending), system="ode")
-    ]
-    found.append(_make_slow_share(name, ending))
-    # after all that changes the input on its way, which it is a copy of
-    if name in library.system.unsure:
-        return [*found, _make_between(f"held_between_samples{ending}", name, held=True)]
-    if name in library.system.assumed:
-        return [*found, _make_between(f"straight_between_samples{ending}", name, held=False)]
-    return found
+def between_samples(name: str, own: str, *, held: bool) -> Apply:
+    """What an input does between samples, other than the model says.
 
+    It comes after all that changes the input on its way, which it is a copy of.
 
-def _make_between(own: str, name: str, *, held: bool) -> Effect:
-    """What an input does between samples, other than the model says."""
+    Args:
+        name: Name of the input.
+        own: Name of the effect.
+        held: Whether it is held, in place of going straight.
+    """
     other = f"{name} {'held' if held else 'straight'}"
     parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
     total = filled(parse_expression("u + size*(other - u)"), parts)
@@ -79,7 +63,7 @@ def _make_between(own: str, name: str, *, held: bool) -> Effect:
         inputs=() if held else (other,),
         held_inputs=(other,) if held else (),
     )
-    apply = partial(
+    return partial(
         _replace_input,
         name=name,
         other=other,
@@ -87,8 +71,6 @@ def _make_between(own: str, name: str, *, held: bool) -> Effect:
         symbol=symbol(own),
         between=_hold_input if held else _join_samples,
     )
-    row = rows("ode")["held_between_samples" if held else "straight_between_samples"]
-    return row.effect(apply, name=own)
 
 
 def _replace_input(
@@ -121,8 +103,13 @@ def _join_samples(u: Tensor, grid: Grid) -> Tensor:
     return u[..., low] + (grid.times - grid.times[low]) / step * (u[..., high] - u[..., low])
 
 
-def _make_slow_share(name: str, ending: str) -> Effect:
-    own = "slow_share" + ending
+def come_slowly(name: str, own: str) -> Apply:
+    """A share of an input comes within the slow time.
+
+    Args:
+        name: Name of the input.
+        own: Name of the effect.
+    """
     state = f"slow state of {own}"
     parts = {"u": named(name), "z": named(state), "size": named(symbol(own))}
     change = Change(
@@ -132,13 +119,16 @@ def _make_slow_share(name: str, ending: str) -> Effect:
         },
         starts={state: named(name)},
     )
-    return rows("ode")["slow_share"].effect(by_formulas(change, symbol(own)), ending=ending)
+    return by_formulas(change, symbol(own))
 
 
-def _make_gain_drift(name: str, ending: str, num_runs: int) -> Effect:
-    own = "gain_drift" + ending
+def drift_in_order(name: str, own: str) -> Apply:
+    """An input does more from run to run.
+
+    Args:
+        name: Name of the input.
+        own: Name of the effect.
+    """
     parts = {"u": named(name), "size": named(symbol(own)), "n": named("run_order")}
     change = Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)})
-    scales = {"runs": float(max(num_runs, 1))}
-    row = rows("ode")["gain_drift"]
-    return row.effect(by_formulas(change, symbol(own)), scales, ending=ending)
+    return by_formulas(change, symbol(own))

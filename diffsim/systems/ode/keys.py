@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from diffsim.causes.own import OwnRow
-from diffsim.causes.row import SizeWords
+from diffsim.causes.row import Names, SizeWords
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
@@ -185,7 +185,10 @@ class Events(Part):
         FORMS, description="Forms that it may have: train is pulses in equal distances"
     )
     knots: int = Field(
-        300, ge=20, description="Knots of the free force in the longest run, from which it is read"
+        300,
+        ge=20,
+        le=10_000,
+        description="Knots of the free force in the longest run, from which it is read",
     )
 
 
@@ -229,6 +232,14 @@ class OwnState(Part):
     start: Formula = Field("0", description="Its start value")
 
 
+#: Keys of causes by formulas before 1.1: the one of today, and whether it says the opposite.
+OLD_KEYS = {
+    "signed": ("one_sided", True),
+    "smooth": ("kink", True),
+    "also_looks_like": ("like", False),
+}
+
+
 class OwnEffect(Part):
     """A cause of your own; in its formulas ``size`` is what is fitted, 0 in the plain model."""
 
@@ -255,8 +266,8 @@ class OwnEffect(Part):
     )
     unit: str = Field("-", description="Unit of the size")
     typical: float = Field(gt=0, description="Size that would be no surprise")
-    signed: bool = Field(True, description="Whether the size may be negative")
-    smooth: bool = Field(True, description="False where the response has a kink at size 0")
+    one_sided: bool = Field(False, description="Whether the size is never below zero")
+    kink: bool = Field(False, description="Whether the response has a kink at size 0")
     scanned: bool = Field(
         False, description="Whether the typical size, up and down, is tried before a fit from zero"
     )
@@ -270,8 +281,26 @@ class OwnEffect(Part):
         description="What people call it at a size: `rotor 3 lost {:.0%} of its thrust`, where {} "
         "stands for the size, {:.0%} for the size in percent",
     )
-    also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
+    like: Names = Field((), description="What data may not tell from it")
     price: float = Field(0.0, ge=0, description="Nats that its choice among other formulas costs")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_old_keys(cls, given: Any) -> Any:
+        """Keys of before 1.1, when causes by formulas had other words than those by rows."""
+        if not isinstance(given, Mapping):
+            return given
+        read = dict(given)
+        for old, (new, is_opposite) in OLD_KEYS.items():
+            if old not in read:
+                continue
+            if new in read:
+                raise ValueError(f"{old} is the old name of {new}; give {new} alone")
+            value = read.pop(old)
+            if is_opposite and not isinstance(value, bool):
+                raise ValueError(f"{old} must be true or false, got {value!r}")
+            read[new] = not value if is_opposite else value
+        return read
 
     @model_validator(mode="after")
     def _check_one_way(self) -> OwnEffect:

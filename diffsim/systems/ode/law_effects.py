@@ -11,6 +11,7 @@ from torch import Tensor
 from diffsim.causes.catalogue import rows
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.fill_in import fill_in
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
@@ -90,7 +91,7 @@ def _bend(library: Library, law: Law, row: Row, other: Law | None = None) -> Eff
     if other is None:
         name, said = f"{row.name}_of_{law.name}", row.form
     else:
-        name, said = f"part_of_{other.name}_in_{law.name}", row.form.format(other=other.name)
+        name, said = f"part_of_{other.name}_in_{law.name}", fill_in(row.form, {"other": other.name})
     parts = _list_letters(library, law, name, other)
     formula = parse_expression(row.said("law"), (*parts, *system.known))
     further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
@@ -158,7 +159,7 @@ class _BentLaw:
     def __call__(self, scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
         signals = {name: self._fill_signal(name, scene) for name in self.further}
         scene = self.plain(scene, size, run)
-        return replace(scene, inputs={**scene.inputs, **signals})
+        return scene.changed(further={**scene.further, **signals})
 
     def _fill_signal(self, name: str, scene: OdeScene) -> Tensor:
         """Share of the run; 1 where x rises, -1 where it falls; or that, fading to both ends."""

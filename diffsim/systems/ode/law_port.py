@@ -278,7 +278,7 @@ class OdeLaws:
         drives = {**scene.columns, **scene.inputs}
         values |= {n: drives[p].detach() for n, p in zip(ode.inputs, solver.inputs, strict=True)}
         for name, plain in zip(ode.parameters, solver.parameters, strict=True):
-            values[name] = unit if plain == probe else scene.values[plain].detach()
+            values[name] = unit if plain == probe else scene.numbers[plain].detach()
         formulas = (
             [ode.rates[s] for s in self._driven_states],
             [ode.readings[c.name] for c in self.study.channels],
@@ -397,7 +397,7 @@ class OdeLaws:
             "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
             "typical": law.typical,
             "unit": law.unit,
-            "signed": law.signed,
+            "one_sided": not law.signed,
             "scanned": True,
             "family": "law",
             "price": law.price,

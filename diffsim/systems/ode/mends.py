@@ -70,10 +70,11 @@ def _divide_steps(system: FormulaSystem, reader: Reader) -> FormulaSystem:
     parts = _once(system, ("parts", runs), partial(_count_parts, model_of(system), runs))
     system = replace(system, parts=parts)
     if parts > 1:
-        reader.note(
+        reader.report(
             "time_step",
             f"the equations are too fast for one step per sample: {parts} are taken; "
             f"state `time_step` [s] to choose, such as {system.step:.2g}",
+            "note",
         )
     return system
 

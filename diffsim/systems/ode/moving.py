@@ -60,7 +60,7 @@ def check_motion(
         reader.parse(f"stores[{i}].area", store.area, known)
     for i, events in enumerate(motion.events):
         if not runs_of(events, reader.study):
-            reader.warn(f"events[{i}].where", "no run has these facts")
+            reader.report(f"events[{i}].where", "no run has these facts", "warning")
 
 
 def _list_references(

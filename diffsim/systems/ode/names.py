@@ -120,20 +120,12 @@ class Reader:
     """
 
     def __init__(self, study: Study):
-        self.study, self.problems = study, []  # type: ignore[var-annotated]
-        self.notes: list[Problem] = []
+        self.study = study
+        self.problems: list[Problem] = []
 
-    def report(self, key: str, message: str) -> None:
-        """Add a mistake at a key such as "rates.v"."""
-        self.problems.append(Problem("error", f"{where_of(self.study)}.{key}", message))
-
-    def warn(self, key: str, message: str) -> None:
-        """Add what may be meant, but rather is a mistake."""
-        self.problems.append(Problem("warning", f"{where_of(self.study)}.{key}", message))
-
-    def note(self, key: str, message: str) -> None:
-        """Add what was taken for granted, which is no mistake."""
-        self.notes.append(Problem("note", f"{where_of(self.study)}.{key}", message))
+    def report(self, key: str, message: str, severity: str = "error") -> None:
+        """Add a mistake at a key such as "rates.v", or what was taken for granted ("note")."""
+        self.problems.append(Problem(severity, f"{where_of(self.study)}.{key}", message))
 
     def parse(self, key: str, text: str, known: Iterable[str]) -> Expression:
         """The formula; that of zero where it is mistaken."""

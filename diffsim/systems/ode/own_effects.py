@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from diffsim.causes.row import with_size
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.applying import RunGroups, by_formulas_in, symbol
-from diffsim.systems.ode.keys import OwnEffect
+from diffsim.systems.ode.keys import OLD_KEYS, OwnEffect
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import READING, Change, filled, named
 from diffsim.systems.ode.scene import at_start
@@ -31,6 +36,11 @@ def own_effect(
         reader: Receives the mistakes.
     """
     reader.require_per(where, block.per)
+    stated = _stated_block(study, block.name)
+    for old, (new, is_opposite) in OLD_KEYS.items():
+        if old in stated:
+            said = f"{new}: {str(not stated[old]).lower()}" if is_opposite else new
+            reader.report(f"{where}.{old}", f"is read as {said}, as rows have it", "note")
     groups = RunGroups.of(block.per, study)
     return Effect(
         name=block.name,
@@ -39,18 +49,24 @@ def own_effect(
         kind=block.kind,
         unit=block.unit,
         typical=block.typical,
-        signed=block.signed,
-        smooth=block.smooth,
+        signed=not block.one_sided,
+        smooth=not block.kink,
         scanned=block.scanned,
         tries=(-1.0, 1.0) if block.scanned else (),
-        also_looks_like=block.also_looks_like,
+        also_looks_like=block.like,
         price=block.price,
-        words=None if block.words is None else block.words.format,
+        words=None if block.words is None else partial(with_size, block.words),
         components=groups.components,
         apply=by_formulas_in(
             _make_change(where, block, study, known, states, reader), symbol(block.name), groups
         ),
     )
+
+
+def _stated_block(study: Study, name: str) -> Mapping[str, Any]:
+    """The block as the study has it."""
+    effects = (study.model or {}).get("effects") or {}
+    return next((b for b in effects.get("own") or () if b.get("name") == name), {})
 
 
 def _say_form(block: OwnEffect) -> str:

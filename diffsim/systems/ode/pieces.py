@@ -31,6 +31,7 @@ GROWTH = 5.0  # times that two starts part, beyond which a piece must not go on
 NEAR = 0.01  # of a state's usual motion: how far starts are moved
 BENT = 0.2  # of half the distance: how far the mean of two paths may leave the one between
 STRAIGHT = 1e-3  # of the distance of two starts, likewise: a linear system
+MANY = 8  # states, from which on they are moved together
 FEWEST = 8  # samples of a piece
 SEEN = 32  # samples that tell the start of a piece
 PLACES = 8  # of a piece from which the model is asked
@@ -131,9 +132,8 @@ class _Cutter:
 
     def cut(self, start: Array) -> tuple[Piece, ...]:
         """Pieces after the first one, which begins with ``start``."""
-        whole = self._part(start, 0)
-        if bool((whole.bend <= STRAIGHT * 2.0 * NEAR).all()):
-            return ()  # a straight image of its start, as runs of linear systems are
+        if self._is_straight(start):
+            return ()
         out: list[Piece] = []
         first = 0
         while len(out) < MOST:
@@ -147,6 +147,21 @@ class _Cutter:
             begun, wide = (dict(zip(self.names, v.tolist(), strict=True)) for v in (start, sd))
             out.append(Piece(float(self.run.time_s[first]), begun, wide, end.parting))
         return tuple(out)
+
+    def _is_straight(self, start: Array) -> bool:
+        """Whether the run is a straight image of its start, as those of linear systems are.
+
+        Of many states all are moved at once, twice: a path for each takes more than the answer.
+        """
+        if len(start) <= MANY:
+            return bool((self._part(start, 0).bend <= STRAIGHT * 2.0 * NEAR).all())
+        signs = np.where(np.arange(len(start)) % 2 == 0, 1.0, -1.0)
+        ways = NEAR * self.usual.states * np.stack([np.ones(len(start)), signs])
+        points = np.concatenate([start[None], start + ways, start - ways])
+        states = _simulate(self.scene, points, 0, self.last)[1] / self.usual.states
+        middle, sides = states[0], zip(states[1:3], states[3:], strict=True)
+        bends = [above + below - 2.0 * middle for above, below in sides]
+        return all(bool((np.linalg.norm(b, axis=-1) <= STRAIGHT * 2.0 * NEAR).all()) for b in bends)
 
     def _part(self, start: Array, first: int) -> _Parting:
         """Starts moved along each state, to either side, and what becomes of them."""

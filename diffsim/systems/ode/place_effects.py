@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from diffsim.causes.catalogue import rows
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.identify.effect import Apply, Effect
+from diffsim.identify.effect import Apply
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, entering, symbol
 from diffsim.systems.ode.keys import Place
@@ -19,20 +18,6 @@ STICK = 0.01  # of the usual velocity: below it dry friction fades
 STRIBECK = 0.2  # of the usual velocity: where friction has fallen to that of sliding
 STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
 STOP_LIMIT = 2.0  # inertias per square of a step: what an explicit step follows on a stiffer stop
-
-
-def place_effects(library: Library) -> tuple[Effect, ...]:
-    """Forces and inertias at every place of a system."""
-    out = []
-    for place, scale in library.places:
-        is_plain = (place.unit, place.position_unit) == ("N", "m")
-        ending = "" if is_plain and len(library.places) == 1 else f"_at_{place.name}"
-        for row in rows("force").values():
-            if row.at == "force":
-                out.append(_add_force(library, place, scale, row, ending))
-            elif place.force is None:  # else other rates hold the inertia, too
-                out.append(_add_inertia(library, place, scale, row, ending))
-    return tuple(out)
 
 
 def magnitudes_at(scale: PlaceScale) -> dict[str, float]:
@@ -115,26 +100,16 @@ def _list_letters(
     }
 
 
-def _add_force(library: Library, place: Place, scale: PlaceScale, row: Row, ending: str) -> Effect:
-    return row.effect(
-        push_at(library, place, scale, row, row.name + ending),
-        magnitudes_at(scale),
-        system="ode",
-        ending=ending,
-        unit=_convert_unit(place, row.unit),
-    )
-
-
-def push_at(library: Library, place: Place, scale: PlaceScale, row: Row, name: str) -> Apply:
+def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Apply:
     """How a force at a place enters the formulas.
 
     Args:
         library: Names and magnitudes of the system.
         place: Where it acts.
         scale: Usual magnitudes there.
-        row: Cause with ``at: force``.
-        name: Name of the effect.
+        row: Cause with ``at: force``, of the effect's name.
     """
+    name = row.name
     parts = _list_letters(library, place, scale, name)
     slow = f"slow state of {name}"
     letters = parse_expression(row.said("law", "ode"), parts)
@@ -147,10 +122,14 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row, name: s
     return by_formulas(change, symbol(name))
 
 
-def _add_inertia(
-    library: Library, place: Place, scale: PlaceScale, row: Row, ending: str
-) -> Effect:
-    name = row.name + ending
+def add_inertia(library: Library, place: Place, name: str) -> Apply:
+    """How a larger inertia at a place enters the formulas.
+
+    Args:
+        library: Names and magnitudes of the system.
+        place: Where it moves.
+        name: Name of the effect.
+    """
     factor = filled(
         parse_expression("inertia/max(inertia + size, 0.05*inertia)"),
         {
@@ -158,16 +137,4 @@ def _add_inertia(
             "size": named(symbol(name)),
         },
     )
-    return row.effect(
-        by_formulas(Change(factors={place.velocity: factor}), symbol(name)),
-        magnitudes_at(scale),
-        ending=ending,
-        unit="kg" if not ending or place.unit == "N" else _convert_unit(place, row.unit),
-    )
-
-
-def _convert_unit(place: Place, pattern: str) -> str:
-    """ "F s/X" -> "N s/m"."""
-    if place.position_unit == "-":
-        pattern = pattern.split("/X")[0].replace("X", "-")
-    return pattern.replace("F", place.unit).replace("X", place.position_unit)
+    return by_formulas(Change(factors={place.velocity: factor}), symbol(name))

@@ -96,7 +96,6 @@ def read_system(
         reader.require_per(f"laws[{i}]", law.per)
     system = FormulaSystem(
         keys=keys,
-        given=given,
         motion=motion,
         study=study,
         held=held,
@@ -138,11 +137,12 @@ def _find_held_inputs(
         elif given.held is None and looks_held(study.runs, commands):
             out[given.name] = True
             cause = "; straight_between_samples is a cause, as some runs do not show it"
-            reader.note(
+            reader.report(
                 f"inputs[{i}].held",
                 f"{' and '.join(commands)} rests and jumps, so {given.name} is held between "
                 "samples; give `held: false` for straight lines"
                 + (cause if given.name in moving else ""),
+                "note",
             )
     return out
 

@@ -14,6 +14,7 @@ from typing import Any
 from diffsim.core.check import did_you_mean
 
 SECTIONS = ("states", "rates", "parameters", "define", "tables", "readings", "ranges", "limits")
+MOST_REPEATS = 200  # of an entry: its formulas are read and compiled one by one
 _INDEX = re.compile(r"\{\s*([A-Za-z_]\w*)\s*([+-]\s*\d+)?\s*\}")
 
 
@@ -27,8 +28,12 @@ def write_out(given: Any) -> Any:
         return given
     counts = {str(name): count for name, count in given["repeat"].items()}
     for name, count in counts.items():
-        if not name.isidentifier() or not isinstance(count, int) or count < 1:
-            raise ValueError(f"repeat.{name} must be a name with a number above 0, got {count!r}")
+        is_count = isinstance(count, int) and 1 <= count <= MOST_REPEATS
+        if not name.isidentifier() or not is_count:
+            raise ValueError(
+                f"repeat.{name} must be a name with a number from 1 to {MOST_REPEATS}, got "
+                f"{count!r}"
+            )
     return {
         key: _write_section(f"{key}", entries, counts)
         if key in SECTIONS and isinstance(entries, Mapping)

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.readings import PLAY_START
-from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
+from diffsim.causes.scene import Scene
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
 from diffsim.ode import Ode
 from diffsim.systems.ode.network import TIME, Change, Network
 
 
-@dataclass(frozen=True, eq=False)
-class OdeScene:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OdeScene(Scene):
     """States start, inputs drive, formulas are integrated, readings come out.
+
+    Its grid has the times of the integrator. Its numbers are parameters, facts and sizes of
+    effects; its commands are the inputs.
 
     Attributes:
         run: Recorded run.
         network: Formulas.
-        grid: Times of the integrator.
-        values: Parameters, facts and sizes of effects by name, () or (K,) each.
-        starts: Start value of every state, formulas of the values.
-        inputs: Inputs by name, (num_times,) or (K, num_times).
+        starts: Start value of every state, formulas of the numbers.
+        further: Inputs that effects have added by name, (num_times,) or (K, num_times).
         changes: What effects have changed in the formulas.
-        readers: What effects do to channels, by their indices.
         channels: Names of the channels in order.
         ranges: Least and largest value that the sensor of a channel can show, by channel.
         columns: What was recorded beside commands and channels, by name, (num_times,).
@@ -39,64 +39,37 @@ class OdeScene:
 
     run: Run
     network: Network
-    grid: Grid
-    values: Mapping[str, Tensor]
     starts: Mapping[str, Expression]
-    inputs: Mapping[str, Tensor]
+    further: Mapping[str, Tensor] = field(default_factory=dict)
     changes: tuple[Change, ...] = ()
-    readers: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     columns: Mapping[str, Tensor] = field(default_factory=dict)
     restarts: tuple[tuple[float, Mapping[str, Tensor]], ...] = ()
 
+    @cached_property
+    def inputs(self) -> Mapping[str, Tensor]:
+        """Inputs as they drive the system by name, (num_times,) or (K, num_times)."""
+        heard = self.commands.each_heard(self.grid)
+        return {**dict(zip(self.commands.rows, heard, strict=True)), **self.further}
+
     def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
         """A copy with other formulas; ``sizes`` are values of the symbols in them."""
-        return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
-
-    @property
-    def play_start(self) -> Tensor | None:
-        """Where in a play the run starts, -1 to 1; None: not known to the model."""
-        return self.values.get(PLAY_START)
-
-    def with_command(self, names: tuple[str, ...], change: SignalMap) -> OdeScene:
-        """A copy in which inputs are f(inputs (..., width, num_times), grid).
-
-        Args:
-            names: Names of the inputs; empty: all.
-            change: The function.
-        """
-        changed = {
-            name: change(self.inputs[name][..., None, :], self.grid)[..., 0, :]
-            for name in names or self.inputs
-        }
-        return replace(self, inputs={**self.inputs, **changed})
-
-    def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> OdeScene:
-        """A copy in which a value is f(value)."""
-        return replace(self, values={**self.values, name: change(self.values[name])})
+        numbers = {**self.numbers, **sizes}
+        return self.changed(changes=(*self.changes, change), numbers=numbers)
 
     def with_further_input(
         self, name: str, values: Tensor, change: Change, sizes: Mapping[str, Tensor] | None = None
     ) -> OdeScene:
         """A copy with one more input (..., num_times), which ``change`` puts into formulas."""
-        scene = replace(self, inputs={**self.inputs, name: values})
+        scene = self.changed(further={**self.further, name: values})
         return scene.with_change(change, sizes or {})
-
-    def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> OdeScene:
-        """A copy in which channels are f(channels (..., width, num_times), grid)."""
-        return replace(self, readers=(*self.readers, (channels, change)))
-
-    def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> OdeScene:
-        """A copy in which channels show what was ``delay``, () or (K,), ago [s]."""
-        late = delay[..., None]
-        return self.with_reading(channels, lambda y, grid: smoothly_delayed(y, grid, late))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""
         readings = self._order_channels(self.solved()[0])
-        for channels, change in self.readers:
-            readings = change_rows(readings.mT, channels, change, self.grid).mT.contiguous()
+        if not self.instruments.is_empty:
+            readings = self.instruments.read_in_order(readings, self.grid).contiguous()
         readings = self._end_sensors(readings)
         if readings.shape[-2] == len(self.grid.samples):
             return readings
@@ -146,7 +119,7 @@ class OdeScene:
         solver = network.solver(self.changes)
         states = list(solver.ode.rates)
         starts = self._stack_starts(states, solver.starts)
-        parameters = [self.values[n] for n in solver.parameters]
+        parameters = [self.numbers[n] for n in solver.parameters]
         inputs = [self.inputs[n] if n in self.inputs else self.columns[n] for n in solver.inputs]
         restarts = [v for _, values in self.restarts for v in values.values()]
         lead = np.broadcast_shapes(
@@ -196,7 +169,7 @@ class OdeScene:
     ) -> list[Tensor]:
         """Start values: those of the system, then those of states that effects have added."""
         first = {n: u[..., 0] for n, u in self.inputs.items()}
-        known = {**self.values, **first, TIME: self.grid.times[0]}
+        known = {**self.numbers, **first, TIME: self.grid.times[0]}
         out = {s: formula(known) for s, formula in self.starts.items()}
         known |= {at_start(s): value for s, value in out.items()}
         zero = torch.zeros((), dtype=torch.float64)

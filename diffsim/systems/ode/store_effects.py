@@ -4,42 +4,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.causes.catalogue import rows
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Apply
 from diffsim.systems.ode.applying import by_formulas, symbol
 from diffsim.systems.ode.keys import Store
-from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, StoreScale
+from diffsim.systems.ode.library import Library, StoreScale
 from diffsim.systems.ode.network import Change, filled, named
 
 SPILL_TIME_SHARE = 0.01  # of the time in which the usual rate fills the usual level
 ROUND = 1e-3  # of the usual level: where the root is straightened
-FLOWS_ON = ("root_outflow", "overflow")  # what the next store gains
+OVERFLOW = "overflow"
+FLOWS_ON = ("root_outflow", OVERFLOW)  # what the next store gains
 
 
-def store_effects(library: Library) -> tuple[Effect, ...]:
-    """Flows into and out of every store of a system."""
-    out = []
-    for store, scale in library.stores:
-        ending = f"_of_{store.name}" if len(library.stores) > 1 or store.unit != "-" else ""
-        out += [_add_flow(library, store, scale, row, ending) for row in rows("store").values()]
-    return tuple(out)
+def flow_of(library: Library, store: Store, scale: StoreScale, row: Row, flows_on: bool) -> Apply:
+    """How what a store gains enters the formulas.
 
-
-def _add_flow(library: Library, store: Store, scale: StoreScale, row: Row, ending: str) -> Effect:
-    name = row.name + ending
+    Args:
+        library: Names and magnitudes of the system.
+        store: What fills and empties.
+        scale: Its usual magnitudes.
+        row: Cause with ``at: store``, of the effect's name.
+        flows_on: Whether the next store gains it.
+    """
     share = None
-    if row.name == "overflow" and store.spill_share is not None:
+    if row.name.startswith(OVERFLOW) and store.spill_share is not None:
         share = named(spilled(store))
-    gain = filled(parse_expression(row.said("law")), _list_letters(library, store, scale, name))
-    rates = _move_content(library, store, gain, row.name in FLOWS_ON, share)
-    unit = row.unit.replace("X", store.unit)
-    if store.unit == "-":
-        unit = {"X/s": "1/s", "(X)^0.5/s": "1/s"}.get(row.unit, unit)
-    scales = {"flow": SHARE_OF_USUAL * scale.rate, "level": scale.level}
-    apply = by_formulas(Change(rates=rates), symbol(name))
-    return row.effect(apply, scales, ending=ending, unit=unit, masks=row.said("masks"))
+    gain = filled(parse_expression(row.said("law")), _list_letters(library, store, scale, row.name))
+    rates = _move_content(library, store, gain, flows_on, share)
+    return by_formulas(Change(rates=rates), symbol(row.name))
 
 
 def _list_letters(

@@ -132,7 +132,7 @@ class OutsideDescription(Description):
     environment: EnvironmentKeys = Field(
         EnvironmentKeys(), description="How a simulator with reset and step is read"
     )
-    workers: int = Field(1, ge=1, description="Processes that simulate side by side")
+    workers: int = Field(1, ge=1, le=256, description="Processes that simulate side by side")
 
     @model_validator(mode="after")
     def _check_names_once(self) -> OutsideDescription:

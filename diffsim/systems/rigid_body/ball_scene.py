@@ -16,32 +16,6 @@ from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
 from diffsim.systems.rigid_body.camera import projected
 from diffsim.systems.rigid_body.on_ground import Ball, Laws
 
-#: What effects change, with its value in the plain model.
-PLAIN = {
-    "table_friction": 0.0,
-    "rolling_resistance": 0.0,
-    "tilt_x": 0.0,
-    "tilt_y": 0.0,
-    "air_drag": 0.0,
-    "inertia": 0.0,
-    "ball_friction": 0.0,
-    "mass_ratio": 0.0,
-    "hop": 0.0,
-    "contact_time": 0.0,
-    "lift": 0.0,
-    "ground_height": 0.0,
-    "restitution_slope": 0.0,
-    "rebound": 0.0,
-    "length_scale": 0.0,
-    "radial": 0.0,
-    "center_u": 0.0,
-    "center_v": 0.0,
-    "clock_scale": 0.0,
-    "readout": 0.0,
-    "merge": 0.0,
-    "lit_u": 0.0,
-    "lit_v": 0.0,
-}
 MERGE_LENGTH = 0.004  # [m] gap over which two regions stop touching
 
 
@@ -129,7 +103,7 @@ class BallPaths:
 class BallScene(Scene):
     """One run of the balls, or the points clicked in the camera's picture.
 
-    Its numbers are quantities, start of the balls, camera, and ``PLAIN``.
+    Its numbers are quantities, start of the balls, camera, and what causes add to.
 
     Attributes:
         stage: What all runs have in common.

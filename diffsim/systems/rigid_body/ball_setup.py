@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,20 +13,20 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from diffsim.causes.instruments import grid_at
-from diffsim.causes.scales import Scales
+from diffsim.causes.listing import numbers_added
 from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
 from diffsim.data.study import TIMELESS, Channel, Run, Study
+from diffsim.data.study_check import Problem
 from diffsim.data.table import read_numbers
 from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.rigid_body import causes
-from diffsim.systems.rigid_body.ball_figure import measured, simulated
 from diffsim.systems.rigid_body.ball_scene import (
-    PLAIN,
     BallBody,
     BallScene,
     BallStage,
@@ -35,7 +35,9 @@ from diffsim.systems.rigid_body.ball_scene import (
 )
 from diffsim.systems.rigid_body.ball_starts import SPIN_SD, BallStarts
 from diffsim.systems.rigid_body.camera import in_free_flight, on_plane, plain_camera
+from diffsim.systems.rigid_body.figure import balls_measured, balls_simulated
 from diffsim.systems.rigid_body.parts import GROUND, Body, Camera, Contact, Measure, Starts
+from diffsim.systems.rigid_body.parts import Points as PointKeys
 from diffsim.systems.rigid_body.tossing import UP
 
 Array = NDArray[np.float64]
@@ -43,6 +45,8 @@ CLICKS = "calibration_points"
 CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
 FOCAL_SD, SHIFT_SD = 0.15, 0.1
 SOLID = 0.4
+STEP = 1e-4  # a wider one would carry bounces past samples, where the motion has a kink
+BALLS = "balls"  # the kind of system, and its table
 FIRST_FLIGHT = 0.3  # s: long enough to show how a ball falls, short of most bounces
 
 
@@ -69,6 +73,9 @@ class Balls:
         camera: Camera of the channels in pixels.
     """
 
+    kind = BALLS
+    unwatched = CLICK_CHANNELS
+
     bodies: Sequence[Body]
     contacts: Sequence[Contact]
     height: float | None
@@ -78,7 +85,7 @@ class Balls:
     starts: Starts
     camera: Camera | None
 
-    def with_clicks(self, study: Study) -> Study:
+    def used_of(self, study: Study) -> Study:
         """The study with the camera's points as a run and two channels of their own."""
         points = self._load_points(study)
         if points is None or self.camera is None or self.camera.points is None:
@@ -121,7 +128,9 @@ class Balls:
             frozenset(m.body for m in self.measures if m.pixels),
         )
         zero = torch.zeros((), dtype=torch.float64)
-        plain = {n: zero + v for n, v in PLAIN.items()} | ({} if eye is None else dict(eye.plain))
+        plain = dict.fromkeys(numbers_added(BALLS, {}), zero) | (
+            {} if eye is None else dict(eye.plain)
+        )
         stages = {run.name: stage for run in runs}
         if eye is not None:
             for name, places in (clicks or {}).items():
@@ -149,53 +158,52 @@ class Balls:
         base = (*quantities.base, *starts.base)
         return BallModel(build, base, "balls", batched=True)
 
-    def causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
-        """Candidate causes that these balls may have.
-
-        Args:
-            study: Study, perhaps with clicks.
-            scales: Usual magnitudes.
-        """
-        filmed = [c for c in study.channels if c.name not in CLICK_CHANNELS]
-        return (
-            *causes.ball_causes(scales, self._names_of_causes()),
-            *causes.sensor_causes(filmed, scales),
-        )
-
     def numbers(self) -> tuple[str, ...]:
         """Names of all numbers that causes may change."""
         camera = () if self.camera is None else ("focal", *(f"shift_{a}" for a in "xyz"))
-        return (*self._list_quantities(), *PLAIN, *camera)
+        return (*self._list_quantities(), *numbers_added(BALLS, {}), *camera)
 
-    def _names_of_causes(self) -> list[str]:
+    def facts(self) -> dict[str, bool]:
+        """What holds of the balls, as rows of causes ask for it."""
         seen = {kind for m in self.measures for kind, _, _ in m.rows()}
         flies = any(b.begins == "flying" for b in self.bodies)
         bounces = flies and any(GROUND in c.between for c in self.contacts)
-        grounded = bounces or any(b.begins != "flying" for b in self.bodies)
-        out = [*causes.EVERYWHERE]
-        if grounded:
-            out += causes.GROUND
-        if flies and not self.gravity.is_fitted:
-            out.append("weaker_gravity")
-        if bounces:
-            out += causes.BOUNCES
-        if self._pair_contact is not None:
-            out += causes.PAIR
-        if "pixels" in seen:
-            out += causes.CAMERA
-            out += ["merged_regions"] if self._pair_contact is not None else []
-        if seen & {"position", "velocity"}:
-            out += causes.POSITIONS
-        return [name for name in out if not self._states_friction(name)]
+        stated = [GROUND in c.between for c in self.contacts if c.friction is not None]
+        return {
+            "flies": flies,
+            "bounces": bounces,
+            "meets_ground": bounces,
+            "on_ground": bounces or any(b.begins != "flying" for b in self.bodies),
+            "strikes": self._pair_contact is not None,
+            "filmed": "pixels" in seen,
+            "tracked": bool(seen & {"position", "velocity"}),
+            "gravity_is_fitted": self.gravity.is_fitted,
+            "ground_friction": True in stated,
+            "pair_friction": False in stated,
+        }
 
-    def _states_friction(self, cause: str) -> bool:
-        """Whether a contact's own friction is what a cause would add."""
-        with_ground = cause == "sliding_friction"
-        if not with_ground and cause != "ball_friction":
-            return False
-        return any(
-            c.friction is not None for c in self.contacts if (GROUND in c.between) == with_ground
-        )
+    def find_problems(self, study: Study) -> Iterator[Problem]:
+        """What the description and a study disagree on."""
+        pairs = [c for c in self.contacts if GROUND not in c.between]
+        begins = {b.name: b.begins for b in self.bodies}
+        if len(pairs) > 1 or any(begins[n] == "flying" for c in pairs for n in c.between):
+            said = "two balls may meet once, both on the ground"
+            yield Problem("error", "model.contacts", said)
+        for measure in self.measures:
+            if measure.quaternion or measure.angles or measure.spin:
+                said = (
+                    f"{measure.body} is a ball, whose turn is not followed; give its position, "
+                    "velocity or pixels"
+                )
+                yield Problem("error", "model.measures", said)
+        if self.camera is not None and self.camera.points is not None:
+            yield from _find_problems_of_points(self.camera, self.camera.points, study)
+
+    def advise(self) -> DiagnosisSettings:
+        """Effort that suits balls."""
+        settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
+        flies = any(b.begins == "flying" for b in self.bodies)
+        return replace(settings, jacobian=Jacobian(step=STEP)) if flies else settings
 
     @property
     def _pair_contact(self) -> Contact | None:
@@ -347,6 +355,19 @@ class Balls:
         return world
 
 
+def _find_problems_of_points(camera: Camera, given: PointKeys, study: Study) -> Iterator[Problem]:
+    where = "model.camera.points.file"
+    try:
+        path = inside(study.folder or Path(), given.file, "file")
+    except ValueError as error:
+        yield Problem("error", where, str(error))
+        return
+    if not path.is_file():
+        what = "the camera keeps its first guess" if camera.is_stated else "nothing else finds it"
+        severity = "warning" if camera.is_stated else "error"
+        yield Problem(severity, where, f"no file {path}; {what}")
+
+
 class BallModel(SimModel):
     """Balls as a model, which shows them in space; arguments as for ``SimModel``."""
 
@@ -354,7 +375,7 @@ class BallModel(SimModel):
         """The balls where channels tell their positions."""
         scene = self.scene(run, self.at_prior())
         assert isinstance(scene, BallScene)
-        return measured(scene, channels)
+        return balls_measured(scene, channels)
 
     def shape_at(
         self,
@@ -366,7 +387,7 @@ class BallModel(SimModel):
         """The balls on their simulated paths."""
         scene = self.scene(run, q, sizes, numerics)
         assert isinstance(scene, BallScene)
-        return simulated(scene)
+        return balls_simulated(scene)
 
 
 def _shorten_stage(stage: BallStage, clock: Array, run: Run) -> BallStage:

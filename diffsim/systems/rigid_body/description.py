@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
 from diffsim.causes.plant import IN_TIME, Plant
-from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.scales import Scales
 from diffsim.core.check import did_you_mean
-from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
-from diffsim.identify.effort import DiagnosisSettings, SearchSettings
-from diffsim.identify.jacobian import Jacobian
-from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import (
-    Description,
-    Quantity,
-    chosen_effects,
-    settings_with,
-)
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.model import SimModel
+from diffsim.systems.description import Description, Quantity
 from diffsim.systems.quantities import Acceleration
 from diffsim.systems.rigid_body.ball_setup import Balls
-from diffsim.systems.rigid_body.causes import measure_scales
 from diffsim.systems.rigid_body.parts import (
     GROUND,
     Body,
@@ -38,16 +28,8 @@ from diffsim.systems.rigid_body.parts import (
 )
 from diffsim.systems.rigid_body.tossing import TossedBody
 
-#: Flight, impact and cameras each have causes of their own.
-_TOSS = SearchSettings(
-    max_effects=4,
-    num_refits=2,
-    max_rounds=8,
-    rival_nats=5.0,
-    unknown_steps=1,  # drifts of each run are many columns
-)
-_BALLS = SearchSettings(max_effects=6)
-_STEP = 1e-4
+AIR = "air"  # what plain magnitudes are of
+LIFT, DRAG = 0.05, 0.02  # m/s^2 and 1/m: air around a body whose mass or shape is not stated
 
 
 class RigidBodyDescription(Description):
@@ -100,108 +82,31 @@ class RigidBodyDescription(Description):
             for c in names
             if c not in shown
         ]
-        if all(b.is_ball for b in self.bodies):
-            return out + self._find_problems_of_balls() + self._find_problems_of_camera(study)
-        return out + self._find_problems_of_toss(study)
+        if not all(b.is_ball for b in self.bodies):
+            if len(self.bodies) > 1:
+                out.append(Problem("error", "model.bodies", "several bodies must all be balls"))
+            if self.camera is not None:
+                said = "a camera shows balls; give positions"
+                out.append(Problem("error", "model.camera", said))
+        return [*out, *self.described.find_problems(study)]
 
-    def _find_problems_of_balls(self) -> list[Problem]:
-        out = []
-        pairs = [c for c in self.contacts if GROUND not in c.between]
-        begins = {b.name: b.begins for b in self.bodies}
-        if len(pairs) > 1 or any(begins[n] == "flying" for c in pairs for n in c.between):
-            out.append(
-                Problem("error", "model.contacts", "two balls may meet once, both on the ground")
+    @property
+    def described(self) -> Balls | TossedBody:
+        """The balls, or the tossed body, with all that is around them."""
+        if all(b.is_ball for b in self.bodies):
+            return Balls(
+                bodies=self.bodies,
+                contacts=self.contacts,
+                height=None if self.ground is None else self.ground.height,
+                gravity=self.gravity,
+                measures=self.measures,
+                up=self.up,
+                starts=self.starts,
+                camera=self.camera,
             )
-        for measure in self.measures:
-            if measure.quaternion or measure.angles or measure.spin:
-                out.append(
-                    Problem(
-                        "error",
-                        "model.measures",
-                        f"{measure.body} is a ball, whose turn is not followed; give its "
-                        "position, velocity or pixels",
-                    )
-                )
-        return out
-
-    def setup(self, study: Study) -> DiagnosisSetup:
-        """Model, candidate causes and options; the study as its windows cut it."""
-        if wrong := [p for p in self.problems(study) if p.severity == "error"]:
-            raise ValueError("\n".join(f"{p.where}: {p.message}" for p in wrong))
-        if all(b.is_ball for b in self.bodies):
-            return self._make_setup_of_balls(study)
-        return self.setup_of_cut(self._build_tossed().cut_study(study))
-
-    def balls(self) -> Balls:
-        """The balls with all that is around them."""
-        return Balls(
-            bodies=self.bodies,
-            contacts=self.contacts,
-            height=None if self.ground is None else self.ground.height,
-            gravity=self.gravity,
-            measures=self.measures,
-            up=self.up,
-            starts=self.starts,
-            camera=self.camera,
-        )
-
-    def _make_setup_of_balls(self, study: Study) -> DiagnosisSetup:
-        balls = self.balls()
-        study = balls.with_clicks(study)
-        scales = self.scales(study)
-        model = balls.model(study)
-        model.frame = {SCALES: scales.saved()}
-        return DiagnosisSetup(
-            model,
-            chosen_effects(balls.causes(study, scales), self.effects, study, self.plant(study)),
-            settings=settings_with(self._make_settings_of_balls(), self.effort),
-            study=study,
-        )
-
-    def scales(self, study: Study) -> Scales:
-        """Usual magnitudes of the recordings and of the air."""
-        return measure_scales(study, self.bodies, self.gravity.value)
-
-    def plant(self, study: Study) -> Plant:
-        """What the bodies offer to causes of a user."""
-        if all(b.is_ball for b in self.bodies):
-            numbers = self.balls().numbers()
-        else:
-            numbers = self._build_tossed().numbers()
-        return Plant(
-            kind="rigid_body",
-            scales=self.scales(study),
-            channels=study.channels,
-            numbers=numbers,
-            facts={IN_TIME: True},
-        )
-
-    def _make_settings_of_balls(self) -> DiagnosisSettings:
-        settings = DiagnosisSettings(search=_BALLS)
-        if any(b.begins == "flying" for b in self.bodies):
-            # a wide step would carry bounces past samples, where the motion has a kink
-            settings = replace(settings, jacobian=Jacobian(step=_STEP))
-        return settings
-
-    def setup_of_cut(self, study: Study) -> DiagnosisSetup:
-        """Setup of tosses that are cut already."""
-        tossed = self._build_tossed()
-        scales = self.scales(study)
-        model = tossed.model(study)
-        model.frame = {SCALES: scales.saved()}
-        return DiagnosisSetup(
-            model,
-            chosen_effects(tossed.causes(study, scales), self.effects, study, self.plant(study)),
-            settings=settings_with(DiagnosisSettings(search=_TOSS), self.effort),
-            study=study,
-        )
-
-    def _build_tossed(self) -> TossedBody:
-        body = self.bodies[0]
-        ground = [c for c in self.contacts if GROUND in c.between]
         return TossedBody(
-            body=body,
-            ground=ground[0] if ground else None,
+            body=self.bodies[0],
+            ground=next((c for c in self.contacts if GROUND in c.between), None),
             height=0.0 if self.ground is None else self.ground.height,
             gravity=self.gravity,
             measures=self.measures,
@@ -209,45 +114,48 @@ class RigidBodyDescription(Description):
             window=self.window,
         )
 
-    def _find_problems_of_camera(self, study: Study) -> list[Problem]:
-        camera = self.camera
-        if camera is None or camera.points is None:
-            return []
-        try:
-            path = inside(study.folder or Path(), camera.points.file, "file")
-        except ValueError as error:
-            return [Problem("error", "model.camera.points.file", str(error))]
-        if path.is_file():
-            return []
-        what = "the camera keeps its first guess" if camera.is_stated else "nothing else finds it"
-        severity = "warning" if camera.is_stated else "error"
-        return [Problem(severity, "model.camera.points.file", f"no file {path}; {what}")]
+    def used_of(self, study: Study) -> Study:
+        """Tosses until their windows end; with clicked points as a run of their own."""
+        return self.described.used_of(study)
 
-    def _find_problems_of_toss(self, study: Study) -> list[Problem]:
-        out = []
-        if len(self.bodies) > 1:
-            out.append(Problem("error", "model.bodies", "several bodies must all be balls"))
-        if self.camera is not None:
-            out.append(Problem("error", "model.camera", "a camera shows balls; give positions"))
-        if any(q.per for q in self._build_tossed()._list_quantities().values()):
-            out.append(Problem("error", "model", "per: tosses share all quantities; leave it out"))
-        if not any(c.between for c in self.contacts if GROUND in c.between) and self.window:
-            out.append(Problem("error", "model.window", "a window needs a contact with the ground"))
-        turns = any(m.quaternion or m.angles for m in self.measures)
-        if self.window is not None and not turns:
-            out.append(
-                Problem("error", "model.window", "finding the corner that hits needs the turn")
-            )
-        for channel in study.channels:
-            if channel.sd is None:
-                out.append(
-                    Problem(
-                        "error",
-                        f"channel {channel.name}",
-                        "start states are found by the noise of the channels; state its sd",
-                    )
-                )
-        return out
+    def advise(self) -> DiagnosisSettings:
+        """Effort that suits what is described."""
+        return self.described.advise()
+
+    def model(self, study: Study) -> SimModel:
+        """Model of the bodies."""
+        return self.described.model(study)
+
+    def plant(self, study: Study) -> Plant:
+        """What the bodies tell of themselves.
+
+        Instruments are judged where a study says which sensors there are. The scale of all that is
+        seen is that of length.
+        """
+        of, scales = self.described, Scales.of(study, {AIR: self._measure_air()})
+        seen = [c for c in study.channels if c.name not in of.unwatched]
+        return Plant(
+            kind=of.kind,
+            scales=scales,
+            channels=study.channels,
+            numbers=of.numbers(),
+            facts={
+                IN_TIME: True,
+                "free_starts": True,
+                "one_instrument": len({c.sensor or c.kind for c in seen}) == 1,
+                **of.facts(),
+            },
+            magnitudes=scales.plain[AIR],
+            instruments=() if all(c.sensor is None for c in seen) else None,
+            unwatched=of.unwatched,
+        )
+
+    def _measure_air(self) -> dict[str, float]:
+        """Usual magnitudes of the air around the first body that states its mass and shape."""
+        in_air = next((a for b in self.bodies if (a := b.in_air()) is not None), None)
+        if in_air is None:
+            return {"lift": LIFT, "drag": DRAG}
+        return {"lift": in_air[0] * self.gravity.value, "drag": in_air[1]}
 
 
 def _require_known(where: str, name: str, known: list[str]) -> None:

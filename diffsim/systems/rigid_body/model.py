@@ -24,7 +24,7 @@ from diffsim.systems.description import BaseParameters
 from diffsim.systems.rigid_body.figure import figure_of
 from diffsim.systems.rigid_body.layout import PoseLayout
 from diffsim.systems.rigid_body.shooting import TossShooting
-from diffsim.systems.rigid_body.toss import ADDED, Mass, Tosses
+from diffsim.systems.rigid_body.toss import Mass, Tosses, added
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class TossTable:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TossScene(Scene):
-    """One toss; what causes add to the numbers ``ADDED`` is zero until they do.
+    """One toss; what causes add is zero until they do.
 
     Attributes:
         run: Recorded toss.
@@ -134,8 +134,8 @@ class TossScene(Scene):
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) with the best start state."""
-        values = {name: v for name, v in self.numbers.items() if name not in ADDED}
-        terms = {name: v for name, v in self.numbers.items() if name in ADDED}
+        values = {name: v for name, v in self.numbers.items() if name not in self.zeros}
+        terms = {name: v for name, v in self.numbers.items() if name in self.zeros}
         out = self.table.predict(self.run, values, terms, self.instruments)
         out = out[:, : len(self.run.time_s)]
         wide = any(v.ndim for v in self.numbers.values())
@@ -172,7 +172,7 @@ class TossModel(SimModel):
             return TossScene(
                 grid=grid_of(run),
                 numbers=thrown.parameters.in_run(values, run),
-                zeros=ADDED,
+                zeros=added(),
                 run=run,
                 table=table,
             )

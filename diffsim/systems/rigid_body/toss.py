@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.listing import numbers_added
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_conjugate,
@@ -28,27 +30,14 @@ from diffsim.systems.rigid_body.windows import CORNERS, TURN, TWIST
 
 NEWTON_STEPS = 6
 SHORTEST = 1e-9  # [s] of a contact: instant
-#: Numbers that causes add to, beside the quantities of a description; all are 0 in the plain model.
-ADDED = (
-    "length_scale",
-    "clock_scale",
-    *("gravity_x", "gravity_y", "lift"),
-    "drag",
-    "quadratic_drag",
-    "spin_drag",
-    "ground_height",
-    *("ground_slope_x", "ground_slope_y"),
-    "half_width",
-    *("center_x", "center_y", "center_z"),
-    "contact_time",
-    "smoothing",
-    "restitution_slope",
-    "rebound",
-    "friction_slope",
-    "inertia",
-    *("inertia_x", "inertia_y"),
-)
+TOSS = "toss"  # the kind of system, and its table
 REFERENCE_SPEED = 1.0  # [m/s] where the slopes of restitution and friction do nothing
+
+
+@cache
+def added() -> tuple[str, ...]:
+    """Numbers that causes alone change; all are 0 in the plain model."""
+    return numbers_added(TOSS, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +120,13 @@ class Tosses:
             start: Start states of K points, (K, num_tosses, 12).
             values: restitution, friction, gravity [m/s^2], ground [m] and edge (or edge_x,
                 edge_y, edge_z) [m], (K,) or ().
-            terms: What is added to the numbers ``ADDED``, (K,) or ().
+            terms: What is added to the numbers ``added()``, (K,) or ().
             mass: What is known of the body's mass.
             layout: What the channels show.
             late: How late all channels are, (K,) or () [s]; None: not at all.
         """
         k = len(start)
-        get = {name: _expand_term(terms, name, k) for name in ADDED}
+        get = {name: _expand_term(terms, name, k) for name in added()}
         tilt = _stack_axes(get, "gravity_x", "gravity_y", "lift")
         slope = _stack_axes(get, "ground_slope_x", "ground_slope_y")
         center = _stack_axes(get, "center_x", "center_y", "center_z")

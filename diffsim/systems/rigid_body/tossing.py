@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,15 +10,14 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from diffsim.causes.scales import Scales
 from diffsim.data.study import Channel, Run, Study
-from diffsim.identify.effect import Effect
+from diffsim.data.study_check import Problem
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.rigid_body.causes import sensor_causes, toss_causes
 from diffsim.systems.rigid_body.layout import REST, PoseLayout
 from diffsim.systems.rigid_body.model import TossModel, TossSetup
 from diffsim.systems.rigid_body.parts import ANGLES, Body, Contact, Measure, Window
-from diffsim.systems.rigid_body.toss import ADDED, Mass
+from diffsim.systems.rigid_body.toss import TOSS, Mass, added
 from diffsim.systems.rigid_body.windows import (
     MIN_FRAMES,
     RecordedPoses,
@@ -60,6 +59,9 @@ class TossedBody:
         window: How much of a toss counts; None: all, in free flight.
     """
 
+    kind = TOSS
+    unwatched = (REST,)
+
     body: Body
     ground: Contact | None
     height: float
@@ -68,7 +70,7 @@ class TossedBody:
     up: str
     window: Window | None
 
-    def cut_study(self, study: Study) -> Study:
+    def used_of(self, study: Study) -> Study:
         """Each toss until its window ends; too short ones are left out."""
         names = [c.name for c in study.channels]
         turn = Rotation.from_rotvec(UP[self.up])
@@ -119,30 +121,42 @@ class TossedBody:
             study.runs, study.channels, TossSetup(parameters, self._make_mass(), layout)
         )
 
-    def causes(self, study: Study, scales: Scales) -> tuple[Effect, ...]:
-        """Candidate causes that this toss may have.
-
-        Args:
-            study: Cut study.
-            scales: Usual magnitudes.
-        """
-        filmed = [c for c in study.channels if c.name != REST]
-        return (*toss_causes(scales, self._list_left_out()), *sensor_causes(filmed, scales))
+    def facts(self) -> dict[str, bool]:
+        """What holds of the body, as rows of causes ask for it."""
+        is_seen = self._goes_through_rebound or bool(self._rest_frames)
+        return {
+            **dict.fromkeys(("tracked", "flies", "bounces", "strikes"), True),
+            "gravity_is_fitted": self.gravity.is_fitted,
+            "edges_are_known": bool(self.body.edges)
+            and not any(q.is_fitted for q in self.body.edges),
+            "meets_ground": self.ground is not None and is_seen,
+        }
 
     def numbers(self) -> tuple[str, ...]:
         """Names of all numbers that causes may change."""
-        return (*self._list_quantities(), *ADDED)
+        return (*self._list_quantities(), *added())
 
-    def _list_left_out(self) -> set[str]:
-        """Causes that a prior of the description already holds, or that nothing could show."""
-        out = set()
-        if self.gravity.is_fitted:
-            out.add("weaker_gravity")
-        if self.body.box is None or any(q.is_fitted for q in self.body.edges):
-            out.add("half_width")
-        if self.ground is None or not (self._goes_through_rebound or self._rest_frames):
-            out.add("ground_height")
-        return out
+    def find_problems(self, study: Study) -> Iterator[Problem]:
+        """What the description and a study disagree on."""
+        if any(q.per for q in self._list_quantities().values()):
+            yield Problem("error", "model", "per: tosses share all quantities; leave it out")
+        if self.ground is None and self.window:
+            yield Problem("error", "model.window", "a window needs a contact with the ground")
+        turns = any(m.quaternion or m.angles for m in self.measures)
+        if self.window is not None and not turns:
+            said = "finding the corner that hits needs the turn"
+            yield Problem("error", "model.window", said)
+        for channel in study.channels:
+            if channel.sd is None:
+                said = "start states are found by the noise of the channels; state its sd"
+                yield Problem("error", f"channel {channel.name}", said)
+
+    def advise(self) -> DiagnosisSettings:
+        """Effort that suits a toss: drifts of each run are many columns."""
+        search = SearchSettings(
+            max_effects=4, num_refits=2, max_rounds=8, rival_nats=5.0, unknown_steps=1
+        )
+        return DiagnosisSettings(search=search)
 
     @property
     def _goes_through_rebound(self) -> bool:

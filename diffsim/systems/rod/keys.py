@@ -121,7 +121,9 @@ class RodReading(Part):
 class RodNumerics(Part):
     """How it is simulated."""
 
-    cells: int = Field(24, ge=4, description="Number of elements; the error falls with its square")
+    cells: int = Field(
+        24, ge=4, le=10_000, description="Number of elements; the error falls with its square"
+    )
     tolerance: float = Field(
         1e-9, gt=0, lt=1, description="Turn of the last step of the solver [rad]"
     )

@@ -279,7 +279,10 @@ class Numerics(Part):
         "means the same on every mesh",
     )
     poses: int = Field(
-        24, ge=5, description="quasi_static with one command: poses that others lie between"
+        24,
+        ge=5,
+        le=10_000,
+        description="quasi_static with one command: poses that others lie between",
     )
 
 

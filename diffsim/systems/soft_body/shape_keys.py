@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from diffsim import mesh as meshes
 from diffsim.core.inside import inside
-from diffsim.core.schema import Part
+from diffsim.core.schema import FewCells3, Part
 from diffsim.core.schema_numbers import Meters, Radians
 from diffsim.core.schema_paths import PathInside
 from diffsim.core.units import factor
@@ -39,7 +39,7 @@ class Bar(Part):
     sections: tuple[Section, ...] = Field(
         (), description="Instead of `size`: two sections or more by place, straight between them"
     )
-    cells: tuple[int, int, int] = Field(
+    cells: FewCells3 = Field(
         (10, 2, 2), description="Number of cells along x, y and z; more are slower and more exact"
     )
     floor_layer: Meters | None = Field(
@@ -101,7 +101,9 @@ class Rod(Part):
     stations: tuple[Station, ...] = Field(
         min_length=2, description="Radius at two places or more, straight between them"
     )
-    cells: int = Field(20, ge=1, description="Number of cells along; twelve fill a section")
+    cells: int = Field(
+        20, ge=1, le=50_000, description="Number of cells along; twelve fill a section"
+    )
 
     def mesh(self, coarser: float) -> HexMesh:
         """The rod with cells ``coarser`` times as long."""

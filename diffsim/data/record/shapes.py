@@ -1,0 +1,445 @@
+"""Courses that no sensor shows: far values, flat tops, a stop, lines, jumps that stay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from diffsim.core.units import factor
+from diffsim.data.command_jumps import Jumps, jumps_of
+from diffsim.data.record.finding import Finding, rows_shown
+from diffsim.data.record.signals import FEW, Record, Samples, Signal
+from diffsim.data.study import Command
+
+Array = NDArray[np.float64]
+FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
+FAR = 2.0  # spreads beyond which a value is none of the usual ones
+OUTSIDE = 0.5  # of the range of the others: how far a value must leap
+ALONE = 4.0  # largest changes around, beyond which a sample lies off both sides
+SPIKY = ("m/s^2", "rad/s^2", "N", "N m", "A", "V", "W")  # SI units of what an impact makes jump
+PLACES = ("m", "rad", "-", None, "K", "Pa")  # SI units of what cannot jump and stay
+FROZEN = 6  # samples of which a stop can be told
+CHANCE = 1e-8  # of so long a stop where neighbors differ
+MAX_RATE = 20  # rows on one line
+
+
+def find_far(record: Record) -> Iterator[Finding]:
+    """Values far outside of all others, at any share of the rows."""
+    for signal in record.channels:
+        values = signal.all_values
+        if len(values) < FEW:
+            continue
+        low, high = np.quantile(values, [0.1, 0.9])
+        reach = FAR * float(high - low)
+        inside = values[(values >= low - reach) & (values <= high + reach)]
+        if len(inside) == len(values):
+            continue
+        low, high = float(inside.min()), float(inside.max())
+        least = OUTSIDE * (high - low)
+        times, count, worst, share = [], 0, 0.0, 0.0
+        for samples in signal.runs:
+            off = np.maximum(low - samples.values, samples.values - high)
+            far = _leaping(record, signal, samples, off, least)
+            if len(far):
+                count += len(far)
+                times += samples.times[far].tolist()
+                worst = max(worst, float(off[far].max()))
+                share = max(share, len(far) / len(samples))
+        if not count or count > 0.4 * len(values):
+            continue
+        margin = 0.5 * least
+        yield Finding(
+            "far",
+            signal.where,
+            f"column {signal.column} is far outside of all other values in {count} samples "
+            f"(up to {share:.2g} of a run), by up to {worst:.4g}, {rows_shown(times)}",
+            f"`decode: {{valid: [{low - margin:.4g}, {high + margin:.4g}]}}` in {signal.where} "
+            "leaves them out",
+            share > FEW_MISREAD and signal.unit not in SPIKY,
+        )
+
+
+def _leaping(
+    record: Record, signal: Signal, samples: Samples, off_by: Array, least: float
+) -> NDArray[np.int64]:
+    """Places of stretches outside that begin and end by a leap which no command makes."""
+    at = np.flatnonzero(off_by > 0.0)
+    out: list[int] = []
+    for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else ():
+        ends = [k for k in (part[0] - 1, part[-1]) if 0 <= k < len(samples.changes)]
+        if not ends or any(abs(samples.changes[k]) < least for k in ends):
+            continue
+        if off_by[part].max() < least:
+            continue
+        if len(part) > 1 and np.abs(samples.changes[part[:-1]]).max() < 0.2 * least:
+            continue  # it stays there
+        off = float(np.abs(samples.changes[ends]).min())
+        if off > 3.0 * least or not _is_commanded(record, samples, int(part[0])):
+            out += part.tolist()
+    return np.array(out, dtype=np.int64)
+
+
+def _is_commanded(record: Record, samples: Samples, k: int) -> bool:
+    """Whether a command jumps shortly before a sample."""
+    start, end = samples.times[max(k - 3, 0)], samples.times[min(k + 1, len(samples) - 1)]
+    for command in record.commands:
+        of = command.of_run(samples.run)
+        if of is None:
+            continue
+        part = of.values[(of.times >= start) & (of.times <= end)]
+        if len(part) and np.ptp(part) > 0.1 * command.range:
+            return True
+    return False
+
+
+def find_misread(record: Record) -> Iterator[Finding]:
+    """Samples that lie off both sides, within the range of others."""
+    for signal in record.channels:
+        speed = _speed_of(signal, record)
+        for samples in signal.runs:
+            rows = spikes(samples, signal.sd, None if speed is None else speed.of_run(samples.run))
+            rows = np.array([k for k in rows if not _is_commanded(record, samples, int(k))], int)
+            if len(rows):
+                yield Finding(
+                    "misread",
+                    f"run {samples.run}",
+                    f"channel {signal.name} is misread at {len(rows)} "
+                    f"sample{'s' if len(rows) > 1 else ''}, "
+                    f"{rows_shown(samples.times[rows].tolist())}: the diagnosis leaves such "
+                    "samples out where the model does not jump, too",
+                    "",
+                    False,
+                )
+
+
+def find_jumps(record: Record) -> Iterator[Finding]:
+    """Jumps of commands that nothing commanded: a model takes them for motion."""
+    known = {c.name: c for c in record.study.commands}
+    for run in record.study.runs:
+        for signal in record.commands:
+            if (samples := signal.of_run(run.name)) is None:
+                continue
+            command = known.get(signal.name, Command(signal.name))
+            unit = command.shown_unit or command.unit
+            scale = factor(command.unit or unit, unit) if unit else 1.0
+            values = run.command[signal.name][samples.at]
+            jumps = _jumps_of(signal, samples, values)
+            by = f"by up to {scale * jumps.size:.3g}{'' if unit in (None, '-') else f' {unit}'}"
+            does = _MENDED if signal.is_measured else _TAKEN
+            for rows, how in ((jumps.back, "jumps off and back"), (jumps.lasting, _STAYS)):
+                if rows:
+                    yield Finding(
+                        "jumps",
+                        f"run {samples.run}",
+                        f"command {signal.name} {how} at {len(rows)} "
+                        f"sample{'s' if len(rows) > 1 else ''}, {by}, first at "
+                        f"{samples.times[rows[0]]:g} s",
+                        does,
+                        False,
+                    )
+
+
+_STAYS = "jumps and stays"
+_MENDED = "the diagnosis takes this for a misreading where the model is no worse without it"
+_TAKEN = "the model takes this for what acted; mend the file, or say is_measured: true"
+
+
+def _jumps_of(signal: Signal, samples: Samples, values: Array) -> Jumps:
+    """Jumps of a measured command as the diagnosis sees them; else samples off a course that is
+    swept."""
+    if signal.is_measured:
+        return jumps_of(values, is_measured=True, times=samples.times)
+    rows = [] if samples.shares_equal > 0.3 else spikes(samples).tolist()
+    size = float(np.abs(np.diff(values)).max()) if rows else 0.0
+    return Jumps(rows, [], size) if len(rows) < FEW_MISREAD * len(samples) else Jumps([], [], 0.0)
+
+
+def spikes(samples: Samples, sd: float = 0.0, speed: Samples | None = None) -> NDArray[np.int64]:
+    """Places of samples off both sides, that no bounce or cusp explains.
+
+    Args:
+        samples: Of a run.
+        sd: Noise that is usual.
+        speed: Its derivative, where that was measured: then it decides.
+    """
+    x, none = samples.values, np.empty(0, dtype=np.int64)
+    if len(x) < 2 * FEW or samples.largest_change < 0.04 * samples.range:
+        return none
+    away = np.abs(x - median_filter(x, size=5, mode="nearest"))
+    usual = max(1.4826 * float(np.median(away)), samples.noise, sd)
+    limit = max(8.0 * usual, 0.04 * samples.range)
+    rows = []
+    for k in np.flatnonzero(away > limit):
+        for width in (1, 2):  # one sample, or this one and a neighbor
+            if _stands_out(samples, int(k), width, usual, speed):
+                rows.append(int(k))
+                break
+    return np.array(rows, dtype=np.int64)
+
+
+def _stands_out(samples: Samples, k: int, width: int, usual: float, speed: Samples | None) -> bool:
+    x = samples.values
+    for first in range(k - width + 1, k + 1):
+        before, after = first - 1, first + width
+        if before < 3 or after > len(x) - 4:
+            continue
+        line = x[before] + (x[after] - x[before]) * (k - before) / (after - before)
+        off = abs(x[k] - line)
+        around = np.concatenate(
+            [samples.changes[before - 3 : before], samples.changes[after : after + 3]]
+        )
+        local = max(float(np.abs(around).max()), abs(x[after] - x[before]), usual)
+        if off > ALONE * local:
+            return speed is None or not _explained(samples, k, speed, off)
+    return False
+
+
+def _explained(samples: Samples, k: int, speed: Samples, off: float) -> bool:
+    """Whether a speed that was measured makes the motion to a sample."""
+    step = samples.times[k] - samples.times[k - 1]
+    near = np.abs(speed.times - samples.times[k]) < 1.5 * step
+    fastest = float(np.abs(speed.values[near]).max(initial=0.0)) if near.any() else np.inf
+    return fastest * step > 0.3 * off
+
+
+def _speed_of(signal: Signal, record: Record) -> Signal | None:
+    """A channel that is the derivative of another one, by its unit and course."""
+    if signal.unit not in ("m", "rad") or signal.scale != 1.0:
+        return None
+    for other in record.channels:
+        if other.unit != f"{signal.unit}/s" or other.scale != 1.0:
+            continue
+        pairs = [(s, other.of_run(s.run)) for s in signal.runs]
+        for s, v in pairs:
+            if v is None or len(s) < FEW:
+                continue
+            slope = np.interp(v.times, s.times, np.gradient(s.values, s.times))
+            both_move = np.ptp(slope) > 0.0 and np.ptp(v.values) > 0.0
+            if both_move and np.corrcoef(slope, v.values)[0, 1] > 0.8:
+                return other
+    return None
+
+
+def find_flat(record: Record) -> Iterator[Finding]:
+    """Readings that end at one value, exactly."""
+    known = (record.study.model or {}).get("ranges") or {}
+    for signal in record.channels:
+        if signal.name in known or len(signal.all_values) < 3 * FEW:
+            continue
+        for name, end in (("largest", signal.high), ("least", signal.low)):
+            if (found := _flat_at(signal, end)) is None:
+                continue
+            count, times, is_noisy = found
+            scale = signal.scale or 1.0
+            value = _si_at(record, signal, end)
+            low, high = ("-1e9", f"{value:.6g}") if name == "largest" else (f"{value:.6g}", "1e9")
+            if scale < 0.0:
+                low, high = high.replace("1e9", "1e9"), low
+            yield Finding(
+                "flat",
+                signal.where,
+                f"its {name} reading, {end:.6g}, comes {count} times in stretches, "
+                f"{rows_shown(times)}: it shows no more",
+                f"`ranges: {{{signal.name}: [{low}, {high}]}}` in the model, in SI units",
+                is_noisy,
+            )
+
+
+def _si_at(record: Record, signal: Signal, end: float) -> float:
+    """A reading in SI units."""
+    at = next(i for i, c in enumerate(record.channels) if c is signal)
+    for samples in signal.runs:
+        k = int(np.argmin(np.abs(samples.values - end)))
+        if samples.values[k] == end:
+            return float(record.run(samples.run).measured[samples.at[k], at])
+    return end
+
+
+def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None:
+    count, times, abrupt, parts, longest = 0, [], 0, 0, 0
+    equal = of = 0
+    for samples in signal.runs:
+        is_end = samples.values == end
+        pair = ~(is_end[1:] | is_end[:-1])
+        equal, of = equal + int((samples.changes[pair] == 0.0).sum()), of + int(pair.sum())
+        at = np.flatnonzero(is_end)
+        if not len(at):
+            continue
+        count += len(at)
+        for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            if len(part) < 3:
+                continue
+            parts += 1
+            longest = max(longest, len(part))
+            times.append(float(samples.times[part[0]]))
+            k = part[0] - 1
+            if k >= 2:
+                entry, before = abs(samples.changes[k]), abs(samples.changes[k - 1])
+                abrupt += entry >= 4.0 * max(samples.digit, 1e-300) and entry >= 0.4 * before
+    total = len(signal.all_values)
+    if count < max(8, 0.01 * total) or count > 0.8 * total or not of:
+        return None
+    if parts < 2 and longest < 8:
+        return None
+    is_noisy = equal < 0.1 * of
+    if not is_noisy and abrupt < 0.8 * parts:
+        return None
+    return count, times, is_noisy
+
+
+def find_frozen(record: Record) -> Iterator[Finding]:
+    """A channel that stands still, exactly, while others move."""
+    for signal in record.channels:
+        for samples in signal.runs:
+            if (found := _longest_stop(samples)) is None:
+                continue
+            first, last = found
+            if samples.values[first] in (signal.low, signal.high):
+                continue  # a flat top
+            start, end = float(samples.times[first]), float(samples.times[last])
+            moving = record.moving(samples.run, start, end, signal)
+            if record.commands or len(record.channels) > 1:
+                if moving is None:
+                    continue
+            elif samples.shares_equal > 0.5:
+                continue
+            beside = "" if moving is None else f" while {moving.where} moves"
+            yield Finding(
+                "frozen",
+                f"run {samples.run}",
+                f"channel {signal.name} stands still from {start:.6g} to {end:.6g} s, "
+                f"{last - first + 1} equal samples{beside}",
+                f"`missing_if: t >= {start:.6g} and t <= {end:.6g}` in run {samples.run} leaves "
+                "them out",
+                True,
+            )
+
+
+def _longest_stop(samples: Samples) -> tuple[int, int] | None:
+    """First and last place of the longest stretch of equal samples, if no chance makes it."""
+    if len(samples) < 4 * FROZEN or not samples.range > 0.0:
+        return None
+    same = samples.changes == 0.0
+    if not same.any():
+        return None
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    starts, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - starts))
+    first, last = int(starts[longest]), int(ends[longest])
+    count = last - first
+    if count < FROZEN:
+        return None
+    rest = np.ones(len(same), dtype=bool)
+    rest[first:last] = False
+    p = float(same[rest].mean()) if rest.any() else 1.0
+    others = ends - starts
+    second = int(np.sort(others)[-2]) if len(others) > 1 else 0
+    moved = np.abs(samples.changes[samples.changes != 0.0])
+    leap = abs(samples.changes[last]) if last < len(samples.changes) else 0.0
+    jumps = leap > max(4.0 * float(np.quantile(moved, 0.9)), 3.0 * samples.digit)
+    if p < 0.5 and count * np.log(max(p, 1e-3)) + np.log(len(same)) < np.log(CHANCE):
+        return (first, last) if p < 0.1 or jumps else None
+    return (first, last) if jumps and count > 3 * second else None
+
+
+def find_lines(record: Record) -> Iterator[Finding]:
+    """Rows on straight lines between others, or equal to the one before: a higher rate."""
+    found: dict[tuple[str, int], list[str]] = {}
+    for signal in record.channels:
+        rates = [r for r in (_rate_of(s) for s in signal.runs) if r is not None]
+        moving = [s for s in signal.runs if len(s) >= 4 * FEW and s.range > 0.0]
+        if rates and len(rates) >= 0.6 * len(moving) and len(set(rates)) == 1:
+            found.setdefault(rates[0], []).append(signal.name)
+    for (how, n), names in found.items():
+        are = f"channel{'s' if len(names) > 1 else ''} {', '.join(names[:6])}"
+        what = "on straight lines between others" if how == "line" else "equal to the one before"
+        yield Finding(
+            "lines",
+            f"channel {names[0]}" if len(names) == 1 else "study",
+            f"{are}: {n - 1} of {n} rows lie {what}, so that only each {n}th was measured",
+            f"`defaults: {{every: {n}}}` uses those alone",
+            how == "line",
+        )
+
+
+def _rate_of(samples: Samples) -> tuple[str, int] | None:
+    if len(samples) < 4 * FEW or not samples.range > 0.0:
+        return None
+    bends = np.abs(np.diff(samples.changes))
+    for how, size, at_least in (("line", bends, 0.6), ("held", np.abs(samples.changes), 0.6)):
+        total = float(size.sum())
+        if not total > 0.0:
+            continue
+        for n in range(2, MAX_RATE + 1):
+            whole = size[: len(size) // n * n].reshape(-1, n)
+            if len(whole) < 10:
+                break
+            by_phase = whole.sum(0)
+            best = int(np.argmax(by_phase))
+            if by_phase[best] < 0.97 * by_phase.sum():
+                continue
+            knots = whole[:, best]
+            rest = float(np.quantile(np.delete(whole, best, axis=1), 0.9))
+            if np.mean(knots > max(10.0 * rest, 1e-3 * knots.max())) >= at_least:
+                return how, n
+    return None
+
+
+def find_lasting(record: Record) -> Iterator[Finding]:
+    """Places that jump and stay: a marker that slipped, or was taken for another."""
+    for signal in record.channels:
+        for samples in signal.runs if signal.unit not in SPIKY else ():
+            rows = [k for k in _lasting(samples, signal) if _is_alone(record, signal, samples, k)]
+            if not 0 < len(rows) <= 3:
+                continue
+            k = rows[0]
+            time, jump = float(samples.times[k + 1]), float(samples.changes[k])
+            times = [float(samples.times[j + 1]) for j in rows]
+            column = signal.column if signal.column.isidentifier() else f"`{signal.column}`"
+            yield Finding(
+                "lasting",
+                f"run {samples.run}",
+                f"channel {signal.name} jumps by {jump:.4g} and stays, {rows_shown(times)}, while "
+                "nothing else does: a marker that slipped, or was taken for another",
+                f'`columns: {{{signal.name}: {{formula: "{column} - {jump:.4g}*(t >= {time:.6g})"}}'
+                f"}}` in run {samples.run} moves it back, `until_s: {time:.6g}` ends before",
+                signal.unit in PLACES,
+            )
+
+
+def _lasting(samples: Samples, signal: Signal) -> list[int]:
+    change = np.abs(samples.changes)
+    if len(samples) < FEW:
+        return []
+    least = max(0.05 * signal.range, 8.0 * samples.noise, 8.0 * signal.sd)
+    out = []
+    for k in np.flatnonzero(change > least):
+        if not 4 <= k <= len(change) - 5:
+            continue
+        around = np.abs(samples.around(int(k), 4))
+        if change[k] < (8.0 if signal.unit in PLACES else 25.0) * around.max():
+            continue
+        before, after = samples.values[k - 4 : k + 1], samples.values[k + 1 : k + 6]
+        if abs(np.median(after) - np.median(before)) > 0.5 * change[k]:
+            out.append(int(k))
+    return out
+
+
+def _is_alone(record: Record, signal: Signal, samples: Samples, k: int) -> bool:
+    """Whether no command changes before a jump, and no other channel jumps with it."""
+    start, end = samples.times[max(k - 4, 0)], samples.times[k + 1]
+    for other in (*record.commands, *record.channels):
+        of = other.of_run(samples.run)
+        if other is signal or of is None or not other.range > 0.0:
+            continue
+        inside = (of.times >= start) & (of.times <= end)
+        part = np.abs(np.diff(of.values[inside]))
+        limit = 0.1 * other.range if other.role == "command" else np.inf
+        if other.role == "channel":
+            limit = max(8.0 * of.usual_change, 0.05 * other.range, 8.0 * of.noise)
+        if len(part) and part.max() > limit:
+            return False
+    return True

@@ -1,0 +1,1 @@
+"""Damaged copies of sound records: what `check` names, with which remedy, and what it accuses."""

@@ -1,0 +1,136 @@
+"""Counts and widths of strangers' files: refused with their key, before anything is made of them.
+
+Each of these took minutes, or all of the memory. What is refused costs a test no time; one that
+makes what it is asked for does not end.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from diffsim import envs
+from diffsim.core.fill_in import fill_in
+from diffsim.core.schema import MOST, Part
+from diffsim.data import load_study
+from diffsim.data.formats import parts_of, read_columns
+from diffsim.systems.registry import setup_of
+from tests.envs.soft_files import finger, with_model
+
+HUGE = 2_000_000_000
+ODE = {
+    "system": "ode",
+    "repeat": {"k": 3},
+    "states": {"x_{k}": 0, "v_{k}": 0},
+    "parameters": {"c": 1.0},
+    "rates": {"x_{k}": "v_{k}", "v_{k}": "-c*x_{k}"},
+    "readings": {"q": "x_1"},
+}
+FORM = {"name": "z", "changes": {"c": "c*(1 + size)"}, "typical": 1, "words": "{:3000000000.2f} N"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    rows = "".join(f"{0.1 * i},{i},7\n" for i in range(50))
+    (tmp_path / "a.csv").write_text("time_s,q,n\n" + rows)
+    (tmp_path / f"{'x' * 200}.csv").write_text("time_s,q\n0,1\n")
+    return tmp_path
+
+
+def read(folder, **keys: Any):
+    run = {"name": "a", "file": "a.csv", **keys.pop("run", {})}
+    own = {"name": "c", "channels": [{"name": "q", "unit": "m"}], "runs": [run]}
+    (folder / "study.yaml").write_text(yaml.safe_dump({**own, "model": ODE, **keys}))
+    study = load_study(folder)
+    return setup_of(study), study
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"model": {**ODE, "repeat": {"k": HUGE}}}, "repeat.k must be .* from 1 to 200"),
+        ({"run": {"name": "{n:3000000000d}"}}, r"runs\[0\].name: .* no format of up to two digits"),
+        ({"run": {"group": "{n:.3000000000f}"}}, r"runs\[0\].group: .* no format"),
+        ({"run": {"file": ["a.csv", "b{n:3000000000d}.csv"]}}, r"runs\[0\].file: .* no format"),
+        ({"run": {"name": "{file.__class__}"}}, r"runs\[0\].name: .* did you mean 'file'"),
+        ({"run": {"file": "{a}{b}{c}{d}{e}{f}{g}{h}{i}{j}z.csv"}}, r"runs\[0\].file: no file fits"),
+        ({"run": {"file": "*x" * 50 + ".csv"}}, r"runs\[0\].file: at most 20 words and \*"),
+        ({"run": {"blocks": {"num": HUGE}}}, r"runs\[0\].blocks.num: must be at most 10000"),
+        ({"run": {"blocks": {"length_s": 1e-12}}}, r"runs\[0\].blocks.length_s: makes 4,900,0"),
+        ({"run": {"every": 10**30}}, r"runs\[0\]: every must be at most 1,000,000"),
+        ({"table": {"header_line": HUGE}}, "table: header_line must be at most 1,000,000"),
+        ({"model": {**ODE, "effects": {"own": [FORM]}}}, r"effects.own\[0\].words: .* no format"),
+        ({"model": {**ODE, "parameters": {"c": "1" + " " * 10**5 + "m"}}}, "got 100,002 letters"),
+    ],
+)  # fmt: skip
+def test_a_count_without_end_is_refused_with_its_key(folder, keys, message):
+    began = time.process_time()
+    with pytest.raises(ValueError, match=message):
+        read(folder, **keys)
+    assert time.process_time() - began < 4.0  # PyTorch and pint may load meanwhile
+
+
+def test_counts_of_tasks_are_bounded(tmp_path):
+    body = {"bar": {"size": [1, 1, 1], "cells": [5000, 5000, 5000]}}
+    (tmp_path / "it.yaml").write_text(yaml.safe_dump(with_model(finger(), body=body)))
+    with pytest.raises(ValueError, match=r"cells: at most 1,000,000 cells, got 5000 x 5000 x 5000"):
+        envs.make_task(tmp_path / "it.yaml")
+
+
+def test_every_whole_number_has_a_bound():
+    class Inner(Part):
+        names: dict[str, tuple[int, ...]] | None = None
+        width: float | int | None = None
+
+    Inner(names={"a": (MOST,)}, width=1e30)
+    for wrong in ({"names": {"a": (1, MOST + 1)}}, {"width": -HUGE}):
+        with pytest.raises(ValueError, match="must be at most 1,000,000, got"):
+            Inner(**wrong)
+
+
+def test_usual_names_and_patterns_are_filled_in(folder):
+    (folder / "run_3_fast_7.csv").write_text("time_s,q,n\n0,1,2\n1,2,2\n")
+    run = {"file": "run_{a}_{b}_{c}.csv", "name": "{b}-{a}-{c:02d}-{n:.1f}"}
+    assert [r.name for r in read(folder, run=run)[1].runs] == ["fast-3-07-2.0"]
+    assert fill_in("{{x}} {a:>3} {b:,}", {"a": "q", "b": 12345}) == "{x}   q 12,345"
+
+
+def test_a_sheet_with_a_cell_in_its_last_corner_is_read(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["time_s", "q"], [0, 1], [1, 2]):
+        book.active.append(row)
+    book.active["XFD1048576"] = 1
+    book.save(tmp_path / "log.xlsx")
+    found = read_columns(tmp_path / "log.xlsx")
+    np.testing.assert_array_equal(found["q"], [1.0, 2.0])
+
+
+def test_ten_thousand_arrays_are_refused_at_once_and_read_where_they_are_many_tables(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["a0"] = np.arange(3.0)
+        for k in range(10_000):
+            file[f"a{k + 1}"] = file["a0"]
+    with pytest.raises(ValueError, match="at most 10,000 entries of a group, '/', got 10,001"):
+        parts_of(tmp_path / "log.h5")
+    with h5py.File(tmp_path / "demos.h5", "w") as file:
+        for k in range(150):
+            file[f"data/demo_{k}/q"] = np.arange(3.0)
+    began = time.process_time()
+    parts = parts_of(tmp_path / "demos.h5")
+    assert len(parts) == 150
+    for part in parts:
+        read_columns(f"{tmp_path}/demos.h5#{part}")
+    assert time.process_time() - began < 3.0  # 10 s where each part listed all others
+
+
+def test_wide_records_are_refused(tmp_path):
+    (tmp_path / "log.json").write_text(json.dumps([{f"a{k}": 1 for k in range(10_001)}]))
+    with pytest.raises(ValueError, match="at most 10,000 columns, got 10,001"):
+        read_columns(tmp_path / "log.json")
