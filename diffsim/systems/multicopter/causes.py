@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -43,7 +43,11 @@ def _lag_speeds(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.with_command((), SignalChange(speed_lagged, size))
 
 
-#: What causes do that no port says, by the names of their rows; those of a rotor take its index.
+def _act_on_rotor(act: Callable[..., Any], rotor: str, name: str) -> Apply:
+    return partial(act, rotor=rotor)
+
+
+#: What causes do that no port says, by the names of their rows.
 FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
     {
         "parasitic_drag": effects.drag_by_square,
@@ -62,14 +66,12 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
         "climb_moment": moments.pitch_less_in_climb,
         "rate_damping": moments.damp_rates,
         "blind_estimator": effects.estimate_without_drag,
+        "thrust_loss": partial(_act_on_rotor, rotors.lose_thrust),
+        "torque_loss": partial(_act_on_rotor, rotors.lose_torque),
+        "rotor_tilt": partial(_act_on_rotor, rotors.tilt_rotor),
         "lag": _lag_speeds,  # in place of the port's where the rotors' speed lags
     }
 )
-_OF_ROTOR = {
-    "thrust_loss": rotors.lose_thrust,
-    "torque_loss": rotors.lose_torque,
-    "rotor_tilt": rotors.tilt_rotor,
-}
 
 
 def copter_plant(
@@ -97,11 +99,6 @@ def copter_plant(
     scales = scales or Scales({}, {}, 0.0, 1)
     usual = {"mass": mass, "arm": arm, "lift": 1.5 * mass * GRAVITY / num_rotors}
     thrusts = {**scales.of_commands(names), **usual}
-    of_rotors = {
-        f"{name}_{i + 1}": partial(act, index=i)
-        for name, act in _OF_ROTOR.items()
-        for i in range(num_rotors)
-    }
     return Plant(
         **{
             "kind": SYSTEM,
@@ -112,7 +109,7 @@ def copter_plant(
             "numbers": NUMBERS,
             "facts": {IN_TIME: True, "four_rotors": num_rotors >= 4, **dict.fromkeys(facts, True)},
             "parts": {"rotor": {str(i + 1): name for i, name in enumerate(names)}},
-            "functions": {**functions, **of_rotors},
+            "functions": functions,
             "magnitudes": usual,
             "instruments": (),
             **more,

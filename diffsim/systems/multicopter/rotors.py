@@ -46,29 +46,29 @@ def drag_by_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
     return scene.with_air(drag).with_schedule(torque)
 
 
-def lose_thrust(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
+def lose_thrust(scene: CopterScene, size: Tensor, run: Run, *, rotor: str) -> CopterScene:
     """Less thrust of a rotor for the same torque: its torque per thrust grows as the thrust falls.
 
     Causes that depend on a rotor's speed take the lost thrust for lost speed, an error of second
     order.
     """
-    kept = 1.0 - amount(size, 1) * _mark_rotor(scene, index)
+    kept = 1.0 - amount(size, 1) * _mark_rotor(scene, rotor)
     weaker = scene.with_command((), lambda u, grid: u * kept[..., None])
     return _scale_torques(weaker, 1.0 / kept)
 
 
-def lose_torque(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
-    return _scale_torques(scene, 1.0 - amount(size, 1) * _mark_rotor(scene, index))
+def lose_torque(scene: CopterScene, size: Tensor, run: Run, *, rotor: str) -> CopterScene:
+    return _scale_torques(scene, 1.0 - amount(size, 1) * _mark_rotor(scene, rotor))
 
 
-def tilt_rotor(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> CopterScene:
-    return tilt_axes(scene, vector(size)[:, None] * _mark_rotor(scene, index)[:, None])
+def tilt_rotor(scene: CopterScene, size: Tensor, run: Run, *, rotor: str) -> CopterScene:
+    return tilt_axes(scene, vector(size)[:, None] * _mark_rotor(scene, rotor)[:, None])
 
 
-def _mark_rotor(scene: CopterScene, index: int) -> Tensor:
+def _mark_rotor(scene: CopterScene, rotor: str) -> Tensor:
     """1 for a certain rotor, else 0, (n_rotors,)."""
     share = torch.zeros(scene.vehicle.num_rotors, dtype=torch.float64)
-    share[index] = 1.0
+    share[list(scene.commands.rows[rotor])] = 1.0
     return share
 
 
