@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -92,20 +92,6 @@ def cause_of_commands(
     return effect if group.unit is None else say_in_unit(effect, row, group.unit, group.shown)
 
 
-def command_causes(
-    group: CommandGroup, *, system: str = ANY, without: Sequence[str] = ()
-) -> list[Effect]:
-    """All causes on the way of commands that go the same way, in the order in which they act.
-
-    Args:
-        group: Commands that the cause changes alike.
-        system: Kind of system.
-        without: Names of rows that this system leaves out.
-    """
-    left_out = {*without, *(("dead_band",) if group.is_one_sided else ())}
-    return [command_cause(n, group, system=system) for n in rows(ACTUATOR) if n not in left_out]
-
-
 def say_in_unit(effect: Effect, row: Row, unit: str, shown: str | None = None) -> Effect:
     """A cause that says its size in the command's unit, where it has that of the command.
 
@@ -136,4 +122,4 @@ def _slack_in_words(unit: str, times: float, shown: str | None) -> Callable[[flo
 _WORDS = {"rate_limit": _limit_in_words, "slack": _slack_in_words}
 
 
-__all__ = ["CommandGroup", "cause_of_commands", "command_cause", "command_causes", "say_in_unit"]
+__all__ = ["CommandGroup", "cause_of_commands", "command_cause", "say_in_unit"]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from diffsim.causes.instruments import grid_of
+from diffsim.causes.scene import grid_of
 from diffsim.causes.signals import Grid, lagged
 from diffsim.core.expression import FUNCTIONS, Expression, parse_expression
 from diffsim.core.schema import Part

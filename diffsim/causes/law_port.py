@@ -29,10 +29,9 @@ from diffsim.causes.formulas import (
     parse_formula,
     signals_of,
 )
-from diffsim.causes.instruments import grid_of
 from diffsim.causes.plant import Plant
 from diffsim.causes.ports import OF_FORCES
-from diffsim.causes.scene import ForceLaw
+from diffsim.causes.scene import ForceLaw, grid_of
 from diffsim.causes.signals import Grid
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import PRIOR_WIDTH, Effect

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.catalogue import rows
 from diffsim.causes.channel_groups import WHOLE, ChannelGroup
 from diffsim.causes.ports import on_clock, on_readings
 from diffsim.causes.row import ANY, Row, spell_plainly
@@ -47,17 +46,6 @@ class Instrument:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", MappingProxyType(dict(self.scales)))
-
-
-def reading_cause(name: str, of: Instrument, *, system: str = ANY) -> Effect:
-    """One cause in an instrument, its size in the unit in which a user reads it.
-
-    Args:
-        name: Name of its row in the table of sensors.
-        of: Instrument that the cause changes.
-        system: Kind of system.
-    """
-    return cause_of_readings(rows(SENSOR)[name], of, system=system)
 
 
 def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
@@ -102,6 +90,14 @@ def instrument_of(group: ChannelGroup, channels: Sequence[Channel], scales: Scal
 def with_ending(
     of: Instrument, cause: str, group: ChannelGroup, channels: Sequence[Channel]
 ) -> Instrument:
+    """An instrument with what one of its causes is called, where there are others.
+
+    Args:
+        of: Instrument of the group.
+        cause: Name of the row.
+        group: Channels that causes change alike.
+        channels: Channels of the study.
+    """
     is_whole = not group.name or len(of.channels) == len(channels)
     is_one_kind = len({c.kind for c in channels}) == 1
     is_named = not is_whole or (cause in _NAMED and is_one_kind)
@@ -149,7 +145,6 @@ __all__ = [
     "cause_of_readings",
     "instrument_of",
     "pace",
-    "reading_cause",
     "usual_sample",
     "with_ending",
     "with_play_start",

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import soft
-from diffsim.causes.instruments import grid_at
-from diffsim.causes.scene import Commands
+from diffsim.causes.scene import Commands, grid_at
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect, effect_coordinates

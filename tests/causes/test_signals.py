@@ -10,7 +10,7 @@ from scipy import interpolate, signal
 from diffsim.causes import interpolation, signals
 from diffsim.causes import signals as maps
 from diffsim.causes.commands import CommandGroup, command_cause
-from diffsim.causes.instruments import Instruments
+from diffsim.causes.scene import Instruments
 from diffsim.causes.signals import MAPS, on_columns
 
 

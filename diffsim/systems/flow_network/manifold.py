@@ -9,7 +9,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import grid_of
+from diffsim.causes.scene import grid_of
 from diffsim.core.errors import ConvergenceError
 from diffsim.data.study import Run
 from diffsim.identify.model import SimModel

@@ -8,7 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import grid_of
+from diffsim.causes.scene import grid_of
 from diffsim.data.study import Run
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics

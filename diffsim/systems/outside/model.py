@@ -15,9 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.causes.instruments import Instruments
 from diffsim.causes.ports import SignalChange
-from diffsim.causes.scene import PLAY_START, Commands, Scene
+from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import Grid, SignalMap
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel

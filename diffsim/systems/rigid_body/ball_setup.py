@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from diffsim.causes.instruments import grid_at
 from diffsim.causes.listing import numbers_added
+from diffsim.causes.scene import grid_at
 from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
 from diffsim.data.study import TIMELESS, Channel, Run, Study

@@ -11,8 +11,7 @@ from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.instruments import Instruments, grid_of
-from diffsim.causes.scene import Scene
+from diffsim.causes.scene import Instruments, Scene, grid_of
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Channel, Run
 from diffsim.identify import model as identify_model

@@ -11,8 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import grid_of
-from diffsim.causes.scene import Commands, Scene
+from diffsim.causes.scene import Commands, Scene, grid_of
 from diffsim.core.memo import Memo
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics

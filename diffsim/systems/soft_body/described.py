@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim import contact
-from diffsim.causes.instruments import Instruments, grid_at
-from diffsim.causes.scene import Commands
+from diffsim.causes.scene import Commands, Instruments, grid_at
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.identify.numerics import Numerics
 from diffsim.soft.materials import CONSTANTS

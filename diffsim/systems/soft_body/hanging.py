@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import Instruments, grid_at
 from diffsim.causes.interpolation import sample
+from diffsim.causes.scene import Instruments, grid_at
 from diffsim.data.study import Run
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.instruments import Instruments
+from diffsim.causes.scene import Instruments
 from diffsim.core.memo import Memo
 from diffsim.identify.shape import MovingShape
 from diffsim.mesh import surface_triangles

@@ -11,10 +11,9 @@ from pydantic import Field
 from torch import Tensor
 
 from diffsim.causes.commands import CommandGroup
-from diffsim.causes.instruments import grid_of
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import Scales
-from diffsim.causes.scene import Commands, Scene
+from diffsim.causes.scene import Commands, Scene, grid_of
 from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.systems.description import BaseParameters, Description, quantity

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from diffsim.causes.catalogue import rows
-from diffsim.causes.commands import CommandGroup, command_causes
+from diffsim.causes.commands import CommandGroup, cause_of_commands
 from diffsim.causes.ports import on_clock, on_readings
 from diffsim.systems.soft_body.causes import FUNCTIONS, body_cause
 from diffsim.systems.soft_body.support import support_of
@@ -16,7 +16,7 @@ _OF_ANY = ("stiffness_damping", *(name for name in FUNCTIONS if name not in _OF_
 ANY_BODY = (
     *(body_cause(name) for name in _OF_ANY),
     body_cause("support_motion", apply=support_of(("support_x_m", "support_z_m"), None)),
-    *command_causes(_PULLED),
+    *(cause_of_commands(row, _PULLED) for row in rows("actuator").values()),
     _SENSOR["sensor_delay"].effect(on_clock(())),
     _SENSOR["sensor_scale"].effect(on_readings(_SENSOR["sensor_scale"], ())),
     body_cause("clock_rate"),
