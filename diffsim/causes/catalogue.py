@@ -83,7 +83,7 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
     for name, given in read_yaml_file(path).items():
         try:
             if "include" in given:
-                found += _included(given)
+                found += _list_included(given)
             else:
                 found.append((domain, Row.model_validate({"name": name, **given})))
         except ValidationError as error:
@@ -93,7 +93,7 @@ def rows_in_order(domain: str) -> tuple[tuple[str, Row], ...]:
     return tuple(found)
 
 
-def _included(given: Mapping[str, Any]) -> list[tuple[str, Row]]:
+def _list_included(given: Mapping[str, Any]) -> list[tuple[str, Row]]:
     """Rows of another table, with what is said of them otherwise."""
     table, _, one = given["include"].partition("/")
     own = {key: value for key, value in given.items() if key != "include"}

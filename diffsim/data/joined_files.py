@@ -81,7 +81,7 @@ def join_files(
         is_lone = len(groups) == 1 and groups[0][1] == groups[0][0].name
         if not _are_of_one_run(kinds, is_lone=is_lone):
             if len(groups) > 1 and groups[0][1] == groups[0][0].name:
-                unclear = ", ".join(map(_shown, kinds))
+                unclear = ", ".join(map(_list_shown, kinds))
                 said.append(
                     f"runs: {unclear} have the same columns and no name that says what was "
                     f"commanded; if they are of one run, write file: [{unclear}], and file: 2 of "
@@ -92,7 +92,7 @@ def join_files(
         if isinstance(fitting, str):
             said.append(fitting)
             return None
-        first = " with ".join(map(_shown, fitting))
+        first = " with ".join(map(_list_shown, fitting))
         said.append(f"runs: files of one run are joined at the clock of the first, such as {first}")
         if num_lacking:
             said.append(f"runs: {num_lacking} that lack a file are not used")
@@ -142,7 +142,7 @@ def _kinds(tables: Sequence[FoundTable], way: Way) -> tuple[list[Kind], list[Gro
     whole = [group for group in groups if all(group in by for by in usual.values())]
     if len(usual) < 2 or not whole:
         return None
-    tags = dict(zip(usual, _shortened(list(usual)), strict=True))
+    tags = dict(zip(usual, _shorten_names(list(usual)), strict=True))
     kinds = [_kind(tags[tag], [by[group] for group in whole]) for tag, by in usual.items()]
     return kinds, whole, len(groups) - len(whole)
 
@@ -153,7 +153,7 @@ def _alike(by_group: Mapping[Group, FoundTable]) -> dict[Group, FoundTable]:
     return {group: one for group, one in by_group.items() if one.layout == usual}
 
 
-def _shortened(tags: list[str]) -> list[str]:
+def _shorten_names(tags: list[str]) -> list[str]:
     """Tags without the words that all begin or end with."""
     words = [_MARK.split(tag) for tag in tags]
     for at in (0, -1):
@@ -216,7 +216,7 @@ def _fit_clocks(kinds: Sequence[Kind]) -> list[Kind] | str:
             fitting.append(kind)
         else:
             return (
-                f"{_shown(kind)} has no clock and {kind.num_rows} rows, {_shown(first)} "
+                f"{_list_shown(kind)} has no clock and {kind.num_rows} rows, {_list_shown(first)} "
                 f"{first.num_rows}: not joined; give it a column with the time"
             )
     timed = [kind for kind in fitting if kind.time]
@@ -225,7 +225,7 @@ def _fit_clocks(kinds: Sequence[Kind]) -> list[Kind] | str:
         taken = next(t.time for t in timed if t.time.get("column") in (*names, None))
         if taken != kind.time:
             return (
-                f"{_shown(kind)} and {_shown(timed[0])}: not joined, since column "
+                f"{_list_shown(kind)} and {_list_shown(timed[0])}: not joined, since column "
                 f"{taken['column']} means another clock in each; rename it in one of them"
             )
     if len(timed) > 1 and not _meet(timed):
@@ -242,7 +242,7 @@ def _meet(kinds: Sequence[Kind]) -> bool:
 def _why_apart(kinds: Sequence[Kind]) -> str:
     """That clocks do not meet, and what joins the files all the same."""
     spans = "; ".join("{:.7g} to {:.7g} s".format(*kind.span()) for kind in kinds)
-    names = ", ".join(map(_shown, kinds))
+    names = ", ".join(map(_list_shown, kinds))
     clocks = dict.fromkeys(
         f"{{column: {k.time['column']}, unit: {k.time['unit']}, zero: start}}" for k in kinds
     )
@@ -252,7 +252,7 @@ def _why_apart(kinds: Sequence[Kind]) -> str:
     )
 
 
-def _shown(kind: Kind) -> str:
+def _list_shown(kind: Kind) -> str:
     return kind.files[0].reference
 
 

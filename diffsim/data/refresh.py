@@ -161,13 +161,13 @@ def _best_period(records: Iterable[tuple[Array, Array]]) -> tuple[float, float] 
     tried = [1.0 / r for r in rates if 1.0 / LONGEST < r * step < 1.0 / SHORTEST]
     if not tried:
         return None
-    first, period = max((_explained(found, period), period) for period in tried)
+    first, period = max((_explain_rows(found, period), period) for period in tried)
     if first < HINT * EXPLAINED:
         return period, first
     rate = 1.0 / period
     ways = [1.0 / (rate + k * fine / 4.0) for k in range(-3, 4)]
     # the coarse period decides whether there is a clock: refining only makes it exact
-    return max(ways, key=lambda period: _explained(found, period)), first
+    return max(ways, key=lambda period: _explain_rows(found, period)), first
 
 
 def _spectrum(found: list[_Lags], step: float) -> tuple[Array, Array]:
@@ -189,7 +189,7 @@ def _spectrum(found: list[_Lags], step: float) -> tuple[Array, Array]:
     return beats, power
 
 
-def _explained(found: list[_Lags], period: float) -> float:
+def _explain_rows(found: list[_Lags], period: float) -> float:
     """Share of the squares that a clock of a period explains; 0 where its sawtooth is not whole."""
     total = sum(float((lags.off[lags.velocity != 0.0] ** 2).sum()) for lags in found)
     fits = [lags.fit(period) for lags in found]

@@ -17,7 +17,7 @@ SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains 
 _ODD = np.uint64(0x9E3779B97F4A7C15)
 
 
-class Shared(NamedTuple):
+class SharedStretch(NamedTuple):
     """A stretch that two recordings share.
 
     Attributes:
@@ -35,7 +35,7 @@ class Shared(NamedTuple):
 
 def shared_stretches(
     recordings: Sequence[Array], may_share: Callable[[int, int], bool], *, distinct: bool = False
-) -> Iterator[Shared]:
+) -> Iterator[SharedStretch]:
     """All stretches of ``STRETCH`` rows or more that two recordings share.
 
     Rows without any number are in no stretch; missing numbers equal each other.
@@ -69,7 +69,7 @@ def shared_stretches(
     for (first, second, _), found_rows in matches.items():
         at = np.sort(np.array(found_rows))
         for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
-            yield Shared(first, second, int(part[0]), len(part) + STRETCH - 1)
+            yield SharedStretch(first, second, int(part[0]), len(part) + STRETCH - 1)
 
 
 def _windows(values: Array, *, distinct: bool) -> tuple[Hashes, NDArray[np.int64]]:

@@ -30,7 +30,7 @@ BETTER = 0.7  # share of the squares that are left with a drift
 
 def find_gaps(record: Record) -> Iterator[Finding]:
     """Rows that are lost while a command moves, and clocks that were set."""
-    system, held = (record.study.model or {}).get("system"), _held(record)
+    system, held = (record.study.model or {}).get("system"), _find_held(record)
     for run in record.study.runs if system not in TIMELESS else ():
         steps = np.diff(run.time_s)
         if len(steps) < FEW or not (steps > 0.0).all():
@@ -65,7 +65,7 @@ def find_gaps(record: Record) -> Iterator[Finding]:
             )
 
 
-def _held(record: Record) -> set[str]:
+def _find_held(record: Record) -> set[str]:
     """Commands of inputs that the model holds from sample to sample: over a gap that is wrong."""
     inputs = (record.study.model or {}).get("inputs") or ()
     stated = [i for i in inputs if isinstance(i, dict) and i.get("held")]

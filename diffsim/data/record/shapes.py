@@ -193,11 +193,11 @@ def _stands_out(samples: Samples, k: int, width: int, usual: float, speed: Sampl
         )
         local = max(float(np.abs(around).max()), abs(x[after] - x[before]), usual)
         if off > ALONE * local:
-            return speed is None or not _explained(samples, k, speed, off)
+            return speed is None or not _explain_rows(samples, k, speed, off)
     return False
 
 
-def _explained(samples: Samples, k: int, speed: Samples, off: float) -> bool:
+def _explain_rows(samples: Samples, k: int, speed: Samples, off: float) -> bool:
     """Whether a speed that was measured makes the motion to a sample."""
     step = samples.times[k] - samples.times[k - 1]
     near = np.abs(speed.times - samples.times[k]) < 1.5 * step

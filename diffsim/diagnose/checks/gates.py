@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from diffsim.core.progress import say_stage
-from diffsim.data.shared_rows import SHARED_BITS, STRETCH, Shared, bits_of, shared_stretches
+from diffsim.data.shared_rows import SHARED_BITS, STRETCH, SharedStretch, bits_of, shared_stretches
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.noise import SPIKE, UNREPEATABLE
@@ -62,7 +62,7 @@ def _shared_runs(
 ) -> Iterator[tuple[Run, Run, int]]:
     """Pairs of runs with a stretch that was recorded once, and its length; runs to fit first."""
     ordered = [run for use in ("fit", "select", "test") for run in runs if run.use == use]
-    longest: dict[tuple[int, int], Shared] = {}
+    longest: dict[tuple[int, int], SharedStretch] = {}
     for found in shared_stretches(
         [run.measured for run in ordered], lambda a, b: may_share(ordered[a], ordered[b])
     ):

@@ -49,7 +49,7 @@ class Store:
     The name of the model stands for its code: empty the folder after changing that.
 
     Args:
-        folder: Shared by any number of studies.
+        folder: SharedStretch by any number of studies.
         key: Identifier of study, model and candidates, as ``key_of`` makes it.
         tally: Counts what is simulated, and what earlier processes have simulated for what is read
             back: budgets end at the same place.

@@ -1,4 +1,4 @@
-"""Shared data of the data tests: the measured beam if it is there, a virtual one always."""
+"""SharedStretch data of the data tests: the measured beam if it is there, a virtual one always."""
 
 from __future__ import annotations
 
