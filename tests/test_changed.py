@@ -34,7 +34,7 @@ def tests_of():
         ),
         # by inclusion: the room of the kernel and what stands above it
         ("csrc/kernels/stokes/flow_schur.cpp", "stokes/test_flow", "soft/test_solvers"),
-        ("csrc/kernels/linalg/lanes.h", "soft/test_solvers", "data/test_study_file"),
+        ("csrc/kernels/linalg/lanes.h", "soft/test_solvers", "data/test_refresh"),
         ("tests/helpers.py", "copter/dynamics/test_hover", "cli/test_main"),
     ],
 )

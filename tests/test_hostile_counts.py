@@ -62,7 +62,7 @@ def read(folder, **keys: Any):
         ({"run": {"blocks": {"num": HUGE}}}, r"runs\[0\].blocks.num: must be at most 10000"),
         ({"run": {"blocks": {"length_s": 1e-12}}}, r"runs\[0\].blocks.length_s: makes 4,900,0"),
         ({"run": {"every": 10**30}}, r"runs\[0\]: every must be at most 1,000,000"),
-        ({"table": {"header_line": HUGE}}, "table: header_line must be at most 1,000,000"),
+        ({"table": {"header_line": HUGE}}, r"table\[0\]: header_line must be at most 1,000,000"),
         ({"model": {**ODE, "effects": {"own": [FORM]}}}, r"effects.own\[0\].words: .* no format"),
         ({"model": {**ODE, "parameters": {"c": "1" + " " * 10**5 + "m"}}}, "got 100,002 letters"),
     ],

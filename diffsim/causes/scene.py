@@ -23,6 +23,8 @@ from torch import Tensor
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
 from diffsim.core.check import require_choice
+from diffsim.core.layer import on_constants
+from diffsim.core.numbers import values_of
 from diffsim.data.study import Run
 
 if TYPE_CHECKING:
@@ -319,7 +321,9 @@ def grid_of(run: Run) -> Grid:
 
 def grid_at(times: Tensor) -> Grid:
     """Samples at times [s] and nothing in between."""
-    return Grid(times, torch.arange(len(times)), times.numpy())
+    times = values_of(times)  # data: within ``torch.func`` as outside
+    with on_constants():
+        return Grid(times, torch.arange(len(times)), times.numpy())
 
 
 __all__ = [

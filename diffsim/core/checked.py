@@ -181,7 +181,7 @@ def _check(name: str, shape: Shape, optional: bool, takes: Sequence[_Taker], val
     if isinstance(value, Tensor):
         whole = not value.is_floating_point() and not value.is_complex()
         require(name, value, shape, value.dtype if whole else torch.float64)
-        if not whole and not float(values_of(value).abs().sum()) <= LARGEST:
+        if not whole and value.numel() and not float(values_of(value).abs().amax()) <= LARGEST:
             raise ValueError(f"{name} must be at most {LARGEST:g}, where squares are numbers")
     elif any(t.numbers for t in takes):
         as_array(name, value)

@@ -84,11 +84,11 @@ def put(threshold: Threshold, value: Any) -> Iterator[None]:
 
 @cache
 def _trees() -> dict[str, ast.Module]:
-    """Syntax of every module below ``diffsim.diagnose`` and ``diffsim.identify``, by its name."""
+    """Syntax of every module that may hold or import a threshold, by its name."""
     root = Path(diffsim.__file__).parent
     return {
         ".".join(path.relative_to(root).with_suffix("").parts): ast.parse(path.read_text("utf-8"))
-        for room in ("diagnose", "identify", "systems", "viz", "cli")
+        for room in ("data", "diagnose", "identify", "systems", "viz", "cli")
         for path in sorted((root / room).rglob("*.py"))
     }
 

@@ -204,6 +204,7 @@ def test_what_cannot_be_drawn_is_said_before_anything_is_computed(monkeypatch, c
     monkeypatch.setattr(
         "diffsim.cli.diagnose_steps.read_study", lambda _: SimpleNamespace(faults=None)
     )
+    monkeypatch.setattr("diffsim.cli.diagnose_steps.certain_faults", lambda _: [])
     monkeypatch.setattr("diffsim.cli.diagnose_steps._inputs", begins)
     monkeypatch.setattr("diffsim.cli.diagnose_steps.present", lambda name: name != "plotly")
     with pytest.raises(Computes):

@@ -145,7 +145,10 @@ def test_a_closed_pipe_is_no_error_message():
 
 def test_diagnose_names_a_missing_study(capsys):
     assert cli.main(["diagnose", "check", "nowhere.yaml"]) == 2
-    assert "nowhere.yaml is no file or folder of a study" in capsys.readouterr().err
+    assert (
+        "nowhere.yaml: no such study; give study.yaml or the folder that has it"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_folder_of_results_does_not_hide_the_published_data_set(tmp_path, monkeypatch):

@@ -88,7 +88,6 @@ def change(folder, file, old, new):
             "gruop: up",
             r"yaml: runs\[0\]: no key 'gruop' here; did you mean 'group'",
         ),
-        ("study.yaml", "system: soft_body", "system: softbody", "did you mean 'soft_body'"),
         ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*you mean 'b\.csv'"),
         (
             "study.yaml",

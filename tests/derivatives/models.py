@@ -229,6 +229,7 @@ LATER += [
     r"shape_(at|of)$|prepared_at$|picture$|factor$",  # no tensors, or what others go through
     r"systems\.multicopter\.",  # initial states are fitted away, which leaves terms out
     r"systems\.outside\.",
+    r"causes\.Scene\.with_clock|Problem\.sizes_of",  # tests/systems/kinds.py takes slopes of them
     r"systems\.flow_network\.Network|soft_body\.SoftScene\.",
     r"identify\.(Jacobian\.|NumericalEffect\.|ExtendedModel\.(scene|simulate_many)$)",
     r"codesign\.codesign$|devices\.optimize$",

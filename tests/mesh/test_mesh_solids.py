@@ -76,7 +76,7 @@ def test_parents_of_faces():
     assert bool((quads.faces[:, :, None] == nodes[:, None]).any(dim=2).all())
     assert m.surface_triangles(mesh).element_idx[::2].tolist() == quads.element_idx.tolist()
     assert m.surface_vertices(m.hex_box((2, 2, 2))).tolist() == [i for i in range(27) if i != 13]
-    with pytest.raises(TypeError, match="surface_quads needs a HexMesh, got TetMesh"):
+    with pytest.raises(TypeError, match="mesh must be a HexMesh, got TetMesh"):
         m.surface_quads(m.tet_box((1, 1, 1)))
 
 

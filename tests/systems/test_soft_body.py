@@ -115,7 +115,6 @@ def test_needs():
     study = Study("s", "soft_body", (Channel("tip_z_m", "m", "position"),), (run,))
     assert "command" in CAUSES["lag"].needs(study)
     assert "three runs" in CAUSES["temperature_drift"].needs(study)
-    assert "water" in CAUSES["current"].needs(study)
     assert CAUSES["linear_drag"].needs(study) is None
 
 

@@ -71,13 +71,6 @@ def test_a_support_at_rest_is_left_alone():
     assert CAUSES["support_motion"].apply(scene, model.at_prior()[:2] + 1.0, run) is scene
 
 
-def test_it_needs_the_record_of_the_support():
-    study = recorded()
-    assert CAUSES["support_motion"].needs(study) is None
-    bare = replace(study, runs=tuple(replace(r, command={}) for r in study.runs))
-    assert "support_x_m" in CAUSES["support_motion"].needs(bare)
-
-
 @pytest.mark.slow
 def test_it_is_named_where_it_was_hidden():
     """Among other causes of damping and drift, by a diagnosis that sees recordings only."""

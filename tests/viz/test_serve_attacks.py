@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 import urllib.error
 import urllib.request
 
@@ -128,15 +129,19 @@ def test_of_large_reports_the_head_is_read(runs):
     path.write_text(
         f'{{"headline": "Play \\u00e4 {{", "n": {{"a": [1]}} , "rows": [{lists}], "x": 1}}'
     )
-    began = time.process_time()
-    found = {run.path: run for run in run_folders(runs)}
+    tracemalloc.start()
+    try:
+        found = {run.path: run for run in run_folders(runs)}
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
     assert found["bad"].said == "Play ä {"
-    assert time.process_time() - began < 0.5
+    assert most < 1.5 * path.stat().st_size
 
 
 def test_two_hundred_clients_at_once_and_half_sent_requests(runs, monkeypatch):
     (runs / "good" / "page.html").write_text("<p>page")
-    monkeypatch.setattr("diffsim.viz.run_index._Handler.timeout", 0.5)
+    monkeypatch.setattr("diffsim.viz.run_index._Handler.timeout", 3.0)
     with served(runs) as base:
         address = ("127.0.0.1", int(base.rpartition(":")[2]))
         half = [socket.create_connection(address, timeout=10) for _ in range(100)]
@@ -167,6 +172,7 @@ def test_pages_ask_no_other_machine_and_are_what_they_say(runs):
 
 def test_a_download_that_is_given_up_says_nothing(runs, capfd):
     (runs / "good" / "film.rrd").write_bytes(bytes(30_000_000))
+    before = threading.active_count()
     with served(runs) as base:
         client = socket.create_connection(("127.0.0.1", int(base.rpartition(":")[2])), timeout=10)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -174,7 +180,7 @@ def test_a_download_that_is_given_up_says_nothing(runs, capfd):
         client.recv(100)
         client.close()  # with a reset
         get(base + "/")
-        _wait_until(lambda: threading.active_count() <= 2)
+        _wait_until(lambda: threading.active_count() <= before + 1)  # that of the server
     assert capfd.readouterr().err == ""
 
 

@@ -270,8 +270,9 @@ def _code(signal: Signal, code: float) -> Finding | None:
         return None
     if share > 0.5:
         return None
-    if code == 0.0 and off <= 0.0:
-        off = OUTSIDE * size  # inside of the range: only jumps tell
+    is_inside = code == 0.0 and off <= 0.0
+    if is_inside:
+        off = OUTSIDE * size  # only jumps tell, there and back
     elif off < (OUTSIDE if is_known else 1.0) * size:
         return None
     stretches, jumps, times, longest = 0, 0, [], 0
@@ -284,7 +285,8 @@ def _code(signal: Signal, code: float) -> Finding | None:
         for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
             ends = [k for k in (part[0] - 1, part[-1]) if 0 <= k < len(samples.changes)]
             stretches += 1
-            jumps += bool(ends) and all(abs(samples.changes[k]) > limit for k in ends)
+            is_told = len(ends) == 2 if is_inside else bool(ends)  # a rest at zero has no end
+            jumps += is_told and all(abs(samples.changes[k]) > limit for k in ends)
             longest = max(longest, len(part))
             times.append(float(samples.times[part[0]]))
     needed = 2 if code == 0.0 else 1

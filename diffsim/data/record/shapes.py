@@ -259,7 +259,7 @@ def _si_at(record: Record, signal: Signal, end: float) -> float:
 
 
 def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None:
-    count, times, abrupt, parts, longest = 0, [], 0, 0, 0
+    count, times, abrupt, parts, longest, left = 0, [], 0, 0, 0, 0
     equal = of = 0
     for samples in signal.runs:
         is_end = samples.values == end
@@ -273,6 +273,7 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None
             if len(part) < 3:
                 continue
             parts += 1
+            left += part[-1] + 1 < len(samples)
             longest = max(longest, len(part))
             times.append(float(samples.times[part[0]]))
             k = part[0] - 1
@@ -282,7 +283,7 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None
     total = len(signal.all_values)
     if count < max(8, 0.01 * total) or count > 0.8 * total or not of:
         return None
-    if parts < 2 and longest < 8:
+    if (parts < 2 and longest < 8) or 2 * left < parts:  # what stays to the end came to rest
         return None
     is_noisy = equal < 0.1 * of
     if not is_noisy and abrupt < 0.8 * parts:

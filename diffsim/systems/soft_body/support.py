@@ -15,7 +15,7 @@ from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 if TYPE_CHECKING:
-    from diffsim.data.study import Run, Study
+    from diffsim.data.study import Run
 
 
 def _move_support(
@@ -55,13 +55,6 @@ def _smooth_places(run: Run, names: tuple[str, str], faster_hz: float | None) ->
     if faster_hz is None or 2.0 * faster_hz >= rate_hz:
         return places
     return np.asarray(filtfilt(*butter(4, faster_hz, fs=rate_hz), places, axis=0))
-
-
-def needs_record(study: Study, names: tuple[str, str]) -> str | None:
-    """What a study lacks of the support's recorded motion."""
-    if not all(set(names) <= set(run.command) for run in study.runs):
-        return f"the support's recorded motion in every run (commands {', '.join(names)})"
-    return None
 
 
 def support_of(names: tuple[str, str], faster_hz: float | None = None) -> Apply:
