@@ -32,7 +32,6 @@ FACTORS = {
     25.4: "25.4 (inches)",
     1e6: "a million (micro or mega)",
 }
-OF_SHARES = (100.0,)  # those by which a number without unit may differ
 NEAR = 0.12  # of the logarithm of a factor: how well a gain must meet it
 NOISE_NEAR = 0.35  # the same of the scatter from sample to sample
 MOST_SPREAD = 0.3  # of the logarithm of gains: others are not alike
@@ -174,13 +173,16 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
         spread_noise = float(np.abs(noises[rest] - np.median(noises[rest])).max())
         if spread > MOST_SPREAD or abs(off) < 1.5 + 4.0 * spread:
             continue
-        within = max(NEAR, 1.5 * spread) if is_level else NEAR + 2.0 * spread
-        factor = _factor_near(off, within, channel.unit)
+        factor = _factor_near(off, max(NEAR, 1.5 * spread) if is_level else NEAR + 2.0 * spread)
         if factor is None:
             continue
         times, words = factor
-        if abs(off_noise - np.log(times)) > max(NOISE_NEAR, 1.5 * spread_noise) + spread:
+        beside = abs(off_noise - np.log(times))
+        is_sharp = max(spread, abs(off - np.log(times))) < NEAR  # needs no noise that says so, too
+        if beside > max(NOISE_NEAR, 1.5 * spread_noise) + spread:
             continue
+        if not is_sharp and beside > abs(off_noise):
+            continue  # where runs differ anyway, noise nearer to unchanged than to the factor
         yield Finding(
             "units",
             f"run {samples.run}",
@@ -204,10 +206,9 @@ def _gain(record: Record, samples: Samples) -> float:
     return float(np.log(max(high - low, 1e-300) / drive))
 
 
-def _factor_near(off: float, within: float, unit: str | None) -> tuple[float, str] | None:
-    """The factor between units of a quantity whose logarithm is next to this one, its words."""
-    factors = OF_SHARES if unit == "-" else tuple(FACTORS)
-    ways = [(sign * np.log(f), f**sign, FACTORS[f]) for f in factors for sign in (1, -1)]
+def _factor_near(off: float, within: float) -> tuple[float, str] | None:
+    """The factor between units whose logarithm is next to this one, and its words."""
+    ways = [(sign * np.log(f), f**sign, w) for f, w in FACTORS.items() for sign in (1, -1)]
     log, times, words = min(ways, key=lambda way: abs(way[0] - off))
     return (float(times), words) if abs(log - off) < within else None
 
@@ -234,7 +235,7 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
             if len(fits) < 2 or float(np.median([share for _, share in fits])) < FOLLOWS:
                 continue
             times = float(np.median([slope for slope, _ in fits]))
-            factor = _factor_near(float(np.log(times)), 0.2, channel.unit)
+            factor = _factor_near(float(np.log(times)), 0.2)
             if factor is None or not (factor[0] > BIG or factor[0] < 1.0 / BIG):
                 continue
             yield Finding(
@@ -306,7 +307,7 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
     for k in _places_of_change(samples, bends):
         left, right = bends[: k - 2], bends[k + 1 :]
         noise = _log_ratio(right, left)
-        factor = _factor_near(noise, NOISE_NEAR, channel.unit)
+        factor = _factor_near(noise, NOISE_NEAR)
         if factor is None or abs(np.log(factor[0])) < 1.5:
             continue
         near = _log_ratio(right[:WINDOW], left[-WINDOW:])
