@@ -54,9 +54,9 @@ def page(
         "# Thresholds, halved and doubled",
         "",
         f"{len(first)} cases of [`labs.rates`](../../docs/measured/rates.md) ({_domains(first)}), "
-        f"commit {commit[:10]}. Each threshold that decides verdicts is followed through the first answer "
-        "to each case, at half its value, at its value and at double. Where it is not read, or "
-        "every comparison falls on one side at all three, it cannot change the answer. Where it "
+        f"commit {commit[:10]}. Each threshold that decides verdicts is followed through the first "
+        "answer to each case, at half its value, at its value and at double. Where it is not read, "
+        "or every comparison falls on one side at all three, it cannot change the answer. Where it "
         f"may, the first {options['again']} cases are answered again with it. {whole} cases could "
         "be followed; the others count as asked by all.",
         "",
