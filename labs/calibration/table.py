@@ -53,7 +53,7 @@ def page(
     lines = [
         "# Thresholds, halved and doubled",
         "",
-        f"{len(first)} cases of [`labs.rates`](../../docs/measured/rates.md) ({_domains(first)}), "
+        f"{len(first)} cases of [`labs.rates`](rates.md) ({_domains(first)}), "
         f"commit {commit[:10]}. Each threshold that decides verdicts is followed through the first "
         "answer to each case, at half its value, at its value and at double. Where it is not read, "
         "or every comparison falls on one side at all three, it cannot change the answer. Where it "
