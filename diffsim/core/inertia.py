@@ -77,7 +77,7 @@ def size_mistake(mass: float, inertia: NDArray[np.float64], reach: float) -> str
     """A radius of gyration that is far from the size of the body; None where it may be right.
 
     Args:
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the center of mass, (3, 3) [kg m^2].
         reach: Distance of the farthest tip of a rotor from the center of mass [m].
     """

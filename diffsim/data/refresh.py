@@ -23,7 +23,7 @@ WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
 SHORTEST, LONGEST = 0.3, 2.5  # periods that are looked for, in usual steps between samples
 FINE = 4.0  # beats that are tried per one over a record's duration
 TINY = 1e-300  # keeps ratios of nothing finite
-MOST = 4  # records in which the period is looked for: those that move most
+MAX_PERIOD_RECORDS = 4  # records in which the period is looked for: those that move most
 CANDIDATES = 3  # beats whose sawteeth are tried
 PHASES = 24  # that are tried of a record
 PART = 800  # samples of a record that are looked at first
@@ -38,7 +38,7 @@ class _Lags:
     """How readings differ from a smooth motion.
 
     Attributes:
-        times: (num_samples,) [s].
+        times: Times of the samples, (num_samples,) [s].
         velocity: Of the smooth motion [reading/s].
         off: Readings less the smooth motion.
     """
@@ -146,7 +146,7 @@ def _best_period(records: Iterable[tuple[Array, Array]]) -> tuple[float, float] 
     found = sorted(
         (lags for lags in starmap(_Lags.of, records) if lags is not None and lags.moves > 0.0),
         key=lambda lags: -lags.moves,
-    )[:MOST]
+    )[:MAX_PERIOD_RECORDS]
     if not found:
         return None
     step = float(np.mean(np.diff(found[0].times)))

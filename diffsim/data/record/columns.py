@@ -32,7 +32,7 @@ FACTORS = {
     25.4: "25.4 (inches)",
     1e6: "a million (micro or mega)",
 }
-NEAR = 0.12  # of the logarithm of a factor: how well a gain must meet it
+GAIN_NEAR = 0.12  # of the logarithm of a factor: how well a gain must meet it
 NOISE_NEAR = 0.35  # the same of the scatter from sample to sample
 MOST_SPREAD = 0.3  # of the logarithm of gains: others are not alike
 WINDOW = 20  # samples whose scatter is compared
@@ -173,12 +173,14 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
         spread_noise = float(np.abs(noises[rest] - np.median(noises[rest])).max())
         if spread > MOST_SPREAD or abs(off) < 1.5 + 4.0 * spread:
             continue
-        factor = _factor_near(off, max(NEAR, 1.5 * spread) if is_level else NEAR + 2.0 * spread)
+        near = max(GAIN_NEAR, 1.5 * spread) if is_level else GAIN_NEAR + 2.0 * spread
+        factor = _factor_near(off, near)
         if factor is None:
             continue
         times, words = factor
         beside = abs(off_noise - np.log(times))
-        is_sharp = max(spread, abs(off - np.log(times))) < NEAR  # needs no noise that says so, too
+        # one that is sharp needs no noise that says so, too
+        is_sharp = max(spread, abs(off - np.log(times))) < GAIN_NEAR
         if beside > max(NOISE_NEAR, 1.5 * spread_noise) + spread:
             continue
         if not is_sharp and beside > abs(off_noise):

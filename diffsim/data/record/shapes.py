@@ -16,7 +16,7 @@ from diffsim.data.study import Command
 
 Array = NDArray[np.float64]
 FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
-FAR = 2.0  # spreads beyond which a value is none of the usual ones
+USUAL_SPREADS = 2.0  # spreads beyond which a value is none of the usual ones
 OUTSIDE = 0.5  # of the range of the others: how far a value must leap
 ALONE = 4.0  # largest changes around, beyond which a sample lies off both sides
 SPIKY = ("m/s^2", "rad/s^2", "N", "N m", "A", "V", "W")  # SI units of what an impact makes jump
@@ -33,7 +33,7 @@ def find_far(record: Record) -> Iterator[Finding]:
         if len(values) < FEW:
             continue
         low, high = np.quantile(values, [0.1, 0.9])
-        reach = FAR * float(high - low)
+        reach = USUAL_SPREADS * float(high - low)
         inside = values[(values >= low - reach) & (values <= high + reach)]
         if len(inside) == len(values):
             continue

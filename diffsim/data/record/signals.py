@@ -27,7 +27,7 @@ class Samples:
     Attributes:
         run: Name of the run.
         at: Places in the run, (num,).
-        times: (num,) [s].
+        times: Times of the samples, (num,) [s].
         values: (num,) as the file has them.
     """
 

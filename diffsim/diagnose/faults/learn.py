@@ -34,7 +34,7 @@ NUM_SWEEPS = 4  # over the signs of known sizes, at the most probable spreads
 NUM_SWEEPS_OF_DRAW = 2  # and from there for each draw of them
 MAX_ROUNDS = 5
 CURVE_STEP = 0.05  # of the logarithms of spreads, for their curvature
-SETTLED = 1e-3  # change of common parameters in prior sd, at which rounds end
+ROUND_CHANGE_SD = 1e-3  # change of common parameters in prior sd, at which rounds end
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +192,7 @@ def learn(
             points[g.label] = _solve_point(
                 own[g.label], layout, locals_[g.label], place, log_spread
             )
-        if np.abs(place - before).max() < SETTLED:
+        if np.abs(place - before).max() < ROUND_CHANGE_SD:
             break
         before = place
     return _learn_posterior(started, locals_, log_spread)

@@ -88,7 +88,7 @@ def copter_plant(
 
     Args:
         num_rotors: Number of rotors.
-        mass: [kg].
+        mass: Mass [kg].
         arm: Largest distance of a rotor from the center of mass [m].
         facts: What holds of it, as the table of multicopters calls it.
         scales: Usual magnitudes of the recordings; None: there are none.
