@@ -167,9 +167,7 @@ struct TangentFill {
       Native* H = tangents[r / kParts].H[part];
       const auto& sample = stage.sample(r);
       const auto w = weights_at<Group, M>(block, g, part, p.weights);
-      PrincipalTangent<Native> core = M::tangent(sample, w.data());
-      if (clamp) clamp_tangent(core);
-      expand_tangent(sample, core, H);
+      stiffness<M>(sample, w.data(), clamp, H);
       if (!p.damp_mu) continue;
       Native Fn[9];
       split_matrix(frames[at(g)].Fn, part, Fn);
