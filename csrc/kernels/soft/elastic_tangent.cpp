@@ -211,6 +211,46 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
   assemble<Group>(model, model.fiber, model.fiber_slot, fibers, values, scratch, pool);
 }
 
+/// Nodal forces of a group along z, by the tangents of its parts.
+template <typename Group>
+void scatter_product(const ElementBlock& block, Index g, const GroupTangent& tangent,
+                     const double* z, double* vectors) {
+  Native Z[kParts][9], P[kParts][9];
+  deformation_gradient<Group>(block, g, z, Z);
+  for (int part = 0; part < kParts; ++part) {
+    const Native* H = tangent.H[part];
+    for (int a = 0; a < 9; ++a) {
+      Native total{};
+      for (int b = 0; b < 9; ++b) total += H[a <= b ? 9 * a + b : 9 * b + a] * Z[part][b];
+      P[part][a] = total;
+    }
+  }
+  scatter_stress(Group::shape(block, g), P, vectors + g * block.vectors_size());
+}
+
+template <typename Group, typename M>
+void tangent_product_of(const SoftModel& model, const SoftParameters& p,
+                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                        ElasticityScratch& scratch, ThreadPool& pool) {
+  const TangentFill<Group, M> fill{model, p, frames, x, false, kept_samples<M>(scratch, model, x)};
+  double* fibers = scratch.vectors.data() + model.fiber_vectors_start;
+  for_stages(model.solid, pool, [&](Index first, int count) {
+    GroupTangent tangents[kStage];
+    fill.solid(first, count, tangents);
+    for (int n = 0; n < count; ++n)
+      scatter_product<Group>(model.solid, first + n, tangents[n], z, scratch.vectors.data());
+  });
+  if constexpr (kFibersInSolid<Group>) {
+    std::fill(fibers, scratch.vectors.data() + model.vectors_size, 0.0);
+  } else {
+    for_groups(model.fiber, pool, [&](Index g) {
+      GroupTangent tangent;
+      fill.fibers(g, 1, &tangent);
+      scatter_product<Group>(model.fiber, g, tangent, z, fibers);
+    });
+  }
+}
+
 /// Adds the matrices of one block to that of a small body; fill as in assemble().
 template <typename Group, typename Fill>
 void add_to_small(const ElementBlock& block, const std::vector<SmallPlace>& places, Fill&& fill,
@@ -277,6 +317,16 @@ void add_small_tangent(const SoftModel& model, const SoftParameters& p,
           model.fiber, places.fiber,
           [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); }, to);
   });
+}
+
+void tangent_product(const SoftModel& model, const SoftParameters& p,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     double* out, ElasticityScratch& scratch, ThreadPool& pool) {
+  scratch.vectors.resize(at(model.vectors_size));
+  with_types(model, [&](auto group, auto material) {
+    tangent_product_of<decltype(group), decltype(material)>(model, p, frames, x, z, scratch, pool);
+  });
+  gather_vectors(model, scratch.vectors.data(), out, pool);
 }
 
 void tangent(const SoftModel& model, const SoftParameters& p,
