@@ -189,7 +189,7 @@ def _list_quantities(
     for block in keys.effects.formulas:
         given |= {shape_name(block, s): q for s, q in block.shapes.items()}
     only = keys.effects.only  # whether a play is among the causes to be judged
-    may_have_play = not only or any(n.startswith(("backlash", "sensor_backlash")) for n in only)
+    may_have_play = only is None or any(n.startswith(("backlash", "sensor_backlash")) for n in only)
     if motion.states and may_have_play:
         given[PLAY_START] = START_IN_PLAY
     if motion.states and (inputs or motion.places):
