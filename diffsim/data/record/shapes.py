@@ -236,7 +236,7 @@ def find_flat(record: Record) -> Iterator[Finding]:
             if (found := _flat_at(signal, end)) is None:
                 continue
             count, stretches, is_noisy = found
-            told = None if is_noisy else record.command_of(signal)
+            told = record.command_of(signal)
             if told is not None and all(_rests(told, *stretch) for stretch in stretches):
                 continue
             times = [float(samples.times[first]) for samples, first, _ in stretches]
