@@ -356,6 +356,9 @@ def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:
 def _faults(args: argparse.Namespace) -> None:
     """Verdict on every group of runs, new ones included."""
     study = with_new(args.study, args.new, dict(args.fact))
+    if not args.accept_record and (faults := certain_faults(study)):
+        _blame_record(study, faults, args.out or Path(DIAGNOSES) / study.name)
+        return
     require_ready(study, args.study, plan=False, accept_record=args.accept_record)
     out = args.out or Path(DIAGNOSES) / study.name
     groups = args.groups or new_labels(len(args.new))

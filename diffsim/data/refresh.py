@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from itertools import starmap
 
 import numpy as np
@@ -85,9 +86,24 @@ class _Lags:
 
 def _smooth(values: Array, derivative: int = 0) -> Array:
     """Local cubics through evenly spaced values, (..., num_samples), or their slopes per sample."""
+    from scipy.ndimage import correlate1d  # dear to load
+
+    within = _smoother(derivative)
+    half = WINDOW // 2
+    out = np.asarray(correlate1d(values, within[half], axis=-1))
+    out[..., :half] = values[..., :WINDOW] @ within[:half].T
+    out[..., -half:] = values[..., -WINDOW:] @ within[-half:].T
+    return out
+
+
+@cache
+def _smoother(derivative: int) -> Array:
+    """What ``WINDOW`` values make of each of them: the middle row holds anywhere, those before and
+    after it at the ends of a record. A filter made for each call fits the ends anew each time."""
     from scipy.signal import savgol_filter  # dear to load
 
-    return np.asarray(savgol_filter(values, WINDOW, DEGREE, deriv=derivative))
+    made = savgol_filter(np.eye(WINDOW), WINDOW, DEGREE, deriv=derivative, axis=0)
+    return np.asarray(made)
 
 
 def age(times: Array, period: float, phase: float | Array) -> Array:

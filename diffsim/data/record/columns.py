@@ -14,7 +14,8 @@ from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
 Array = NDArray[np.float64]
 _GAIN = re.compile(r"(?<![\w.])(\d+\.?\d*(?:e[-+]?\d+)?)\s*[*/]|[*/]\s*(\d+\.?\d*(?:e[-+]?\d+)?)")
-EQUAL = 4e-6  # of the range: copies in a file of six digits differ by less
+OF_RANGE = 1e-3  # of the range, at most
+EQUAL = 4e-6  # of the values: copies in a file of six digits differ by less
 DISTINCT = 20  # values that a copy must show
 PROBES = 64  # rows that are compared first
 LAWFUL = 0.05  # of a channel's own scatter: what a law leaves of it where there is one
@@ -92,6 +93,7 @@ def _proportion(a: Signal, b: Signal, rows: int) -> float | None:
             continue
         slope = float((p[high] - p[low]) / span) if times is None else times
         limit = EQUAL * max(float(np.abs(p).max()), abs(slope) * float(np.abs(q).max()))
+        limit = min(limit, OF_RANGE * float(np.ptp(p)))  # a clock counts from long ago
         level = float(p[low] - slope * q[low])
         probe = slice(None, None, max(len(p) // PROBES, 1))
         if slope == 0.0 or np.abs(p[probe] - slope * q[probe] - level).max() > limit:

@@ -165,7 +165,7 @@ def _list_facts(given: MulticopterKeys, flights: DescribedFlights) -> dict[str, 
         "battery": given.battery is not None,
         "estimator": given.estimator is not None,
         "down": flights.cutter.frames.world == "NED",
-        "asked": bool(given.effects.only),
+        "asked": given.effects.only is not None,
     }
 
 
