@@ -218,7 +218,7 @@ def _count_made(element: Element, attached: Mapping[str, Made] | None) -> Made:
     """Elements and bodies that an element and those in it stand for."""
     made, bodies = 1, int(element.tag in ("body", "link"))
     if element.tag == "attach" and attached is not None:
-        name = element.get("model")
+        name = element.get("model", "")
         if name not in attached:
             raise ValueError(f"<attach> names the model {name!r}, which no <model> brings")
         made, bodies = attached[name]

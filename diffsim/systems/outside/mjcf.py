@@ -18,10 +18,12 @@ from __future__ import annotations
 
 import copy
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -94,6 +96,7 @@ class Mjcf:
 
         self.mujoco = mujoco
         text, files = whole_scene(model, None if folder is None else Path(folder))
+        self._text, self._files = text, files
         with self._without_log():
             self.plain: Any = mujoco.MjModel.from_xml_string(text, files)
         self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -143,6 +146,32 @@ class Mjcf:
     def count_steps(self, run: Run) -> float:
         """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``)."""
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * (1.0 + 0.7 * self.plain.nv)
+
+    def value_of(self, path: str) -> float:
+        """What the file states for a parameter of a joint, such as "joint.hinge.damping".
+
+        Raises:
+            ValueError: there is no such parameter.
+        """
+        return self.numbers.value_of(path)
+
+    def restated(self, parameters: Mapping[str, float]) -> tuple[str, Mapping[str, bytes]]:
+        """The MJCF with numbers of its own, as text, and the files that it names.
+
+        Args:
+            parameters: Values by path; starts are no part of a model, so they are left out.
+        """
+        with self._without_log(), TemporaryDirectory() as folder:
+            model = self.mujoco.MjModel.from_xml_string(self._text, self._files)
+            setting = self.numbers.put(model, parameters)
+            path = Path(folder) / "model.xml"
+            self.mujoco.mj_saveLastXML(str(path), model)
+            root = ElementTree.parse(path).getroot()
+        actuators = [a for section in root.findall("actuator") for a in section]
+        for i, late in setting.delays.items():
+            number = int(np.ceil(late / float(model.opt.timestep))) + 1
+            actuators[i].attrib |= {"delay": repr(late), "nsample": str(number)}
+        return ElementTree.tostring(root, encoding="unicode"), self._files
 
     @contextmanager
     def _without_log(self) -> Iterator[None]:

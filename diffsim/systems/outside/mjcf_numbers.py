@@ -143,6 +143,18 @@ class Numbers:
             )
         return known.index(name)
 
+    def value_of(self, text: str) -> float:
+        """What the file states for damping, armature, friction or stiffness of a joint.
+
+        Raises:
+            ValueError: there is no such parameter.
+        """
+        path = Path.of(text)
+        joint = self.find(path.kind, path.name, "parameters")
+        if path.what == "stiffness":
+            return float(self.plain.jnt_stiffness[joint])
+        return float(getattr(self.plain, _OF_DOF[path.what])[self.plain.jnt_dofadr[joint]])
+
     def put(self, model: Any, parameters: Mapping[str, float]) -> Setting:
         """Set a model's numbers, all others as the file has them.
 

@@ -202,7 +202,7 @@ def test_models_that_attach_one_another_without_end_are_refused(tmp_path):
     with pytest.raises(ValueError, match="at most 20 models"):
         whole_scene(tmp_path / "self.xml")
     (tmp_path / "none.xml").write_text('<mujoco><worldbody><attach body="b"/></worldbody></mujoco>')
-    with pytest.raises(ValueError, match="<attach> names the model None"):
+    with pytest.raises(ValueError, match="<attach> names the model ''"):
         whole_scene(tmp_path / "none.xml")
 
 
