@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+from diffsim.copter.exchange.stated_inertia import refuse_impossible_inertia
 from diffsim.copter.exchange.xml_nodes import MAX_BYTES, parse_nodes, read_nodes
 from diffsim.core.inside import inside
 
@@ -75,6 +76,7 @@ def whole_mjcf(path: Path) -> tuple[str, Files]:
     place = _Place.of(path, None)
     root = _read_whole(path, place)
     compiler = _compiler(root)
+    refuse_impossible_inertia(root, compiler)
     for section in list(root):
         if section.tag not in _SECTIONS:
             root.remove(section)
@@ -119,6 +121,7 @@ def _scene_of(
 ) -> tuple[str, Files, Made]:
     """Text, files and number of elements of a model; its files are called by the prefix."""
     compiler = _compiler(root)
+    refuse_impossible_inertia(root, compiler)
     for section in [*root.findall("asset"), *root.findall("deformable")]:
         for element in [e for e in section if e.tag in _LOOKS]:
             section.remove(element)
