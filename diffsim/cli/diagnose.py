@@ -61,6 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         made[name].add_argument(
             "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
         )
+    made["export"].add_argument(
+        "--to",
+        choices=("mujoco", "bam", "urdf", "yaml"),
+        help="write the whole answer for a program, say what it carries, and fly it on your runs",
+    )
     for name in ("command", "worth"):
         made[name].add_argument(
             "--task", type=Path, required=True, metavar="FILE", help="task.yaml: what is wanted"
