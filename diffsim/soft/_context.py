@@ -11,13 +11,14 @@ import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
+from diffsim.core.ops import Call
 from diffsim.soft._arrays import StepArrays
 from diffsim.soft.materials import NEEDS_POSITIVE_J, small_strain_moduli
 
@@ -177,6 +178,18 @@ def context(handle: int) -> SoftContext:
     if found is None:
         raise RuntimeError(f"soft-body handle {handle} is gone: its SoftBody was deleted")
     return found
+
+
+def owner(options: Mapping[str, Any]) -> SoftContext:
+    """The prepared solver that ops with these options need, of a deleted body, too."""
+    return context(options["handle"])
+
+
+def sizes_of_call(call: Call) -> dict[str, Any]:
+    """Sizes of the arrays of an op."""
+    batch = call["activation"].shape[0]
+    each = (batch,) if call["weights"].ndim == 3 else ()
+    return {**owner(call.options).sizes, "batch": batch, "...": each}
 
 
 # Shares of the volume and fiber stiffness in the constant matrix, measured in benchmarks/soft.py.
