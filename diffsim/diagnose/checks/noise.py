@@ -127,12 +127,15 @@ def noise_floor(
     """
     deviations, is_alike = repeat_deviations(runs, left), not _repeats_differ(runs)
     recorded = repeat_deviations(runs, {run.name: run.measured for run in runs})
-    share = _share_of_freedom(runs)
     sd, source, ratio, freedoms, coefficients = [], [], [], [], []
     for c, channel in enumerate(channels):
-        measured, series = min(_scatter_of(deviations, c), _scatter_of(recorded, c), key=_first)
+        pair = ([d[:, c] for d in those] for those in (deviations, recorded))
+        series = min(pair, key=lambda parts: sum(float(np.nansum(x**2)) for x in parts))
+        values = np.concatenate([*series, np.zeros(0)])
+        values = values[np.isfinite(values)]
+        measured = float(np.sqrt(np.mean(values**2))) if len(values) > FEWEST else float("nan")
         color = fit_ar(series)
-        freedom = share * _num_valid(series) / _memory(color)
+        freedom = _freedom(runs, series, color)
         stated = channel.sd
         more = measured / stated if stated is not None else np.nan
         if not is_alike and more > 1.0 and _is_of_own_size(more**2, freedom):
@@ -168,39 +171,20 @@ def noise_floor(
     return NoiseFloor(whitener, np.array(sd), tuple(source), np.array(ratio), np.array(freedoms))
 
 
-def _scatter_of(deviations: Sequence[Array], c: int) -> tuple[float, list[Array]]:
-    """Root mean square of the deviations of a channel, NaN of too few, and their series."""
-    series = [d[:, c] for d in deviations]
-    values = np.concatenate([*series, np.zeros(0)])
-    values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if len(values) > FEWEST else float("nan"), series
-
-
-def _first(found: tuple[float, list[Array]]) -> float:
-    return found[0]
-
-
-def _num_valid(series: Sequence[Array]) -> int:
-    return sum(int(np.isfinite(x).sum()) for x in series)
-
-
-def _share_of_freedom(runs: Sequence[Run]) -> float:
-    """Independent deviations in one from the mean of its group: k runs have k - 1."""
+def _freedom(runs: Sequence[Run], series: Sequence[Array], color: Array) -> float:
+    """Independent deviations in series: k runs have k - 1, and of autoregressive noise a mean
+    square is as certain as that of one in 1 + 2 sum rho_k^2 (Bayley and Hammersley 1946)."""
     lengths: dict[str, list[int]] = defaultdict(list)
     for run in runs:
         lengths[run.group].append(len(run.time_s))
     groups = [(len(g), min(g)) for g in lengths.values() if len(g) > 1]
     total = sum(k * length for k, length in groups)
-    return sum((k - 1) * length for k, length in groups) / total if total else 1.0
-
-
-def _memory(a: Array) -> float:
-    """Samples of autoregressive noise whose mean square is as certain as that of an independent
-    one: 1 + 2 sum rho_k^2 (Bayley and Hammersley 1946)."""
-    if not len(a):
-        return 1.0
-    rho = _autocorrelation(a, LONGEST_MEMORY)
-    return float(2.0 * np.sum(rho**2) - 1.0)
+    if not total:
+        return 0.0
+    share = sum((k - 1) * length for k, length in groups) / total
+    rho = _autocorrelation(color, LONGEST_MEMORY) if len(color) else np.ones(1)
+    count = sum(int(np.isfinite(x).sum()) for x in series)
+    return float(share * count / (2.0 * np.sum(rho**2) - 1.0))
 
 
 def repeat_deviations(runs: Sequence[Run], left: Mapping[str, Array]) -> list[Array]:
