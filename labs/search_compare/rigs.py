@@ -164,7 +164,7 @@ def drive(seed: int, null: bool) -> Study:
         return of
 
     runs = [
-        (_integrated(rates(g), np.zeros(2), t, 4)[:, :1], {"force": g}) for g in _goals(rng, t, 3.0)
+        (_integrated(rates(g), np.zeros(2), t, 4)[:, :1], {"force": g}) for g in _goals(rng, t, 1.5)
     ]
     return _study(
         "drive",
