@@ -36,7 +36,7 @@ class Rig:
 
 def shoulder(seed: int, null: bool) -> Study:
     """An arm's joint without an integral part that hangs low and rubs."""
-    rng, t = np.random.default_rng(seed), 0.02 * np.arange(250)
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(250.0)
     inertia, kp, kd = 0.02 * rng.uniform(0.95, 1.05), 6.0 * rng.uniform(0.97, 1.03), 0.35
     push, rub = (0.0, 0.0) if null else (-0.22, 0.12) * rng.uniform(0.8, 1.2, 2)
 
@@ -71,7 +71,7 @@ def shoulder(seed: int, null: bool) -> Study:
 
 def tanks(seed: int, null: bool) -> Study:
     """Two tanks in a row, of which the upper one spills; the lower level is read."""
-    rng, t, area = np.random.default_rng(seed), 0.5 * np.arange(300), 0.06
+    rng, t, area = np.random.default_rng(seed), 0.5 * np.arange(300.0), 0.06
     rim = 9.0 if null else 0.35 * rng.uniform(0.9, 1.1)
     upper, lower = 0.012 * rng.uniform(0.9, 1.1), 0.010 * rng.uniform(0.9, 1.1)
 
@@ -111,7 +111,7 @@ def tanks(seed: int, null: bool) -> Study:
 
 def late(seed: int, null: bool) -> Study:
     """Three coupled joints whose commands are all as late."""
-    rng, t = np.random.default_rng(seed), 0.01 * np.arange(250)
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(250.0)
     wait = 0.0 if null else 0.012 * rng.uniform(0.8, 1.2)
     kp, kd = np.array([80.0, 60.0, 100.0]), np.array([9.0, 8.0, 11.0])
     true = kp * rng.uniform(0.97, 1.03, 3)
@@ -151,7 +151,7 @@ def late(seed: int, null: bool) -> Study:
 
 def drive(seed: int, null: bool) -> Study:
     """A slide whose drive pushes four times as hard as stated."""
-    rng, t = np.random.default_rng(seed), 0.01 * np.arange(300)
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(300.0)
     gain = 1.0 if null else 4.0 * rng.uniform(0.9, 1.1)
     mass, damping = rng.uniform(0.98, 1.02), 0.8 * rng.uniform(0.9, 1.1)
     stiffness = 12.0 * rng.uniform(0.98, 1.02)
@@ -182,7 +182,7 @@ def drive(seed: int, null: bool) -> Study:
 
 def slow(seed: int, null: bool) -> Study:
     """A positioner with a speed limit and slack behind it."""
-    rng, t = np.random.default_rng(seed), 0.01 * np.arange(400)
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(400.0)
     limit, slack = (1e9, 0.0) if null else (1.2, 0.06) * rng.uniform(0.9, 1.1, 2)
     pace = 20.0 * rng.uniform(0.97, 1.03)
 
