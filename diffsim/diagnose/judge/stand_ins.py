@@ -36,7 +36,6 @@ from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
     Hypothesis,
     LaplaceEvidence,
-    price_of_family,
     unrealized,
 )
 from diffsim.diagnose.search.fitted_sets import Search

@@ -27,6 +27,7 @@ from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
+    MUCH_LEFT,
     Grounds,
     doubts_of,
     doubts_of_fit,
@@ -202,6 +203,7 @@ def _evidence(
     known = CauseEvidence(judgment, None, screened, effects, members, unmet)
     if grounds is None:
         return replace(known, rivals=decision.rivals)
+    left = float(np.sqrt(grounds.fit.chi2 / grounds.fit.num_samples))
     alone, asked = singled_out(grounds), decision.best if decision.verdict in NAMES else NONE
     return replace(
         known,
@@ -212,6 +214,7 @@ def _evidence(
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),
         wrong_gradients=wrong_gradients(grounds.gates),
+        left=left if left > MUCH_LEFT else 1.0,
     )
 
 

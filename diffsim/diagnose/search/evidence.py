@@ -149,7 +149,7 @@ class LaplaceEvidence:
             hypothesis: Effects, and an unknown cause.
             wide: How many times wider the prior of a base parameter is, by its index.
         """
-        price = price_of_family(self.num_families)
+        price = float(np.log(max(self.num_families, 1)))  # of the choice of one more family
         members = sorted(hypothesis.effects)
         choice = sum(price + self.problem.effects[i].price for i in members)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
@@ -254,11 +254,6 @@ def _within(
     # together the bounds cost what the optimum lost, not each one's share of it once more
     lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
     return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))
-
-
-def price_of_family(num_families: int) -> float:
-    """Nats that the choice of one more family costs."""
-    return float(np.log(max(num_families, 1)))
 
 
 def unrealized(fit: Fit, posterior: SetPosterior) -> float:

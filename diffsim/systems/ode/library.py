@@ -62,11 +62,13 @@ class StoreScale:
         level: Rms level.
         rate: Rms rate of the level [1/s].
         high: Greatest level.
+        area: Rms of what a flow is divided by.
     """
 
     level: float
     rate: float
     high: float
+    area: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +203,7 @@ def _read_inside(system: FormulaSystem) -> dict[str, Expression]:
     for store in system.motion.stores:
         out[f"{store.name} level"] = read(store.level)
         out[f"{store.name} rate"] = rates[store.level]
+        out[f"{store.name} area"] = read(store.area)
     for law in system.keys.laws:
         out[f"{law_key(law)} x"], out[f"{law_key(law)} y"] = read(law.of), read(law.name)
     return out
@@ -244,6 +247,7 @@ def _measure_store(store: Store, columns: Mapping[str, list[Array]]) -> StoreSca
         _compute_rms(levels),
         _compute_rms(columns[f"{store.name} rate"]),
         float(_join_finite(levels).max(initial=0.0)),
+        _compute_rms(columns[f"{store.name} area"]),
     )
 
 
