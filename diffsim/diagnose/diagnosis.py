@@ -419,7 +419,7 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             break
         case = replace(null.case, correction=new)
         if case.store is not None:
-            case = replace(case, store=case.store.beside(f"renewed{round_}"))
+            case = replace(case, store=case.store.sibling(f"renewed{round_}"))
         at = replace(null.at, record=null.at.record + change)
         ended = gauss_newton(case.problem(null.noise.whitener), at)
         null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)

@@ -65,7 +65,7 @@ def closest_on_surface(
     """Parameters (N, 2) and slopes (N,); csrc/kernels/stokes/closest_surface.h.
 
     Args:
-        points: (N, 3) [m].
+        points: Points whose closest ones are sought, (N, 3) [m].
         homogeneous, breaks, coefficients, first, kinks, low, high: The surface.
         sample_uv: (num_u, num_v, 2), a grid of parameters.
         sample_points: (num_u, num_v, 3), the points there [m].

@@ -21,7 +21,7 @@ from diffsim.identify.whitening import MOST_RUNS
 Array = NDArray[np.float64]
 MAX_ORDER = 4
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
-FEWEST = 20  # independent deviations, from which on they tell the scatter and its color
+MIN_DEVIATIONS = 20  # independent deviations, from which on they tell the scatter and its color
 SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
 BY_CHANCE = 0.05  # of so many spikes in a run, where the largest share is the true one
@@ -119,7 +119,9 @@ def noise_floor(
         series = [d[:, c] for d in deviations]
         values = np.concatenate([*series, np.zeros(0)])
         values = values[np.isfinite(values)]
-        measured = float(np.sqrt(np.mean(values**2))) if len(values) > FEWEST else float("nan")
+        measured = (
+            float(np.sqrt(np.mean(values**2))) if len(values) > MIN_DEVIATIONS else float("nan")
+        )
         stated = channel.sd
         more = measured / stated if stated is not None else np.nan
         if not is_alike and more > 1.0 and _is_of_own_size(more**2, len(values)):
@@ -227,7 +229,7 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]
     a, num_samples = fit_ar(parts), sum(map(len, parts))
     # nothing is left, it is white, or its memory is too long to be seen
-    if not len(a) or _num_independent(a, num_samples) < FEWEST:
+    if not len(a) or _num_independent(a, num_samples) < MIN_DEVIATIONS:
         return none
     blocks = [_whitening_block(len(x), a) for x in parts]
     chi2 = float(sum(np.sum((w @ x) ** 2) for w, x in zip(blocks, parts, strict=True)))

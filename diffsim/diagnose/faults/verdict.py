@@ -94,6 +94,7 @@ class FaultVerdict:
         words: The verdict as a sentence.
         facts: Facts of the set-up that all its runs share, without the one that makes groups and
             those that are not known.
+        set_aside: Goals that were missed and rows that were misread, under this explanation.
     """
 
     group: str
@@ -113,6 +114,7 @@ class FaultVerdict:
     lead_by_labels: float = 0.0
     facts: Mapping[str, str] = field(default_factory=dict)
     files: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:

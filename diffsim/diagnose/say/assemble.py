@@ -439,7 +439,7 @@ def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:
         "unrepeatable": UNREPEATABLE,
         "work": case.model.simulations.since(case.begun)._asdict(),
         "search": asdict(case.settings.search),
-        "numerics": None if (made := null.fit.problem.stands_for) is None else asdict(made),
+        "numerics": None if (made := null.fit.problem.reference_numerics) is None else asdict(made),
         **({} if search is None else _trouble(search)),
         "versions": {
             "python": platform.python_version(),

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
-from diffsim.core.memo import Aside, LaidAside
+from diffsim.core.memo import Aside, SpilledArray
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, precision_at
@@ -112,7 +112,7 @@ class LaplaceEvidence:
         x: Array,
         residual: Array,
         jacobian: Array,
-        responses: Sequence[Array | LaidAside],
+        responses: Sequence[Array | SpilledArray],
         num_families: int,
         num_unknowns: int | None = None,
     ):
@@ -294,7 +294,7 @@ def _parts(count: int) -> list[slice]:
     return [slice(start, start + ROWS) for start in range(0, count, ROWS)]
 
 
-def _power(responses: Array | LaidAside) -> float:
+def _power(responses: Array | SpilledArray) -> float:
     """Root mean square by which N(0, 1) coefficients move a sample; 1 where they move none."""
     total = sum(float(np.sum(responses[rows] ** 2)) for rows in _parts(len(responses)))
     return float(np.sqrt(total / len(responses))) or 1.0

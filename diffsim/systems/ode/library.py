@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 RESTS = 1e-3  # of what a channel shows: less is no motion
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 USUAL = "usual"  # of inputs and definitions, among the magnitudes of the plain model
-MOST = 1e80  # of a magnitude: a model that runs away
+RUNAWAY_MAGNITUDES = 1e80  # of a magnitude: a model that runs away
 
 
 @dataclass(frozen=True)
@@ -212,11 +212,14 @@ def _join_finite(parts: Sequence[Array]) -> Array:
 
 
 def _compute_rms(parts: Sequence[Array]) -> float:
-    """Rms; 1 where that is no number or zero, at most ``MOST``: its cube is a number, too."""
+    """Rms; 1 where that is no number or zero; at most ``RUNAWAY_MAGNITUDES``.
+
+    Its cube is a number, too.
+    """
     values = _join_finite(parts)
     with np.errstate(over="ignore"):
         found = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-    return min(found, MOST) if np.isfinite(found) and found > 0.0 else 1.0
+    return min(found, RUNAWAY_MAGNITUDES) if np.isfinite(found) and found > 0.0 else 1.0
 
 
 def _measure_place(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
