@@ -227,7 +227,7 @@ def _likeness(a: Signal, b: Signal) -> float:
     first, second = (np.concatenate(values) for values in zip(*pairs, strict=True))
     probe = slice(None, None, max(len(first) // PROBES, 1))
     ranks = np.argsort(np.argsort([first[probe], second[probe]], axis=1), axis=1)
-    return float(np.corrcoef(ranks)[0, 1]) if ranks.shape[1] > FEW else 0.0
+    return float(np.asarray(np.corrcoef(ranks))[0, 1]) if ranks.shape[1] > FEW else 0.0
 
 
 def _of_channel(runs: Sequence[Run], at: int, channel: Channel) -> Signal:

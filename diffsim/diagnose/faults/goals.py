@@ -164,11 +164,11 @@ class Rows:
             is_settled = choice is not None and new.equals(choice)
             choice = new
             local = self._local(choice, np.choose(choice.part, spreads))
-            at = np.linalg.solve(local.curvature + precision, local.slope + slope)
+            at = np.asarray(np.linalg.solve(local.curvature + precision, local.slope + slope))
             if is_settled:
                 break
         assert choice is not None
-        return Fit(local, choice, at, np.linalg.inv(local.curvature + precision))
+        return Fit(local, choice, at, np.asarray(np.linalg.inv(local.curvature + precision)))
 
     def squares(self, fit: Fit) -> tuple[Array, Mask]:
         """Mean square of each goal's offset beyond the noise, the fit being uncertain, and which
