@@ -37,7 +37,7 @@ POSITION, POWER = "goal", "powered"  # commands of a drive
 
 
 @dataclass(frozen=True)
-class Carried:
+class CarriedCause:
     """A named cause, and whether a target has it.
 
     Attributes:
@@ -122,7 +122,7 @@ class Answer:
         return out
 
 
-def list_carried(answer: Answer, program: str) -> list[Carried]:
+def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
     """Each named cause, the constants that carry it, and what it is worth.
 
     Args:
@@ -138,7 +138,7 @@ def list_carried(answer: Answer, program: str) -> list[Carried]:
     out = []
     for cause, components in answer.causes().items():
         by = tuple(name for name, own in read.items() if own & {cause, *components})
-        out.append(Carried(cause, by, answer.cost(components)))
+        out.append(CarriedCause(cause, by, answer.cost(components)))
     return out
 
 
@@ -233,7 +233,7 @@ def say_flights(flights: list[Flight] | str, channel: Channel) -> str:
     )
 
 
-def say_carried(found: Sequence[Carried], study: Study, program: str) -> list[str]:
+def say_carried(found: Sequence[CarriedCause], study: Study, program: str) -> list[str]:
     """The list of what is carried and of what is not, a line each."""
     units = {c.name: c.shown_unit or c.unit for c in study.channels}
     out = []

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.cli.export_flight import Answer, Carried, Flight
+from diffsim.cli.export_flight import Answer, CarriedCause, Flight
 from diffsim.core.files import write_text_atomic
 from diffsim.data.study import Run, Study
 from diffsim.systems.outside.description import MJCF, OutsideDescription
@@ -29,7 +29,7 @@ def is_mjcf(study: Study) -> bool:
     return study.model is not None and study.model.get("simulator") == MJCF
 
 
-def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[Carried], list[Flight]]:
+def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCause], list[Flight]]:
     """Write the MJCF that moves as the answer does, as far as MuJoCo has its causes.
 
     Args:
@@ -51,7 +51,7 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[Carried], 
         size = sum(answer.saved.values[c] for c in components)
         path = _carry(sim, described, cause, size, numbers)
         by = () if path is None else (path,)
-        carried.append(Carried(cause, by, answer.cost(components)))
+        carried.append(CarriedCause(cause, by, answer.cost(components)))
     text, files = sim.restated({n: v for n, v in numbers.items()})
     wrote = [write_text_atomic(out / "model.xml", text)]
     for name, content in files.items():

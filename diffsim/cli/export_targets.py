@@ -23,7 +23,7 @@ from diffsim.cli.export_flight import (
     FLOWN,
     MUJOCO,
     Answer,
-    Carried,
+    CarriedCause,
     Flight,
     fly_all,
     list_carried,
@@ -111,7 +111,7 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
     print(f"wrote {write_json_atomic(out / CARRIED_FILE, content)}")
 
 
-def _without(carried: Carried, target: str) -> Carried:
+def _without(carried: CarriedCause, target: str) -> CarriedCause:
     """A cause, carried only by constants that the target has."""
     if target == BAM:
         return carried

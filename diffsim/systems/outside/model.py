@@ -69,7 +69,7 @@ def call(predict: Predict, label: str, job: Job) -> Array:
     try:
         given = predict(dict(job.values), job.run, **more)
     except Exception as error:
-        raise _said(error, label, job) from error
+        raise _word_error(error, label, job) from error
     return _shape_channels(given, label, job)
 
 
@@ -79,12 +79,12 @@ def call_many(predict_many: PredictMany, label: str, jobs: Sequence[Job], thread
     out = []
     for job, given in zip(jobs, predict_many(calls, threads), strict=True):
         if isinstance(given, Exception):
-            raise _said(given, label, job) from given
+            raise _word_error(given, label, job) from given
         out.append(_shape_channels(given, label, job))
     return out
 
 
-def _said(error: Exception, label: str, job: Job) -> SimulatorError:
+def _word_error(error: Exception, label: str, job: Job) -> SimulatorError:
     """What went wrong, with the run and the parameters that caused it."""
     at = ", ".join(f"{k} = {v:.6g}" for k, v in job.values.items()) or "no parameters"
     return SimulatorError(
