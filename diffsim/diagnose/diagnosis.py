@@ -129,8 +129,8 @@ def diagnose(
     # only now test runs are looked at, once
     if found is None:
         return tested(frozen, study, seed)
-    laws = {law.name for law in found.laws}
-    return with_laws_said(tested(in_words(frozen, found), study, seed, laws), found)
+    names = {law.name for law in found.laws}
+    return with_laws_said(tested(in_words(frozen, found), study, seed, names), found)
 
 
 def diagnosed(

@@ -194,10 +194,10 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
         ]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
-        names = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
+        them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
         verb = "help" if len(helping) > 1 else "helps"
         return [
-            f"{capital(names)} {verb}, but something without a name is missing, too",
+            f"{capital(them)} {verb}, but something without a name is missing, too",
             "Causes of the library help, but something without a name is missing, too",
         ]
     return [
