@@ -126,12 +126,12 @@ class Op:
         self.jvp = None if tangent is None else self._tangent_row(tangent)
         self._backward = backward or self._gradients
         self._forward = forward or self._directions
-        self.op = custom_op(f"diffsim::{name}", self._schema())(self._run)
+        self.op = custom_op(f"diffsim::{name}", self._schema())(self._run_kernel)
         self.op.register_fake(self._fake)
         self._layer = make_layer(
             f"diffsim.{name}",
             self.op,
-            self._run,
+            self._run_kernel,
             self.arguments,
             setup=self._setup,
             backward=self._each_gradient,
@@ -160,7 +160,7 @@ class Op:
         call.sizes.update(self._sizes(call))
         return call
 
-    def _run(self, *args: Any) -> Any:
+    def _run_kernel(self, *args: Any) -> Any:
         """The kernel, as PyTorch and its callers call it."""
         call = self._bind(args)
         sizes = call.sizes
@@ -185,16 +185,16 @@ class Op:
                 )
             if not value.is_contiguous():
                 call[name] = value.contiguous()
-        return self._filled(call, self._kernel)
+        return self._fill(call, self._kernel)
 
     def _fake(self, *args: Any) -> Any:
         """The results without their numbers."""
         call = self._bind(args)
         for name, spec in self.inputs.items():
             _shape(spec, call[name].shape, call)
-        return self._filled(call, lambda _: None)
+        return self._fill(call, lambda _: None)
 
-    def _filled(self, call: Call, kernel: Kernel) -> Any:
+    def _fill(self, call: Call, kernel: Kernel) -> Any:
         first = next(iter(call.values()))
         for name, spec in self.outputs.items():
             # not empty_like: what it is like may be an expanded view, kernels write densely
@@ -222,7 +222,7 @@ class Op:
             kernel=kernel,
             options=self._option_types,
             sizes=self._sizes,
-            in_torch=None if self.in_torch is None else self._pulled,
+            in_torch=None if self.in_torch is None else self._pull_back,
             owner=self._owner,
         )
 
@@ -238,7 +238,7 @@ class Op:
             kernel=kernel,
             options=self._option_types,
             sizes=self._sizes,
-            in_torch=None if self.in_torch is None else self._pushed,
+            in_torch=None if self.in_torch is None else self._push_forward,
             owner=self._owner,
         )
 
@@ -254,18 +254,18 @@ class Op:
             ctx.mark_non_differentiable(*(given[name] for name in dropped))
         ctx.dropped = dropped
 
-    def _given(self, ctx: Any) -> Given:
+    def _take_given(self, ctx: Any) -> Given:
         return dict(zip(self.reads, ctx.saved_tensors, strict=True)) | ctx.options
 
     def _each_gradient(self, ctx: Any, *grads: Tensor) -> Any:
         named = dict(zip(self.outputs, grads, strict=True))
-        found = self._backward(self._given(ctx), {n: named[n] for n in self._followed})
+        found = self._backward(self._take_given(ctx), {n: named[n] for n in self._followed})
         return tuple(found.get(name) for name in self.arguments)
 
     def _each_direction(self, ctx: Any, *moved: Tensor | None) -> Any:
         named = dict(zip(self.arguments, moved, strict=True))
         moving = {n: named[n] for n in self._moving if named[n] is not None}
-        found = self._forward(self._given(ctx), moving)
+        found = self._forward(self._take_given(ctx), moving)
         out = tuple(None if n in ctx.dropped else found[n] for n in self.outputs)
         return out if len(out) > 1 else out[0]
 
@@ -302,12 +302,12 @@ class Op:
             [given[name] for name in self._moving],
         )
 
-    def _pulled(self, given: Given) -> Many:
+    def _pull_back(self, given: Given) -> Many:
         """The adjoint in PyTorch's own operations."""
         grads = tuple(given[f"grad_{name}"] for name in self._followed)
         return pull(*self._in_torch(given), grads)
 
-    def _pushed(self, given: Given) -> Many:
+    def _push_forward(self, given: Given) -> Many:
         """The tangent in PyTorch's own operations."""
         return push(*self._in_torch(given), tuple(given[f"d_{name}"] for name in self._moving))
 

@@ -76,7 +76,7 @@ def _sizes(call: Call) -> dict[str, int]:
     return {"num_nodes": ctx.num_nodes, "num_cells": ctx.num_cells, "dim": ctx.dim}
 
 
-def _named(call: Call, prefix: str = "") -> FlowInputs:
+def _by_name(call: Call, prefix: str = "") -> FlowInputs:
     return FlowInputs(**{name: call[prefix + name] for name in FlowInputs._fields})
 
 
@@ -87,7 +87,7 @@ def _finish(call: Call, stats: Tensor, what: str, system: Any) -> None:
 def _solve(call: Call) -> None:
     ctx, num_threads = _context(call.options), call.sizes["num_threads"]
     require_squares(call["phi"])
-    arrays = _arrays(ctx, _named(call), float(call["viscosity"]))
+    arrays = _arrays(ctx, _by_name(call), float(call["viscosity"]))
     with ctx.lock:
         system = ctx.system(call["phi"], num_threads)
         system.fractions(call["fraction"].data_ptr(), ctx.num_cells)
@@ -102,13 +102,13 @@ def _solve(call: Call) -> None:
 def _adjoint(call: Call) -> None:
     ctx, num_threads = _context(call.options), call.sizes["num_threads"]
     stats = torch.zeros(call.sizes["cases"], len(STATS), dtype=torch.float64)
-    arrays = _arrays(ctx, _named(call), float(call["viscosity"]))
+    arrays = _arrays(ctx, _by_name(call), float(call["viscosity"]))
     with ctx.lock:
         system = ctx.system(call["phi"], num_threads)
         system.adjoint(
             inputs=arrays,
             **call.addresses("velocity", "pressure", *(f"grad_{n}" for n in RESULTS)),
-            grads=_arrays(ctx, _named(call, "grad_"), 0.0),
+            grads=_arrays(ctx, _by_name(call, "grad_"), 0.0),
             **call.addresses("grad_phi", "grad_viscosity"),
             stats=stats.data_ptr(),
             num_threads=num_threads,
@@ -120,13 +120,13 @@ def _adjoint(call: Call) -> None:
 def _tangent(call: Call) -> None:
     ctx, num_threads = _context(call.options), call.sizes["num_threads"]
     stats = torch.zeros(call.sizes["cases"], len(STATS), dtype=torch.float64)
-    arrays = _arrays(ctx, _named(call), float(call["viscosity"]))
+    arrays = _arrays(ctx, _by_name(call), float(call["viscosity"]))
     with ctx.lock:
         system = ctx.system(call["phi"], num_threads)
         system.tangent(
             inputs=arrays,
             **call.addresses("velocity", "pressure", "d_phi", *(f"d_{n}" for n in RESULTS)),
-            directions=_arrays(ctx, _named(call, "d_"), float(call["d_viscosity"])),
+            directions=_arrays(ctx, _by_name(call, "d_"), float(call["d_viscosity"])),
             stats=stats.data_ptr(),
             num_threads=num_threads,
         )

@@ -47,6 +47,6 @@ def test_the_table_counts_runs_that_swim() -> None:
 def test_the_published_table_is_that_of_the_records(task: str, capsys) -> None:
     main(["--task", task, "--report"])
     printed = capsys.readouterr().out.strip()
-    page = (PROJECT / "docs" / "measured" / "learning.md").read_text()
+    page = (PROJECT / "studies" / "records" / "learning.md").read_text()
     assert printed in page
     assert all(rows[-1]["finished"] for rows in _read(RECORD / f"{task}.jsonl").values())

@@ -154,7 +154,7 @@ class Rows:
         spreads = self.shared * np.array([narrow, LOOSE * narrow, tails.wide[self.channel]])
         taken = 1.0 - tails.missed
         odds = np.log([taken * (1.0 - LOOSE_ODDS), taken * LOOSE_ODDS, tails.missed])
-        at = self._solved(np.ones(len(self.goal)), precision, slope)
+        at = self._solve(np.ones(len(self.goal)), precision, slope)
         limit = MOST_USUAL * np.sqrt(1.0 + spreads[0, self.goal] ** 2)
         if np.any(np.abs(self.residual - self.slopes @ at) > limit):
             at = self._least_absolute(limit / MOST_USUAL, precision, slope)
@@ -203,7 +203,7 @@ class Rows:
             out.append(f"{num} sample{'' if num == 1 else 's'} far off those beside")
         return tuple(out)
 
-    def _solved(self, weight: Array, precision: Array, slope: Array) -> Array:
+    def _solve(self, weight: Array, precision: Array, slope: Array) -> Array:
         weighted = self.slopes * weight[:, None]
         curvature = self.slopes.T @ weighted + precision
         return np.asarray(np.linalg.solve(curvature, weighted.T @ self.residual + slope))
@@ -211,10 +211,10 @@ class Rows:
     def _least_absolute(self, scale: Array, precision: Array, slope: Array) -> Array:
         """Fit of least absolute misfit; all rows of a goal count as one."""
         share = 1.0 / np.bincount(self.goal, minlength=len(self.channel))[self.goal]
-        at = self._solved(share / scale**2, precision, slope)
+        at = self._solve(share / scale**2, precision, slope)
         for _ in range(NUM_ABSOLUTE):
             misfit = np.abs(self.residual - self.slopes @ at)
-            at = self._solved(share / (scale * np.maximum(misfit, scale)), precision, slope)
+            at = self._solve(share / (scale * np.maximum(misfit, scale)), precision, slope)
         return at
 
     def _choose(self, misfit: Array, spreads: Array, odds: Array) -> Choice:

@@ -200,7 +200,7 @@ def learn(
             )
             for g in teachers
         }
-        locals_, tails = _trusted(layout, rows, tails, log_spread)
+        locals_, tails = _find_trusted(layout, rows, tails, log_spread)
         log_spread = best_spread(layout, locals_, log_spread)
         common = common_information(layout, locals_, log_spread).mean
         place = np.zeros(num_base)
@@ -215,7 +215,7 @@ def learn(
     return _learn_posterior(replace(started, tails=tails), locals_, log_spread)
 
 
-def _trusted(
+def _find_trusted(
     layout: Layout, rows: Mapping[str, Rows], tails: Tails, log_spread: Array
 ) -> tuple[dict[str, Local], Tails]:
     """What the trusted rows of each group say, and how far goals are missed in them."""
