@@ -8,8 +8,7 @@
 namespace diffsim {
 namespace {
 
-std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in,
-                                    ThreadPool& pool) {
+DampingFrames frames_of(const SoftModel& model, const StepInputs& in, ThreadPool& pool) {
   if (!in.parameters.damp_mu) return {};
   return damping_frames(model, in.x_frame, in.x_velocity, pool);
 }
@@ -35,7 +34,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
   scratch.keep_samples = true;
-  const std::vector<DampingFrame> frames = frames_of(model, in, pool);
+  const DampingFrames frames = frames_of(model, in, pool);
   AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
   const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
   tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
@@ -51,7 +50,7 @@ void elastic_gradient_tangent(const SoftModel& model, const StepInputs& in, cons
                               int num_threads) {
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
-  const std::vector<DampingFrame> frames = frames_of(model, in, pool);
+  const DampingFrames frames = frames_of(model, in, pool);
   const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
   parameter_tangent(model, in.parameters, frames, x, 1, directions, out, scratch, pool);
   if (directions.pressure) add_pressure_gradient(model, directions.pressure, x, out, pool);
