@@ -58,7 +58,8 @@ void bind_prepared(nb::module_& m) {
   nb::enum_<ElementKind>(m, "ElementKind")
       .value("hex", ElementKind::kHex)
       .value("tet", ElementKind::kTet)
-      .value("mean_hex", ElementKind::kMeanHex);
+      .value("mean_hex", ElementKind::kMeanHex)
+      .value("eighth_tet", ElementKind::kEighthTet);
   nb::enum_<Preconditioner>(m, "Preconditioner")
       .value("auto", Preconditioner::kAuto)
       .value("constant", Preconditioner::kConstant)

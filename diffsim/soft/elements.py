@@ -5,9 +5,14 @@
 * ``"assumed_strain"``: hexahedra at their mean deformation gradient, with hourglass strains that
   bend like plates (csrc/kernels/soft/hourglass.h). One cell through the thickness bends, at any
   Poisson's ratio. A material is evaluated once for each element instead of eight times.
+* ``"quadratic"``: ten-node tetrahedra. Their mesh is that of their eighths
+  (:func:`~diffsim.mesh.split_tets`): surface, masses, muscles and parameters are of these, and a
+  material is evaluated once for each, with the deformation gradient of the whole.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,14 +21,21 @@ from torch import Tensor
 from diffsim.core.check import require_choice
 from diffsim.core.layer import on_constants
 from diffsim.mesh import HexMesh, ShapeGradients, TetMesh, shape_gradients
-from diffsim.mesh.reference import HEX_CORNERS, Array
+from diffsim.mesh.reference import HEX_CORNERS, TET_EDGES, Array, IntArray
+from diffsim.mesh.shape import tet_gradients
+from diffsim.mesh.split import join_eighths
 from diffsim.soft.materials import SmallStrain
 
-ELEMENTS = ("standard", "assumed_strain")
+ELEMENTS = ("standard", "assumed_strain", "quadratic")
 
-_SIGNS: Array = 2.0 * HEX_CORNERS - 1.0
+_SIGNS: Array = (2 * HEX_CORNERS - 1).astype(np.float64)
 _MODES = ((0, 1), (0, 2), (1, 2), (0, 1, 2))
 """Coordinates whose product each hourglass mode is."""
+_SAMPLES: Array = np.concatenate(
+    [0.1 + 0.6 * np.eye(4), 0.3 - 0.2 * np.eye(4)[[3, 0, 1, 2]]], axis=0
+)
+"""Barycentric coordinates of the points that stand for the eighths of a tetrahedron, (8, 4); the
+last four are next to the face that an inner eighth has, opposite to that corner."""
 
 
 def require_element(element: str | None, mesh: HexMesh | TetMesh) -> str:
@@ -31,27 +43,49 @@ def require_element(element: str | None, mesh: HexMesh | TetMesh) -> str:
     name = require_choice("element", "standard" if element is None else element, ELEMENTS)
     if name == "assumed_strain" and mesh.kind != "hex":
         raise ValueError(
-            "element='assumed_strain' needs a HexMesh, got a TetMesh; mesh with hexahedra, or "
-            "refine the tetrahedra and compare"
+            "element='assumed_strain' needs a HexMesh, got a TetMesh; for tetrahedra there is "
+            "element='quadratic', on mesh.split_tets(mesh)"
+        )
+    if name == "quadratic" and mesh.kind != "tet":
+        raise ValueError(
+            "element='quadratic' needs a TetMesh, got a HexMesh; for hexahedra there is "
+            "element='assumed_strain'"
         )
     return name
 
 
-@on_constants()
-def element_shapes(mesh: HexMesh | TetMesh, element: str) -> tuple[str, ShapeGradients, Tensor]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ElementTables:
     """What the kernels read of a mesh's elements.
 
-    Args:
-        mesh: Rest shape.
-        element: One of ``ELEMENTS``.
-
-    Returns:
-        Kind by the kernels' name, shape gradients, and hourglass tables
-        (num_classes, 95) of kind ``mean_hex``, empty otherwise.
+    Attributes:
+        kind: By the kernels' name.
+        elements: Nodes that an element's deformation gradient depends on, (num_elements, k) int64.
+        shape: Their shape gradients at the samples.
+        hourglass: (num_classes, 95) of kind ``mean_hex``, empty otherwise.
     """
+
+    kind: str
+    elements: Tensor
+    shape: ShapeGradients
+    hourglass: Tensor
+
+
+@on_constants()
+def element_tables(mesh: HexMesh | TetMesh, element: str) -> ElementTables:
+    """Tables of a mesh for one of ``ELEMENTS``."""
+    none = torch.zeros(0, dtype=torch.float64)
     shape = shape_gradients(mesh)
     if element == "standard":
-        return mesh.kind, shape, torch.zeros(0, dtype=torch.float64)
+        return ElementTables(kind=mesh.kind, elements=mesh.elements, shape=shape, hourglass=none)
+    if isinstance(mesh, TetMesh):
+        ten = join_eighths(mesh)
+        return ElementTables(
+            kind="eighth_tet",
+            elements=torch.from_numpy(ten.repeat(8, axis=0)),
+            shape=replace(shape, grad=torch.from_numpy(_eighth_gradients(mesh, ten))),
+            hourglass=none,
+        )
     grad, weight = shape.grad.numpy(), shape.weight.numpy()
     volume = weight.sum(axis=1)
     mean = np.einsum("cq,cqai->cai", weight, grad) / volume[:, None, None]
@@ -63,7 +97,28 @@ def element_shapes(mesh: HexMesh | TetMesh, element: str) -> tuple[str, ShapeGra
         torch.from_numpy(volume[:, None].copy()),
         shape.class_idx,
     )
-    return "mean_hex", means, torch.from_numpy(np.ascontiguousarray(table))
+    return ElementTables(
+        kind="mean_hex",
+        elements=mesh.elements,
+        shape=means,
+        hourglass=torch.from_numpy(np.ascontiguousarray(table)),
+    )
+
+
+def _eighth_gradients(mesh: TetMesh, ten: IntArray) -> Array:
+    """Gradients of the ten shape functions at the eighths' samples, (8 T, 1, 10, 3) [1/m].
+
+    N_a = l_a (2 l_a - 1) at corners and 4 l_a l_b at midpoints, l the barycentric coordinates.
+    The centers' own coordinates would integrate bending by five sixths; those of ``_SAMPLES`` have
+    the same symmetry and are exact for products of linear strains.
+    """
+    slopes = tet_gradients(mesh.x_rest.numpy()[ten[:, :4]])[0]  # of l, (T, 4, 3)
+    by_l = np.zeros((8, 10, 4))  # dN_a/dl_b
+    by_l[:, range(4), range(4)] = 4.0 * _SAMPLES - 1.0
+    for k, (a, b) in enumerate(TET_EDGES):
+        by_l[:, 4 + k, a] = 4.0 * _SAMPLES[:, b]
+        by_l[:, 4 + k, b] = 4.0 * _SAMPLES[:, a]
+    return np.ascontiguousarray(np.einsum("kab,tbi->tkai", by_l, slopes).reshape(-1, 1, 10, 3))
 
 
 def hourglass_weights(moduli: SmallStrain) -> tuple[Tensor, Tensor]:

@@ -29,7 +29,7 @@ from diffsim.mesh import (
 )
 from diffsim.soft._context import SoftContext
 from diffsim.soft.chambers import ChamberSet, PressureChamber
-from diffsim.soft.elements import element_shapes, require_element
+from diffsim.soft.elements import element_tables, require_element
 from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import Material
 from diffsim.soft.muscles import Muscle, MuscleSet
@@ -44,7 +44,7 @@ from diffsim.soft.physics import (
     make_physics,
     require_distinct,
 )
-from diffsim.soft.plausible import warn_of_units
+from diffsim.soft.plausible import warn_of_locking, warn_of_units
 from diffsim.soft.state import State
 
 
@@ -126,20 +126,22 @@ class Solid(Float64Module):
         self.physics()  # refuse bad parameters now, not at the first step
         modulus = as_tensor("youngs_modulus", youngs_modulus)
         warn_of_units(self.x_rest, modulus, as_tensor("density", density))
+        if element is None:
+            warn_of_locking(mesh, as_tensor("poissons_ratio", poissons_ratio))
         self._context = self._make_context()
         self.kept: Any = None  # see prepared.py
 
     def _make_context(self) -> SoftContext:
         with on_constants():
-            kind, shape, hourglass = element_shapes(self.mesh, self.element)
+            tables = element_tables(self.mesh, self.element)
             return SoftContext(
-                kind=kind,
+                kind=tables.kind,
                 material=self.material.law,
-                elements=self.mesh.elements,
-                grad=shape.grad,
-                weight=shape.weight,
-                hourglass=hourglass,
-                class_idx=shape.class_idx,
+                elements=tables.elements,
+                grad=tables.shape.grad,
+                weight=tables.shape.weight,
+                hourglass=tables.hourglass,
+                class_idx=tables.shape.class_idx,
                 x_rest=self.mesh.x_rest,
                 fiber_elements=self.muscles.elements,
                 fiber_directions=self.muscles.directions,

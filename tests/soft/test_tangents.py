@@ -20,7 +20,9 @@ STATE, SIGNALS = ("x", "v"), ("external_force", "activation", "dirichlet_target"
 
 
 def make_body(kind="hex", integrator="bdf2", **changes):
-    m = irregular_mesh(kind, (1, 1, 1) if kind == "tet" else (2, 1, 1), (1.0, 1.0, 1.0))
+    m = irregular_mesh(
+        kind, (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1), (1.0, 1.0, 1.0)
+    )
     changes["element"] = element_of(kind)
     arguments = {"fixed": rail_mask(m), "muscles": two_muscles(), "integrator": integrator}
     return soft_body(m, **{**arguments, "rayleigh_beta": 0.02, **changes})

@@ -32,7 +32,7 @@ struct HexMatrices {
 template <int kNodes>
 struct LaneMatrices {
   static constexpr Index kSize = lane_matrix_size(kNodes), kElements = kLanes;
-  static constexpr Index kLeastTasks = kNodes == 4 ? 8 : 2;
+  static constexpr Index kLeastTasks = kNodes == 4 ? 8 : 1;
 
   static void read(const double* matrix, int lane, int a, int b, double out[9]) {
     const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;

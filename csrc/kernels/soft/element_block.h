@@ -28,8 +28,8 @@ struct NodeShape {
 };
 
 /// Hexahedra at 2x2x2 Gauss points, tetrahedra, hexahedra by their mean deformation gradient with
-/// hourglass strains.
-enum class ElementKind { kHex, kTet, kMeanHex };
+/// hourglass strains, eighths of ten-node tetrahedra by the gradient of the whole.
+enum class ElementKind { kHex, kTet, kMeanHex, kEighthTet };
 
 constexpr int kHourglassModes = 4, kHourglassRows = 21, kHourglassWeights = 2;
 /// Doubles of one class of elements in a table of hourglass shapes.
@@ -47,16 +47,19 @@ struct ElementBlock {
   ElementKind kind = ElementKind::kHex;
   std::int64_t num_elements = 0;
   std::int64_t num_groups = 0;
-  std::vector<std::int64_t> nodes;        // (num_elements, 8 or 4)
-  std::vector<GroupShape<8>> hex_shape;   // one per congruence class
-  std::vector<NodeShape> hex_nodes;       // one per congruence class
-  std::vector<std::int64_t> hex_class;    // (num_elements,)
-  std::vector<GroupShape<4>> tet_shape;   // (num_groups,); padding lanes weigh nothing
-  std::vector<GroupShape<8>> mean_shape;  // of kMeanHex, those that differ; padding as above
-  std::vector<HourglassShape> hourglass;  // the same
-  std::vector<std::int64_t> mean_class;   // (num_groups,)
+  std::vector<std::int64_t> nodes;           // (num_elements, 8 or 4)
+  std::vector<GroupShape<8>> hex_shape;      // one per congruence class
+  std::vector<NodeShape> hex_nodes;          // one per congruence class
+  std::vector<std::int64_t> hex_class;       // (num_elements,)
+  std::vector<GroupShape<4>> tet_shape;      // (num_groups,); padding lanes weigh nothing
+  std::vector<GroupShape<10>> eighth_shape;  // the same, of kEighthTet
+  std::vector<GroupShape<8>> mean_shape;     // of kMeanHex, those that differ; padding as above
+  std::vector<HourglassShape> hourglass;     // the same
+  std::vector<std::int64_t> mean_class;      // (num_groups,)
 
-  int nodes_per_element() const { return kind == ElementKind::kTet ? 4 : 8; }
+  int nodes_per_element() const {
+    return kind == ElementKind::kTet ? 4 : kind == ElementKind::kEighthTet ? 10 : 8;
+  }
   /// Whether the samples of a group are of one element each.
   bool in_lanes() const { return kind != ElementKind::kHex; }
   /// Doubles that one group needs to hold one 3-vector per node, and per lane where in lanes.
@@ -106,6 +109,8 @@ struct LaneGroup {
   static const GroupShape<kNodes>& shape(const ElementBlock& block, std::int64_t g) {
     if constexpr (kNodes == 4)
       return block.tet_shape[static_cast<std::size_t>(g)];
+    else if constexpr (kNodes == 10)
+      return block.eighth_shape[static_cast<std::size_t>(g)];
     else
       return block
           .mean_shape[static_cast<std::size_t>(block.mean_class[static_cast<std::size_t>(g)])];
@@ -150,6 +155,7 @@ struct LaneGroup {
 };
 using TetGroup = LaneGroup<4>;
 using MeanHexGroup = LaneGroup<8>;
+using EighthTetGroup = LaneGroup<10>;
 
 /// Calls f(group) with the type of a block's groups.
 template <typename F>
@@ -159,6 +165,8 @@ decltype(auto) with_group(const ElementBlock& block, F&& f) {
       return f(TetGroup{});
     case ElementKind::kMeanHex:
       return f(MeanHexGroup{});
+    case ElementKind::kEighthTet:
+      return f(EighthTetGroup{});
     default:
       return f(HexGroup{});
   }

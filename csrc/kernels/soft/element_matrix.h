@@ -103,7 +103,8 @@ DIFFSIM_INLINE void element_block(const double* matrix, int a, int b, int first,
 constexpr std::int64_t lane_matrix_size(int nodes) { return nodes * (nodes + 1) / 2 * 9 * kLanes; }
 
 /// Matrices of eight elements side by side, one sample each.
-/// @param[out] out (10 or 36, 3, 3, 8): pair of nodes b (b + 1) / 2 + a for a <= b, block, element
+/// @param[out] out (10, 36 or 55, 3, 3, 8): pair of nodes b (b + 1) / 2 + a for a <= b, block,
+/// element
 template <int kNodes>
 void element_matrix(const GroupShape<kNodes>& shape, const GroupTangent& tangent, double* out) {
   for (int part = 0; part < kParts; ++part) {

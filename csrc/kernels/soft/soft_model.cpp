@@ -102,10 +102,13 @@ ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
     double weight[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       const Index c = classes[at(TetGroup::element(block, g, lane))];
-      grad[lane] = t.grad + c * 12;
+      grad[lane] = t.grad + c * 3 * n;
       weight[lane] = g * kLanes + lane < count ? t.weight[c] : 0.0;
     }
-    block.tet_shape.push_back(lanes_of<4>(grad, weight));
+    if (t.kind == ElementKind::kTet)
+      block.tet_shape.push_back(lanes_of<4>(grad, weight));
+    else
+      block.eighth_shape.push_back(lanes_of<10>(grad, weight));
   }
   return block;
 }
