@@ -28,7 +28,7 @@ from diffsim.diagnose.checks.gates import (
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
-from diffsim.diagnose.discover.answer import with_laws_said
+from diffsim.diagnose.discover.answer import in_words, with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
@@ -127,8 +127,10 @@ def diagnose(
             answer = _with_laws(asked, answer, laws, found, budget)
     frozen = answer.frozen
     # only now test runs are looked at, once
-    report = tested(frozen, study, seed)
-    return report if found is None else with_laws_said(report, found)
+    if found is None:
+        return tested(frozen, study, seed)
+    laws = {law.name for law in found.laws}
+    return with_laws_said(tested(in_words(frozen, found), study, seed, laws), found)
 
 
 def diagnosed(

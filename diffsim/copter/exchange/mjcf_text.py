@@ -12,6 +12,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path, PurePosixPath
 
+from diffsim.copter.exchange.stated_inertia import refuse_impossible_inertia
 from diffsim.copter.exchange.xml_nodes import MAX_BYTES, parse_nodes, read_nodes
 from diffsim.core.inside import inside
 
@@ -40,6 +41,7 @@ def whole_mjcf(path: Path) -> tuple[str, Files]:
     """
     root = _read_whole(path)
     compiler = _compiler(root)
+    refuse_impossible_inertia(root, compiler)
     for section in list(root):
         if section.tag not in _SECTIONS:
             root.remove(section)
@@ -74,6 +76,7 @@ def whole_scene(model: str | Path) -> tuple[str, Files]:
     else:
         root, folder = _read_whole(Path(model)), Path(model).parent
     compiler = _compiler(root)
+    refuse_impossible_inertia(root, compiler)
     for assets in root.findall("asset"):
         for asset in [a for a in assets if a.tag in _LOOKS]:
             assets.remove(asset)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -232,7 +232,7 @@ def _settle_best_set(judgment: Judgment, checks: Checks) -> tuple[Judgment, Chec
     return judgment, checks.at_set(search.numerics.get(members)), members
 
 
-def tested(frozen: Report, study: Study, seed: int) -> Report:
+def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) -> Report:
     """The frozen answer with its errors on test runs, and in words.
 
     What test runs show can take a verdict back, and make of certain causes likely ones; it adds
@@ -243,6 +243,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         frozen: Report whose answer does not change any more but by what is taken back.
         study: Study with its test runs.
         seed: Seed of the bootstrap.
+        laws: Names of the causes that no library holds.
     """
     seen, is_test = frozen.study, bool(study.test_runs)
     unmet, half_widths = unmet_by(frozen.best.problem), no_band
@@ -279,7 +280,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         own=found.own,
         bands=found.bands,
         gain=gained,
-        headline=headline(answer, found.errors, found.failed, gain),
+        headline=headline(answer, found.errors, found.failed, gain, laws),
         sentences=(
             *sentences(answer, gained, found.errors, found.failed),
             *own_words(found.own),

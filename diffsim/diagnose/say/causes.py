@@ -229,7 +229,7 @@ def _why_not_refuted(known: CauseEvidence, i: int) -> str:
     search, effect = known.judgment.search, known.effects[i]
     assert search is not None  # statuses come of a search
     if effect.name in known.wrong_gradients:
-        return "its gradient check failed"
+        return "its derivative could not be confirmed"
     fits = [fit for members, fit in search.fits.items() if i in members]
     if not fits:
         return "no set with it was fitted"

@@ -105,6 +105,12 @@ class Answer:
     with_unknown: Mapping[str, float] = field(default_factory=dict)
     before_test: BeforeTest | None = None
 
+    @property
+    def is_taken_back(self) -> bool:
+        """Whether test runs withdrew what was named."""
+        before = self.before_test
+        return self.verdict == "unknown" and before is not None and before.verdict != "unknown"
+
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
         """Causes with one of these statuses, unknown ones left out."""
         return [
@@ -268,7 +274,7 @@ def _first(answer: Answer) -> str:
             "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
         )
         return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
-    if answer.verdict == "unknown" and answer.before_test is not None:
+    if answer.is_taken_back:
         return (
             "Something is missing, and what was named for it does not hold: with "
             f"{_sizes(_members(answer))} the error on test runs is larger."
