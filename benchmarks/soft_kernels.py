@@ -39,10 +39,17 @@ MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 SVD_FLOPS = 5 * (3 * 58 + 8) + 230
 POLAR_FLOPS = 4 * 66  # Newton's steps near rest
 GRADIENT_FLOPS = {"hex": 144 + 9 + 144, "tet": 72 + 9 + 60}  # F, weights, nodal forces
-STRESS_FLOPS = 80  # principal stresses and U diag(d) V^T; the volume projection adds
-PROJECTION_FLOPS = 5 * 45
-TANGENT_FLOPS = {"hex": 650 + 864 + 2016 + 72, "tet": 650 + 540 + 450 + 144}  # dP/dF, K, sums
-PARAMETER_FLOPS = 144 + 9 + 90 + 2 * 20  # dz/dX, U^T Z V, two contractions
+# A material's stress, from F, and its dP/dF: pd by singular values, projection and principal axes,
+# corotated by Newton's steps to the rotation, the others in F itself.
+LAW_FLOPS = {
+    "pd": (SVD_FLOPS + 5 * 45 + 80, 650),
+    "corotated": (POLAR_FLOPS + 75, 460),
+    "stable_neo_hookean": (210, 200),
+    "neo_hookean": (215, 175),
+    "stvk": (125, 225),
+}
+MATRIX_FLOPS = {"hex": 864 + 2016 + 72, "tet": 540 + 450 + 144}  # K, sums
+PARAMETER_FLOPS = 144 + 9 + 2 * 45  # dz/dX, two stresses and their products with it
 
 
 @dataclass(frozen=True)
@@ -108,14 +115,14 @@ def material_rows(kind: str, material: str, seconds: float) -> list[Row]:
     leaf = x.clone().requires_grad_()
     force = body.elastic_force(leaf)
     tangent = median(lambda: torch.autograd.grad(force, leaf, weight, retain_graph=True), seconds)
-    stress = SVD_FLOPS + STRESS_FLOPS + (PROJECTION_FLOPS if material == "pd" else 0)
+    stress, law = LAW_FLOPS[material]
     tangent_bytes = 72.0 * node_graph(body.mesh).nnz
     return [
         Row(f"gradient, {material}", gradient, samples * (GRADIENT_FLOPS[kind] + stress)),
         Row(
             f"tangent, {material}",
             tangent,
-            samples * (stress + TANGENT_FLOPS[kind] + PARAMETER_FLOPS) + tangent_bytes / 4,
+            samples * (stress + law + MATRIX_FLOPS[kind] + PARAMETER_FLOPS) + tangent_bytes / 4,
             2 * tangent_bytes,
         ),
     ]

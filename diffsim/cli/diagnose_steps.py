@@ -1,4 +1,4 @@
-"""The steps of ``diffsim diagnose init|check|fit|explain|extend|judge|faults|next STUDY``."""
+"""The steps of ``diffsim diagnose STEP STUDY``; those about a task are in ``diagnose_task``."""
 
 from __future__ import annotations
 

@@ -430,6 +430,34 @@ void element_matrix(const SoftModel& model, const SoftParameters& p, const Dampi
   }
 }
 
+void add_product(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                 const double* x, const double* z, double* vectors, ThreadPool& pool) {
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x), along(model, g, z);
+    Numbers force[kParts] = {};
+    for (int part = 0; part < kParts; ++part) {
+      const Rows rows(shape_of(model, g), part);
+      const Numbers& now = state.part[part];
+      const Native w0 = weight(model, g, part, p.weights, 0);
+      const Native w1 = weight(model, g, part, p.weights, 1);
+      Strains s, t;
+      strains(rows, now.F, now.h, s);
+      stresses(s, w0, w1, t);
+      add_forces(rows, along.part[part], t, force[part]);
+      strain_change(rows, now, along.part[part], s);
+      stresses(s, w0, w1, t);
+      add_forces(rows, now, t, force[part]);
+      if (!p.damp_mu) continue;
+      const DampingModuli moduli(model, p, g, part);
+      const Numbers frame = frame_state(frames, g, part);
+      strain_change(rows, frame, along.part[part], s);
+      stresses(s, moduli.mu, moduli.plane, t);
+      add_forces(rows, frame, t, force[part]);
+    }
+    scatter(model, g, force, vectors);
+  });
+}
+
 void add_parameter_adjoint(const SoftModel& model, const double* x, const double* z,
                            double* weights, ThreadPool& pool) {
   for_hourglass(model, pool, [&](Index g) {

@@ -35,6 +35,10 @@ void element_matrix(const SoftModel& model, const SoftParameters& p, const Dampi
                     const double* x, bool clamp, std::int64_t g, const GroupTangent& stress,
                     double* out);
 
+/// Adds the second derivative's product with z, stress included.
+void add_product(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                 const double* x, const double* z, double* vectors, ThreadPool& pool);
+
 void add_parameter_adjoint(const SoftModel& model, const double* x, const double* z,
                            double* weights, ThreadPool& pool);
 void add_damping_adjoint(const SoftModel& model, const SoftParameters& p,
