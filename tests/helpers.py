@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from diffsim.core.ops import Op
 from tests.gradients import check_directions
 
 
@@ -52,6 +53,23 @@ def check_layer(
     torch.testing.assert_close(compiled_grads, grads)
 
 
-def op_arguments(op) -> tuple[str, ...]:
-    """Names of a custom op's arguments, in its order."""
-    return tuple(argument.name for argument in op._opoverload._schema.arguments)
+def with_derivatives(op: Op, *args: Any) -> list[tuple[Any, tuple[Any, ...]]]:
+    """A row's op and those of its derivatives, each with arguments, for :func:`check_layer`."""
+    found = op.op(*args)
+    outputs = found if isinstance(found, tuple) else (found,)
+    known = dict(zip((*op.arguments, *op.outputs), (*args, *outputs), strict=True))
+    known = {n: v.detach() if isinstance(v, Tensor) else v for n, v in known.items()}
+    checks = [(op.op, args)]
+    for row in filter(None, (op.vjp, op.jvp)):
+        # along ones: what a name with a prefix is has the shape of what it is without
+        given = [
+            known[n] if n in known else torch.ones_like(_bare(known, n)) for n in row.arguments
+        ]
+        checks.append((row.op, tuple(given)))
+    return checks
+
+
+def _bare(known: dict[str, Any], name: str) -> Tensor:
+    return known[
+        name.removeprefix("grad_") if name.startswith("grad_") else name.removeprefix("d_")
+    ]

@@ -23,8 +23,8 @@ from torch import Tensor
 from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
 from diffsim.core.check import require_choice
-from diffsim.core.layer import on_constants
 from diffsim.core.numbers import values_of
+from diffsim.core.torch_names import on_constants
 from diffsim.data.study import Run
 
 if TYPE_CHECKING:

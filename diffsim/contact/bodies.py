@@ -9,9 +9,9 @@ from torch import Tensor
 
 from diffsim.contact.triangles import feature_distance
 from diffsim.core.check import require
-from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import require_unmapped, to_numpy
+from diffsim.core.torch_names import on_constants
 from diffsim.core.values import Number, dot, scalar
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, surface_triangles
 

@@ -16,6 +16,7 @@ from diffsim.core.check import require, require_range
 from diffsim.core.checked import checked
 from diffsim.core.layer import may_be_differentiated, outside_of_graphs
 from diffsim.core.numbers import anywhere, values_of
+from diffsim.core.torch_names import is_in_func
 from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
 from diffsim.mesh import primitive
 from diffsim.mesh.sdf import Sdf
@@ -247,7 +248,7 @@ class Custom(Shape):
         return outside_of_graphs(self._by_gradient)(x)
 
     def _by_gradient(self, x: Tensor) -> Pair:
-        if torch._C._functorch.maybe_current_level() is not None:
+        if is_in_func():
             raise NotImplementedError(
                 "Custom takes its normal from torch.autograd, which torch.func cannot look into: "
                 "ask torch.autograd for the derivative, or use a shape with a normal of its own"

@@ -19,7 +19,7 @@ from diffsim.copter.dynamics.hover import hover
 from diffsim.copter.dynamics.linearize import linearize
 from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.vehicle.effects import FlightEffects, MotorLag
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 
 Array = NDArray[np.float64]
 # What the controller's numbers weigh, and the states of 12 that share each.

@@ -15,6 +15,7 @@ from torch.autograd import forward_ad
 
 from diffsim.core.layer import may_be_differentiated
 from diffsim.core.numbers import require_unmapped, values_of
+from diffsim.core.torch_names import has_function_modes
 
 
 def require(
@@ -79,7 +80,7 @@ def require_tensor(name: str, value: Tensor, dtype: torch.dtype = torch.float64)
     Raises:
         TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
     """
-    if not torch.compiler.is_compiling() and torch._C._len_torch_function_stack():
+    if not torch.compiler.is_compiling() and has_function_modes():
         _refuse_default_device()
     if not isinstance(value, Tensor):
         raise TypeError(

@@ -61,13 +61,13 @@ def inertia_mistake(
     principal = np.linalg.eigvalsh(inertia_matrix(entries))
     if not principal[0] > 0.0:
         return (
-            f"the principal moments must be above 0, got {_listed(principal)} kg m^2 of "
+            f"the principal moments must be above 0, got {_list_values(principal)} kg m^2 of "
             f"{', '.join(names)}: entries in each other's slots, or their signs?"
         )
     if triangle and principal[2] > (1.0 + ROUNDING) * (principal[0] + principal[1]):
         return (
             f"none of the principal moments may be above the sum of the others, got "
-            f"{_listed(principal)} kg m^2 of {', '.join(names)}: the signs of products, or a "
+            f"{_list_values(principal)} kg m^2 of {', '.join(names)}: the signs of products, or a "
             "power of ten?"
         )
     return None
@@ -77,7 +77,7 @@ def size_mistake(mass: float, inertia: NDArray[np.float64], reach: float) -> str
     """A radius of gyration that is far from the size of the body; None where it may be right.
 
     Args:
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the center of mass, (3, 3) [kg m^2].
         reach: Distance of the farthest tip of a rotor from the center of mass [m].
     """
@@ -91,7 +91,7 @@ def size_mistake(mass: float, inertia: NDArray[np.float64], reach: float) -> str
     else:
         slip = "is the mass in g?"
     return (
-        f"mass {mass:.4g} kg and inertia {_listed(np.diag(inertia))} kg m^2 make a radius of "
+        f"mass {mass:.4g} kg and inertia {_list_values(np.diag(inertia))} kg m^2 make a radius of "
         f"gyration of {gyration:.3g} m, and the rotors reach {reach:.3g} m: {slip}"
     )
 
@@ -123,5 +123,5 @@ def _broken_triangle(moments: NDArray[np.float64], names: Sequence[str]) -> str 
     return f"{names[k]} must be at most {a} + {b} = {most:.4g}, got {moments[k]:.6g}; {slip}?"
 
 
-def _listed(values: Iterable[float]) -> str:
+def _list_values(values: Iterable[float]) -> str:
     return ", ".join(f"{v:.4g}" for v in values)

@@ -6,9 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.layer import on_constants
-
-_FUNC = torch._C._functorch  # PyTorch has no public name for what is behind a wrapper
+from diffsim.core.torch_names import is_batched, is_in_func, is_wrapped, on_constants, unwrapped
 
 
 def values_of(value: Tensor) -> Tensor:
@@ -17,27 +15,27 @@ def values_of(value: Tensor) -> Tensor:
     A mapped tensor refuses to say whether its entries are, say, finite; the tensor behind it does
     not, for all items at once.
     """
-    if _FUNC.maybe_current_level() is None:
+    if not is_in_func():
         return value.detach()
-    while _FUNC.is_functorch_wrapped_tensor(value):
-        value = _FUNC.get_unwrapped(value)
+    while is_wrapped(value):
+        value = unwrapped(value)
     with on_constants():  # else it would be wrapped again
         return value.detach()
 
 
 def has_values(value: Tensor) -> bool:
     """Whether a tensor is one of numbers: not mapped by ``torch.func``, nor without data."""
-    return not _FUNC.is_functorch_wrapped_tensor(value) and value.device.type != "meta"
+    return not is_wrapped(value) and value.device.type != "meta"
 
 
 def is_mapped(value: Tensor) -> bool:
     """Whether ``torch.func.vmap`` maps a tensor: it stands for many at once."""
     if torch.compiler.is_compiling():
         return False
-    while isinstance(value, Tensor) and _FUNC.is_functorch_wrapped_tensor(value):
-        if _FUNC.is_batchedtensor(value):
+    while isinstance(value, Tensor) and is_wrapped(value):
+        if is_batched(value):
             return True
-        value = _FUNC.get_unwrapped(value)
+        value = unwrapped(value)
     return False
 
 

@@ -124,7 +124,7 @@ def get_set(known: PublishedSet, folder: Path, address: str) -> list[str]:
                 f"{address}/{known.name}/{name} is not the file of this study: "
                 f"SHA-256 {got[:12]}..., expected {digest[:12]}...; nothing of it is kept"
             )
-        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_bytes_atomic(folder / name, content)
     return wanted
 

@@ -17,8 +17,8 @@ from diffsim.core.check import (
     require_threads,
 )
 from diffsim.core.errors import FactorizationError
-from diffsim.core.layer import on_constants
 from diffsim.core.numbers import values_of
+from diffsim.core.torch_names import on_constants
 from diffsim.core.values import as_array
 from diffsim.linalg._ops_cholesky import SparseFactor
 

@@ -40,7 +40,7 @@ def svd3(F: Tensor, *, num_threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     For the rotation U V^T use ``polar3``, which repeated values do not trouble.
     """
     F, num_threads = _check_matrices(F, num_threads)
-    return _ops_svd.svd3_layer(F, num_threads)
+    return _ops_svd.svd3(F, num_threads)
 
 
 def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
@@ -66,7 +66,7 @@ def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
     unless dL/dR has exactly no part that turns R.
     """
     F, num_threads = _check_matrices(F, num_threads)
-    return _ops_svd.polar3_layer(F, num_threads)
+    return _ops_svd.polar3(F, num_threads)
 
 
 def _check_matrices(F: Tensor, num_threads: int) -> tuple[Tensor, int]:

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_constant
 from diffsim.core.errors import MeshError
-from diffsim.core.layer import on_constants
 from diffsim.core.module import loadable
 from diffsim.core.numbers import values_of
+from diffsim.core.torch_names import on_constants
 from diffsim.core.values import as_array
 from diffsim.mesh import validate
 from diffsim.mesh.reference import HEX_EDGES, TET_EDGES, IntArray

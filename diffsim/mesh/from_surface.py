@@ -45,11 +45,11 @@ def voxelize(surface: SurfaceLike, spacing: float, keep: str | None = None) -> H
     """
     spacing = require_number("spacing", spacing, above=0.0)
     x, faces = closed_surface(surface)
-    keep = _kept(x, faces, keep)
+    keep = _choose_bodies(x, faces, keep)
     _, counts = grid([x.min(axis=0).tolist(), x.max(axis=0).tolist()], spacing)
     low = 0.5 * (x.min(axis=0) + x.max(axis=0)) - 0.5 * spacing * counts
     inside = grid_inside(x, faces, low + 0.5 * spacing, spacing, counts)
-    return _measured(hex_from_mask(inside, low, spacing, keep), x, faces)
+    return _warn_of_volume(hex_from_mask(inside, low, spacing, keep), x, faces)
 
 
 def tetrahedralize(
@@ -99,9 +99,9 @@ def tetrahedralize(
             method = "stuffing"
     if method == "ftetwild":
         x, faces = closed_surface(surface)
-        if _kept(x, faces, keep) == "largest" and keep is not None:
+        if _choose_bodies(x, faces, keep) == "largest" and keep is not None:
             raise ValueError("keep='largest' is for method='stuffing'; 'ftetwild' keeps all bodies")
-        return _measured(_ftetwild(x, faces, spacing, tolerance), x, faces)
+        return _warn_of_volume(_ftetwild(x, faces, spacing, tolerance), x, faces)
     if tolerance is not None:
         raise ValueError(
             "tolerance is for method='ftetwild'; 'stuffing' has no bound, leave it out"
@@ -112,12 +112,12 @@ def tetrahedralize(
     def inside(first: Array, counts: IntArray) -> np.ndarray:
         return grid_inside(distance.x, distance.faces, first, spacing, counts)
 
-    keep = _kept(distance.x, distance.faces, keep)
+    keep = _choose_bodies(distance.x, distance.faces, keep)
     filled = fill(lambda p: distance(p.numpy()), bounds, spacing, keep, inside)
-    return _measured(filled, distance.x, distance.faces)
+    return _warn_of_volume(filled, distance.x, distance.faces)
 
 
-def _measured(mesh: Filled, x: Array, faces: IntArray) -> Filled:
+def _warn_of_volume(mesh: Filled, x: Array, faces: IntArray) -> Filled:
     """The mesh; a warning where it does not weigh what the surface encloses."""
     more = float(total_volume(mesh)) / enclosed_volume(x, faces) - 1.0
     if abs(more) > VOLUME_ERROR:
@@ -129,7 +129,7 @@ def _measured(mesh: Filled, x: Array, faces: IntArray) -> Filled:
     return mesh
 
 
-def _kept(x: Array, faces: IntArray, keep: str | None) -> str:
+def _choose_bodies(x: Array, faces: IntArray, keep: str | None) -> str:
     """Which bodies are filled; several need a choice, so that none is lost in silence."""
     bodies = count_bodies(x, faces)
     if keep is not None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.checked import checked
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import (

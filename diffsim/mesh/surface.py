@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.checked import checked
-from diffsim.core.layer import on_constants
 from diffsim.core.numbers import to_numpy
+from diffsim.core.torch_names import on_constants
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_FACES, TET_FACES, IntArray
 

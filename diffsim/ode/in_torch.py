@@ -7,8 +7,7 @@ two states: 2 s).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -22,8 +21,6 @@ _TAKES = {"where": 3} | dict.fromkeys(
     ("add", "sub", "mul", "div", "pow", "less", "less_equal", "min", "max", "atan2", "hypot"), 2
 )
 _COUNTS = tuple(_TAKES.get(name, 1) for name in OPERATIONS)
-
-Many = tuple[Tensor, ...]
 
 
 def solve(
@@ -62,20 +59,3 @@ def solve(
         for j in range(num_steps if k + 1 < len(times) else 0):
             x = advance(k, j, x)
     return torch.stack(readings, 1), torch.stack(states, 1)
-
-
-def pull(function: Callable[..., Many], at: Sequence[Tensor], cotangents: Many) -> Many:
-    """Gradients of a function's arguments."""
-    return _linearize(function, *at)[1](cotangents)
-
-
-def push(function: Callable[..., Many], at: Sequence[Tensor], directions: Many) -> Many:
-    """Derivatives along directions: a gradient of a gradient, as forward mode cannot be nested."""
-    out, back = _linearize(function, *at)
-    zeros = tuple(torch.zeros_like(part) for part in out)
-    return _linearize(lambda *cotangents: back(cotangents), *zeros)[1](directions)
-
-
-def _linearize(function: Callable[..., Many], *at: Tensor) -> tuple[Many, Callable[[Many], Many]]:
-    found: Any = torch.func.vjp(function, *at)
-    return found

@@ -150,7 +150,7 @@ class Ode:
             raise ValueError(f"batch axes of start, inputs, parameters disagree: {sorted(sizes)}")
         batch = max(sizes, default=1)
         u = inputs if inputs.ndim == 3 else inputs[None]
-        readings, states = _ops.ode_integrate_layer(
+        readings, states = _ops.ode_integrate(
             **self.problem(times, num_steps, num_threads),
             start=start.expand(batch, n),
             inputs=u,

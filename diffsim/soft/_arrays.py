@@ -1,42 +1,29 @@
 """The tensors that the kernels of a soft body read: one record for each concept.
 
 Records are made by keyword and read by name, so that two tensors of one shape cannot change places.
-Custom ops take lists: :meth:`Arrays.tensors` and :meth:`Arrays.of` alone turn names into an order
-and back. The names are those of csrc/bindings/soft_arrays.h.
+Ops take them in the order of :attr:`Arrays.specs`. The names are those of
+csrc/bindings/soft_arrays.h.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
 
+from diffsim.core.ops import Array, Call, array, resolve
 
-class Spec(NamedTuple):
-    """What holds for one tensor of a record.
-
-    Attributes:
-        shape: Sizes without the batch axis; names stand for those of the body.
-        batched: Whether a batch axis leads; all else is shared by the items of a batch, or given
-            for each of them (:attr:`Arrays.per_member`).
-        differentiable: Whether an adjoint returns its gradient.
-        damping: Whether it is empty in a body without stiffness-proportional damping.
-    """
-
-    shape: tuple[str | int, ...]
-    batched: bool = True
-    differentiable: bool = True
-    damping: bool = False
-
+NODAL = ("batch", "num_nodes", 3)
+CONTACTS = ("batch", "num_contacts")
 
 _Record = TypeVar("_Record", bound="Arrays")
 
 
-def _spec(*shape: str | int, **properties: bool) -> dict[str, Spec]:
-    return {"spec": Spec(shape, **properties)}
+def _spec(*shape: str | int, **properties: Any) -> dict[str, Array]:
+    return {"spec": array(*shape, **properties)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,19 +31,26 @@ class Arrays:
     """A record of float64 tensors.
 
     Attributes:
-        specs: What holds for each tensor by name, in the order of the ops' lists.
+        specs: What holds for each tensor by name, in the order of the ops' arguments. "batch" leads
+            what differs between the items of a batch; all else is shared, "...", or given for each
+            of them (:attr:`per_member`).
     """
 
-    specs: ClassVar[Mapping[str, Spec]] = {}
+    specs: ClassVar[Mapping[str, Array]] = {}
 
     def __init_subclass__(cls) -> None:
         own = {n: f.metadata["spec"] for n, f in vars(cls).items() if isinstance(f, Field)}
         cls.specs = {**cls.specs, **own}
 
     @classmethod
-    def differentiable(cls) -> list[str]:
-        """Names of the tensors whose gradients an adjoint returns, in its order."""
-        return [name for name, spec in cls.specs.items() if spec.differentiable]
+    def of(cls: type[_Record], tensors: Mapping[str, Tensor]) -> _Record:
+        """The record of tensors by name, of which there may be more."""
+        return cls(**{name: tensors[name] for name in cls.specs})
+
+    @classmethod
+    def is_batched(cls, name: str) -> bool:
+        """Whether a tensor always differs between the items of a batch."""
+        return cls.specs[name].shape[0] == "batch"
 
     @property
     def per_member(self) -> bool:
@@ -65,21 +59,10 @@ class Arrays:
 
     def has_batch(self, name: str) -> bool:
         """Whether a batch axis leads a tensor."""
-        return self.specs[name].batched or self.per_member
-
-    @classmethod
-    def of(cls: type[_Record], tensors: Sequence[Tensor]) -> _Record:
-        """The record of an op's list."""
-        return cls(**dict(zip(cls.specs, tensors, strict=True)))
-
-    @classmethod
-    def all_gradients(cls, grads: Sequence[Tensor]) -> list[Tensor | None]:
-        """One entry for each tensor of the list; None where an adjoint has no gradient."""
-        named = dict(zip(cls.differentiable(), grads, strict=True))
-        return [named.get(name) for name in cls.specs]
+        return self.is_batched(name) or self.per_member
 
     def tensors(self) -> list[Tensor]:
-        """The list that an op takes."""
+        """The tensors as an op takes them."""
         return list(self.named().values())
 
     def named(self) -> dict[str, Tensor]:
@@ -88,74 +71,52 @@ class Arrays:
 
     def shared(self) -> dict[str, Tensor]:
         """What the items of a batch share, by name; the mean where it is given for each of them."""
-        found = {n: t for n, t in self.named().items() if not self.specs[n].batched}
+        found = {n: t for n, t in self.named().items() if not self.is_batched(n)}
         return {n: _mean(t) if self.has_batch(n) else t for n, t in found.items()}
 
     def item(self, k: int) -> dict[str, Tensor]:
         """Item k of the batch by name, with the shared tensors."""
-        named = self.named()
-        return {n: t[k] if self.has_batch(n) and t.numel() else t for n, t in named.items()}
+        return self.item_of(self.named(), k)
 
-    @classmethod
-    def directions(cls, tangents: Sequence[Tensor | None], like: Tensor) -> list[Tensor]:
-        """Tangents as ops take them: an empty tensor for what does not move."""
-        still = like.new_empty(0)
-        return [still if t is None or not t.numel() else t for t in tangents]
+    def item_of(self, tensors: Mapping[str, Tensor], k: int) -> dict[str, Tensor]:
+        """Item k of the batch of tensors by these names; shared and absent ones as they are."""
+        return {n: t[k] if self.has_batch(n) and t.numel() else t for n, t in tensors.items()}
 
-    def moving(self, directions: Sequence[Tensor]) -> dict[str, Tensor]:
-        """The directions of an op's list that move, by name, as kernels read them."""
-        named = dict(zip(self.specs, directions, strict=True))
-        moved = {n: named[n].contiguous() for n in self.differentiable() if named[n].numel()}
-        for name, direction in moved.items():
-            require_array(f"direction of {name}", direction, tuple(getattr(self, name).shape))
-        return moved
-
-    def item_of(self, moved: Mapping[str, Tensor], k: int) -> dict[str, Tensor]:
-        """Item k of the batch of some directions; shared ones as they are."""
-        return {n: t[k] if self.has_batch(n) else t for n, t in moved.items()}
-
-    def require_sizes(self, batch: int, sizes: Mapping[str, int], *, damped: bool = True) -> None:
-        """Refuse any other size than that of a body: kernels read whole arrays.
-
-        Args:
-            batch: Number of items.
-            sizes: Of the body, by the names that shapes use.
-            damped: Whether the tensors of damping are given.
-        """
-        self.require_shapes(self.shapes(batch, sizes, damped=damped))
-
-    def shapes(
-        self, batch: int, sizes: Mapping[str, int], *, damped: bool = True
-    ) -> dict[str, tuple[int, ...]]:
-        """What :meth:`require_sizes` requires, by name."""
-        found = {}
-        for name, spec in self.specs.items():
-            own = tuple(sizes[size] if isinstance(size, str) else size for size in spec.shape)
-            shape = (batch, *own) if self.has_batch(name) else own
-            found[name] = (0,) if spec.damping and not damped else shape
-        return found
+    def shapes(self, batch: int, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+        """Shapes by name in a batch of so many, with the sizes of a body."""
+        lead = (batch,) if self.per_member else ()
+        known = {**sizes, "batch": batch, "...": lead}
+        return {
+            name: (0,)
+            if isinstance(spec.optional, str) and not getattr(self, spec.optional).numel()
+            else resolve(spec, known)
+            for name, spec in self.specs.items()
+        }
 
     def require_shapes(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Refuse other shapes of some tensors, by name."""
+        """Refuse other shapes of some tensors, by name: kernels read whole arrays."""
         for name, shape in shapes.items():
             require_array(name, getattr(self, name), shape)
 
-    def gradient_buffers(self, batch: int) -> dict[str, Tensor]:
-        """Zeroed outputs of an adjoint; those of shared tensors get a batch axis as well."""
-        named = self.named()
-        return {
-            n: named[n].new_zeros(named[n].shape if self.has_batch(n) else (batch, *named[n].shape))
-            for n in self.differentiable()
-        }
+    def gradients(self, call: Call) -> dict[str, Tensor]:
+        """Memory for an adjoint by name: items of a batch have their own gradients of what they
+        share, which :meth:`add_gradients` adds up."""
+        batch = call.sizes["batch"]
+        for name, spec in self.specs.items():
+            if spec.smooth and not self.has_batch(name):
+                call[f"grad_{name}"] = call[name].new_zeros(batch, *call[name].shape)
+        return {n: call[f"grad_{n}"] for n, spec in self.specs.items() if spec.smooth}
 
-    def summed(self, grads: Mapping[str, Tensor]) -> list[Tensor]:
-        """Buffers as the op returns them: those of shared tensors summed over the batch."""
-        return [g if self.has_batch(name) else _sum(g) for name, g in grads.items()]
+    def add_gradients(self, call: Call) -> None:
+        """Gradients of a call as its op returns them."""
+        for name, spec in self.specs.items():
+            if spec.smooth and not self.has_batch(name):
+                call[f"grad_{name}"] = _sum(call[f"grad_{name}"])
 
-    def empty_gradients(self) -> list[Tensor]:
-        """What an adjoint returns, without its values."""
-        named = self.named()
-        return [torch.empty_like(named[name]) for name in self.differentiable()]
+    def moved(self, call: Call) -> dict[str, Tensor]:
+        """Directions of a call by name; absent ones do not move."""
+        found = {n: call[f"d_{n}"] for n, spec in self.specs.items() if spec.smooth}
+        return {name: direction for name, direction in found.items() if direction.numel()}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,7 +127,7 @@ class EnergyArrays(Arrays):
         weights: Of the solid, (num_weights, num_elements) [Pa], see
             :mod:`diffsim.soft.materials`. These, ``fiber_stiffness``, ``damp_mu`` and
             ``damp_lambda`` may all lead with a batch axis.
-        fiber_stiffness: (num_fibers,) [Pa].
+        fiber_stiffness: Stiffness of each fiber, (num_fibers,) [Pa].
         activation: Target stretch of each fiber, (batch, num_fibers) [-].
         damp_mu, damp_lambda: Weights of damping, (num_elements,) [Pa].
         x_frame: Positions of the frame that damping refers to, (batch, num_nodes, 3) [m].
@@ -174,14 +135,14 @@ class EnergyArrays(Arrays):
         pressure: Gauge pressures, (batch, num_chambers) [Pa].
     """
 
-    weights: Tensor = field(metadata=_spec("num_weights", "num_elements", batched=False))
-    fiber_stiffness: Tensor = field(metadata=_spec("num_fibers", batched=False))
-    activation: Tensor = field(metadata=_spec("num_fibers"))
-    damp_mu: Tensor = field(metadata=_spec("num_elements", batched=False, damping=True))
-    damp_lambda: Tensor = field(metadata=_spec("num_elements", batched=False, damping=True))
-    x_frame: Tensor = field(metadata=_spec("num_nodes", 3, damping=True))
-    x_velocity: Tensor = field(metadata=_spec("num_nodes", 3, damping=True))
-    pressure: Tensor = field(metadata=_spec("num_chambers"))
+    weights: Tensor = field(metadata=_spec("...", "num_weights", "num_elements"))
+    fiber_stiffness: Tensor = field(metadata=_spec("...", "num_fibers"))
+    activation: Tensor = field(metadata=_spec("batch", "num_fibers"))
+    damp_mu: Tensor = field(metadata=_spec("...", "num_elements", optional="damp_mu"))
+    damp_lambda: Tensor = field(metadata=_spec("...", "num_elements", optional="damp_mu"))
+    x_frame: Tensor = field(metadata=_spec(*NODAL, optional="damp_mu"))
+    x_velocity: Tensor = field(metadata=_spec(*NODAL, optional="damp_mu"))
+    pressure: Tensor = field(metadata=_spec("batch", "num_chambers"))
 
     @property
     def per_member(self) -> bool:
@@ -200,18 +161,18 @@ class StepArrays(EnergyArrays):
 
     Attributes:
         y: Inertial positions, (batch, num_nodes, 3) [m].
-        force: (batch, num_nodes, 3) [N].
+        force: Force on each node, (batch, num_nodes, 3) [N].
         target: Positions of Dirichlet nodes, (batch, num_nodes, 3) [m].
         guess: Start of the iteration, (batch, num_nodes, 3) [m]; its gradient is zero but in
             linearly implicit steps.
-        inertia: (num_nodes,) [N/m].
+        inertia: Mass over the squared time step of each node, (num_nodes,) [N/m].
     """
 
-    y: Tensor = field(metadata=_spec("num_nodes", 3))
-    force: Tensor = field(metadata=_spec("num_nodes", 3))
-    target: Tensor = field(metadata=_spec("num_nodes", 3))
-    guess: Tensor = field(metadata=_spec("num_nodes", 3))
-    inertia: Tensor = field(metadata=_spec("num_nodes", batched=False))
+    y: Tensor = field(metadata=_spec(*NODAL))
+    force: Tensor = field(metadata=_spec(*NODAL))
+    target: Tensor = field(metadata=_spec(*NODAL))
+    guess: Tensor = field(metadata=_spec(*NODAL))
+    inertia: Tensor = field(metadata=_spec("...", "num_nodes"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -219,18 +180,18 @@ class ContactArrays(Arrays):
     """Half spaces of the nodes that may touch, see :class:`diffsim.contact.ContactPlanes`.
 
     Attributes:
-        normal: (batch, num_contacts, 3) [-].
-        reference: (batch, num_contacts, 3) [m].
-        offset: (batch, num_contacts) [m].
-        friction: (batch, num_contacts) [-].
+        normal: Normal of each contact, (batch, num_contacts, 3) [-].
+        reference: Place that sticking holds each node at, (batch, num_contacts, 3) [m].
+        offset: Least normal displacement of each contact, (batch, num_contacts) [m].
+        friction: Friction coefficient of each contact, (batch, num_contacts) [-].
         force_guess: Contact forces to start from, (batch, num_contacts, 3) [N]; no gradient.
     """
 
-    normal: Tensor = field(metadata=_spec("num_contacts", 3))
-    reference: Tensor = field(metadata=_spec("num_contacts", 3))
-    offset: Tensor = field(metadata=_spec("num_contacts"))
-    friction: Tensor = field(metadata=_spec("num_contacts"))
-    force_guess: Tensor = field(metadata=_spec("num_contacts", 3, differentiable=False))
+    normal: Tensor = field(metadata=_spec(*CONTACTS, 3))
+    reference: Tensor = field(metadata=_spec(*CONTACTS, 3))
+    offset: Tensor = field(metadata=_spec(*CONTACTS))
+    friction: Tensor = field(metadata=_spec(*CONTACTS))
+    force_guess: Tensor = field(metadata=_spec(*CONTACTS, 3, smooth=False))
 
 
 def require_array(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:

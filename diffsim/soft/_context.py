@@ -11,15 +11,16 @@ import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
+from diffsim.core.ops import Call
 from diffsim.soft._arrays import StepArrays
-from diffsim.soft.materials import UPRIGHT, small_strain_moduli
+from diffsim.soft.materials import NEEDS_POSITIVE_J, small_strain_moduli
 
 _CACHED_SYSTEMS = 4
 PRECONDITIONERS = ("auto", "constant", "multigrid")
@@ -181,6 +182,18 @@ def context(handle: int) -> SoftContext:
     return found
 
 
+def owner(options: Mapping[str, Any]) -> SoftContext:
+    """The prepared solver that ops with these options need, of a deleted body, too."""
+    return context(options["handle"])
+
+
+def sizes_of_call(call: Call) -> dict[str, Any]:
+    """Sizes of the arrays of an op."""
+    batch = call["activation"].shape[0]
+    each = (batch,) if call["weights"].ndim == 3 else ()
+    return {**owner(call.options).sizes, "batch": batch, "...": each}
+
+
 # Shares of the volume and fiber stiffness in the constant matrix, measured in benchmarks/soft.py.
 VOLUME_SHARE = 0.1
 FIBER_SHARE = 0.5
@@ -219,7 +232,7 @@ def require_magnitude(name: str, values: Tensor, bounds: tuple[float, float]) ->
 
 def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
     """Refuse positions (batch, V, 3) [m] at which the energy of an upright material is infinite."""
-    if ctx.material not in UPRIGHT or bool(torch.isfinite(energy).all()):
+    if ctx.material not in NEEDS_POSITIVE_J or bool(torch.isfinite(energy).all()):
         return
     item = int(torch.nonzero(~torch.isfinite(energy))[0, 0])
     count = core.count_inverted(ctx.pattern, x[item].contiguous().data_ptr())

@@ -1,56 +1,17 @@
-"""The elastic, damping and pressure force of a soft body and its adjoint, as torch custom ops.
-
-Everything here has a leading batch axis and float64.
-"""
+"""The elastic, damping and pressure force of a soft body, its energy and derivatives as ops."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.layer import custom_op, make_first_order, make_layer
-from diffsim.soft._arrays import EnergyArrays, require_array
-from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
-
-
-def _require(ctx: SoftContext, inputs: list[Tensor], **nodal: Tensor) -> EnergyArrays:
-    arrays = EnergyArrays.of(inputs)
-    batch = next(iter(nodal.values())).shape[0]
-    arrays.require_sizes(batch, ctx.sizes, damped=arrays.damped)
-    for name, tensor in nodal.items():
-        require_array(name, tensor, (batch, ctx.num_nodes, 3))
-    return arrays
-
-
-@custom_op("diffsim::elastic_gradient")
-def elastic_gradient(
-    x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
-) -> tuple[Tensor, Tensor]:
-    """Gradient of elastic, damping and pressure energy [N], and the energy [J], per batch item.
-
-    ``inputs`` are the tensors of an :class:`EnergyArrays`.
-    """
-    ctx = context(handle)
-    arrays = _require(ctx, inputs, x=x)
-    gradient = torch.empty_like(x)
-    energy = torch.empty(x.shape[0], dtype=torch.float64)
-    core.elastic_gradient(
-        pattern=ctx.pattern,
-        inputs=soft_addresses(arrays.named()),
-        batch=x.shape[0],
-        x=x.data_ptr(),
-        gradient=gradient.data_ptr(),
-        energy=energy.data_ptr(),
-        num_threads=num_threads,
-    )
-    require_upright(ctx, energy, x)
-    return gradient, energy
-
-
-@elastic_gradient.register_fake
-def _(x, inputs, **_options):
-    return torch.empty_like(x), x.new_empty(x.shape[0])
+from diffsim.core.ops import Call, Op, array
+from diffsim.soft._arrays import NODAL, EnergyArrays, require_array
+from diffsim.soft._context import context, owner, require_upright, sizes_of_call, soft_addresses
 
 
 class BoundGradient:
@@ -59,19 +20,20 @@ class BoundGradient:
     Args:
         arrays: Parameters of the energy, without damping; nobody may change them in place.
         batch: Number of items.
-        handle, num_threads: As for :func:`elastic_gradient`.
+        handle: Of the body's prepared solvers.
+        num_threads: Threads of the kernel.
     """
 
     def __init__(self, arrays: EnergyArrays, *, batch: int, handle: int, num_threads: int):
         self._context, self._num_threads = context(handle), num_threads
-        arrays.require_sizes(batch, self._context.sizes, damped=False)
+        arrays.require_shapes(arrays.shapes(batch, self._context.sizes))
         self._arrays = arrays  # addresses are those of these tensors as long as they live
         self._inputs = soft_addresses(arrays.named())
         self._shape = (batch, self._context.num_nodes, 3)
 
     def __call__(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient (batch, num_nodes, 3) [N] and energy (batch,) [J] at x, shape of the gradient
-        [m]; the same bits as :func:`elastic_gradient`."""
+        [m]; the same bits as ``elastic_gradient``."""
         require_array("x", x, self._shape)
         gradient = torch.empty_like(x)
         energy = torch.empty(self._shape[0], dtype=torch.float64)
@@ -88,183 +50,130 @@ class BoundGradient:
         return gradient, energy
 
 
-@custom_op("diffsim::elastic_gradient_vjp")
-def elastic_gradient_vjp(
-    z: Tensor, x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
-) -> list[Tensor]:
-    """Adjoint of the gradient output: Hessian times z, then the parameters in op order."""
-    ctx = context(handle)
-    z = z.contiguous()
-    arrays = _require(ctx, inputs, x=x, z=z)
-    grads = arrays.gradient_buffers(x.shape[0])
-    grad_x = torch.empty_like(x)
-    for k in range(x.shape[0]):
-        core.elastic_gradient_adjoint(
-            pattern=ctx.pattern,
-            inputs=soft_addresses(arrays.item(k)),
-            x=x[k].data_ptr(),
-            z=z[k].data_ptr(),
-            grad_x=grad_x[k].data_ptr(),
-            grads=soft_addresses({n: g[k] if g.numel() else g for n, g in grads.items()}),
-            num_threads=num_threads,
-        )
-    return [grad_x, *arrays.summed(grads)]
-
-
-@elastic_gradient_vjp.register_fake
-def _(z, x, inputs, **_options):
-    return [torch.empty_like(x), *EnergyArrays.of(inputs).empty_gradients()]
-
-
-def _elastic_setup(ctx, inputs, keyword_only_inputs, output):
-    x, tensors = inputs
-    ctx.arguments = keyword_only_inputs
-    ctx.save_for_backward(x, output[0], *tensors)
-    ctx.owner = context(keyword_only_inputs["handle"])
-    ctx.damped = EnergyArrays.of(tensors).damped
-    if ctx.damped:  # with damping frames the energy's own gradient is not defined
-        ctx.mark_non_differentiable(output[1])
-
-
-def _elastic_backward(ctx, grad_gradient, grad_energy):
-    x, gradient, *tensors = ctx.saved_tensors
-    g_x, *others = elastic_gradient_vjp_layer(grad_gradient, x, tensors, **ctx.arguments)
-    if not ctx.damped:
-        g_x = g_x + grad_energy[:, None, None] * gradient
-    return g_x, EnergyArrays.all_gradients(others)
-
-
-@custom_op("diffsim::elastic_gradient_jvp")
-def elastic_gradient_jvp(
-    x: Tensor,
-    inputs: list[Tensor],
-    dx: Tensor,
-    directions: list[Tensor],
-    *,
-    handle: int,
-    num_threads: int,
-) -> Tensor:
-    """The gradient output along one direction; ``dx`` and ``directions`` empty where still."""
-    ctx = context(handle)
-    x, dx = x.contiguous(), dx.contiguous()
-    arrays = _require(ctx, inputs, x=x)
-    moved = arrays.moving(directions)
-    if dx.numel():
-        require_array("dx", dx, tuple(x.shape))
-    tangent = torch.empty_like(x)
-    for k in range(x.shape[0]):
-        core.elastic_gradient_tangent(
-            pattern=ctx.pattern,
-            inputs=soft_addresses(arrays.item(k)),
-            x=x[k].data_ptr(),
-            dx=dx[k].data_ptr() if dx.numel() else 0,
-            directions=soft_addresses(arrays.item_of(moved, k)),
-            tangent=tangent[k].data_ptr(),
-            num_threads=num_threads,
-        )
-    return tangent
-
-
-@elastic_gradient_jvp.register_fake
-def _(x, inputs, dx, directions, **_options):
-    return torch.empty_like(x)
-
-
-def _elastic_tangent(ctx, dx, moved):
-    x, gradient, *tensors = ctx.saved_tensors
-    still = x.new_empty(0)
-    tangent = elastic_gradient_jvp_layer(
-        x,
-        tensors,
-        still if dx is None else dx,
-        EnergyArrays.directions(moved, x),
-        **ctx.arguments,
+def _gradient(call: Call) -> None:
+    ctx = owner(call.options)
+    core.elastic_gradient(
+        pattern=ctx.pattern,
+        inputs=soft_addresses(EnergyArrays.of(call).named()),
+        batch=call.sizes["batch"],
+        **call.addresses("x", "gradient", "energy"),
+        num_threads=call.sizes["num_threads"],
     )
-    if ctx.damped:
-        return tangent, None
-    energy = torch.zeros_like(x[:, 0, 0]) if dx is None else (gradient * dx).sum((-2, -1))
-    return tangent, energy  # as in reverse mode, of the positions alone
+    require_upright(ctx, call["energy"], call["x"])
 
 
-@custom_op("diffsim::elastic_energy")
-def elastic_energy(
-    x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
-) -> tuple[Tensor, Tensor]:
-    """Elastic and pressure energy [J] per batch item, and its gradient in x [N].
-
-    ``inputs`` are the tensors of an :class:`EnergyArrays` without damping.
-    """
-    gradient, energy = elastic_gradient(x, inputs, handle=handle, num_threads=num_threads)
-    return energy, gradient
-
-
-@elastic_energy.register_fake
-def _(x, inputs, **_options):
-    return x.new_empty(x.shape[0]), torch.empty_like(x)
-
-
-@custom_op("diffsim::elastic_energy_slopes")
-def elastic_energy_slopes(
-    x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
-) -> list[Tensor]:
-    """Slopes of each item's energy by its parameters, in op order; all have a batch axis."""
-    ctx = context(handle)
-    arrays = _require(ctx, inputs, x=x)
-    slopes = arrays.gradient_buffers(x.shape[0])
-    for k in range(x.shape[0]):
-        core.elastic_energy_slopes(
-            pattern=ctx.pattern,
-            inputs=soft_addresses(arrays.item(k)),
-            x=x[k].data_ptr(),
-            slopes=soft_addresses({n: g[k] if g.numel() else g for n, g in slopes.items()}),
-            num_threads=num_threads,
+def _items(call: Call, *names: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Every item of a batch, and what its kernels take."""
+    arrays, ctx = EnergyArrays.of(call), owner(call.options)
+    for k in range(call.sizes["batch"]):
+        yield (
+            k,
+            {
+                "pattern": ctx.pattern,
+                "inputs": soft_addresses(arrays.item(k)),
+                **{name: call[name][k].data_ptr() for name in ("x", *names)},
+                "num_threads": call.sizes["num_threads"],
+            },
         )
-    return list(slopes.values())
 
 
-@elastic_energy_slopes.register_fake
-def _(x, inputs, **_options):
-    return list(EnergyArrays.of(inputs).gradient_buffers(x.shape[0]).values())
+def _item(tensors: dict[str, Tensor], k: int) -> object:
+    return soft_addresses({n: t[k] if t.numel() else t for n, t in tensors.items()})
 
 
-def _energy_setup(ctx, inputs, keyword_only_inputs, output):
-    x, tensors = inputs
-    ctx.arguments = keyword_only_inputs
-    ctx.save_for_backward(x, output[1], *tensors)
-    ctx.owner = context(keyword_only_inputs["handle"])
-    ctx.mark_non_differentiable(output[1])
+def _along(energies: Tensor, gradient: Tensor) -> Tensor:
+    return energies[:, None, None] * gradient
 
 
-def _energy_backward(ctx, grad_energy, _grad_gradient):
-    x, gradient, *tensors = ctx.saved_tensors
-    arrays = EnergyArrays.of(tensors)
-    slopes = elastic_energy_slopes_layer(x, tensors, **ctx.arguments)
-    named = {
-        name: slope * grad_energy.reshape(-1, *(1,) * (slope.ndim - 1)) if slope.numel() else slope
-        for name, slope in zip(arrays.differentiable(), slopes, strict=True)
-    }
-    g_x = grad_energy[:, None, None] * gradient
-    return g_x, EnergyArrays.all_gradients(arrays.summed(named))
+def _is_damped(given: Any) -> bool:
+    return bool(given["damp_mu"].numel())
 
 
-def _energy_tangent(ctx, dx, moved):
-    x, gradient, *tensors = ctx.saved_tensors
-    arrays = EnergyArrays.of(tensors)
-    slopes = elastic_energy_slopes_layer(x, tensors, **ctx.arguments)
-    tangent = torch.zeros_like(x[:, 0, 0]) if dx is None else (gradient * dx).sum((-2, -1))
-    directions = dict(zip(arrays.specs, moved, strict=True))
-    for name, slope in zip(arrays.differentiable(), slopes, strict=True):
-        if directions[name] is not None and slope.numel():
-            tangent = tangent + (slope * directions[name]).flatten(1).sum(1)
-    return tangent, None
+def _gradient_adjoint(call: Call) -> None:
+    """Hessian times what comes from behind, and so on for the parameters."""
+    arrays = EnergyArrays.of(call)
+    grads = arrays.gradients(call)
+    call["z"] = call["grad_gradient"]
+    for k, item in _items(call, "z", "grad_x"):
+        core.elastic_gradient_adjoint(**item, grads=_item(grads, k))
+    if not _is_damped(call):  # the energy's own gradient is right in the positions alone
+        call["grad_x"] += _along(call["grad_energy"], call["gradient"])
+    arrays.add_gradients(call)
 
 
-elastic_energy_slopes_layer = make_first_order(elastic_energy_slopes)
-elastic_energy_layer = make_layer(
-    elastic_energy, setup=_energy_setup, backward=_energy_backward, tangent=_energy_tangent
+def _gradient_tangent(call: Call) -> None:
+    arrays, dx = EnergyArrays.of(call), call["d_x"]
+    moved = arrays.moved(call)
+    call["tangent"] = call["d_gradient"]
+    for k, item in _items(call, "tangent"):
+        directions = soft_addresses(arrays.item_of(moved, k))
+        at = dx[k].data_ptr() if dx.numel() else 0
+        core.elastic_gradient_tangent(**item, dx=at, directions=directions)
+    call["d_energy"] = _moved_energy(call)
+
+
+def _moved_energy(call: Call) -> Tensor:
+    """The energy along the direction of the positions."""
+    if not call["d_x"].numel():
+        return torch.zeros_like(call["x"][:, 0, 0])
+    return (call["gradient"] * call["d_x"]).sum((-2, -1))
+
+
+INPUTS = {"x": array(*NODAL), **EnergyArrays.specs}
+OPTIONS: dict[str, Any] = {
+    "options": "int handle, int num_threads",
+    "sizes": sizes_of_call,
+    "owner": owner,
+    "skips_still": True,
+}
+elastic_gradient = Op(  # of elastic, damping and pressure energy [N], and the energy [J]
+    "elastic_gradient",
+    inputs=INPUTS,
+    outputs={"gradient": array(*NODAL), "energy": array("batch")},
+    reads=("x", "gradient", *EnergyArrays.specs),
+    kernel=_gradient,
+    adjoint=_gradient_adjoint,
+    tangent=_gradient_tangent,
+    dropped=lambda given: ("energy",) if _is_damped(given) else (),  # not defined
+    **OPTIONS,
 )
-elastic_gradient_vjp_layer = make_first_order(elastic_gradient_vjp)
-elastic_gradient_jvp_layer = make_first_order(elastic_gradient_jvp)
-elastic_gradient_layer = make_layer(
-    elastic_gradient, setup=_elastic_setup, backward=_elastic_backward, tangent=_elastic_tangent
+
+
+def _slopes(call: Call) -> dict[str, Tensor]:
+    """Slopes of each item's energy by its parameters; all have a batch axis."""
+    arrays, batch = EnergyArrays.of(call), call.sizes["batch"]
+    slopes = {
+        n: t.new_zeros(t.shape if arrays.has_batch(n) else (batch, *t.shape))
+        for n, t in arrays.named().items()
+    }
+    for k, item in _items(call):
+        core.elastic_energy_slopes(**item, slopes=_item(slopes, k))
+    return slopes
+
+
+def _energy_adjoint(call: Call) -> None:
+    energies = call["grad_energy"]
+    for name, slope in _slopes(call).items():
+        each = energies.reshape(-1, *(1,) * (slope.ndim - 1))
+        call[f"grad_{name}"] = slope * each if slope.numel() else slope
+    call["grad_x"] = _along(energies, call["gradient"])
+    EnergyArrays.of(call).add_gradients(call)
+
+
+def _energy_tangent(call: Call) -> None:
+    slopes, rate = _slopes(call), _moved_energy(call)
+    for name, direction in EnergyArrays.of(call).moved(call).items():
+        rate = rate + (slopes[name] * direction).flatten(1).sum(1)
+    call["d_energy"] = rate
+
+
+elastic_energy = Op(  # elastic and pressure energy [J], and its gradient [N]; without damping
+    "elastic_energy",
+    inputs=INPUTS,
+    outputs={"energy": array("batch"), "gradient": array(*NODAL, smooth=False)},
+    reads=("x", "gradient", *EnergyArrays.specs),
+    kernel=_gradient,
+    adjoint=_energy_adjoint,
+    tangent=_energy_tangent,
+    **OPTIONS,
 )

@@ -1,7 +1,4 @@
-"""The implicit step of a soft body and its adjoint, as torch custom ops.
-
-Everything here has a leading batch axis and float64.
-"""
+"""The implicit step of a soft body and its derivatives as an op."""
 
 from __future__ import annotations
 
@@ -14,10 +11,10 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
-from diffsim.core.layer import custom_op, make_first_order, make_layer
+from diffsim.core.ops import Call, Op, array
 from diffsim.core.record import warn
-from diffsim.soft._arrays import StepArrays, require_array
-from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
+from diffsim.soft._arrays import NODAL, StepArrays, require_array
+from diffsim.soft._context import context, owner, require_upright, sizes_of_call, soft_addresses
 from diffsim.soft._solves import STATS, notify
 
 LINEAR = "linearly_implicit"
@@ -53,15 +50,6 @@ def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None
     raise ConvergenceError(message, residual_norm=residual, tolerance=tolerance, num_iters=iters)
 
 
-def require_step(ctx: SoftContext, inputs: list[Tensor], batch: int, **nodal: Tensor) -> StepArrays:
-    """The arrays of a step, and further (batch, num_nodes, 3) ones, of the body's sizes."""
-    arrays = StepArrays.of(inputs)
-    arrays.require_sizes(batch, ctx.sizes, damped=arrays.damped)
-    for name, tensor in nodal.items():
-        require_array(name, tensor, (batch, ctx.num_nodes, 3))
-    return arrays
-
-
 def new_stats(batch: int) -> Tensor:
     """Room for ``STATS`` of each item."""
     return torch.zeros(batch, len(STATS), dtype=torch.float64)
@@ -72,9 +60,9 @@ class BoundStep:
 
     Args:
         arrays: Inputs of one of the steps.
-        handle, method, preconditioner, rtol, atol, max_iters, num_threads, on_failure,
-            adjoint_rtol, adjoint_max_iters: As for :func:`soft_step`; those of the adjoint serve
-            tangents.
+        handle: Of the body's prepared solvers.
+        method, preconditioner, rtol, atol, max_iters, num_threads, on_failure, adjoint_rtol,
+            adjoint_max_iters: As in ``SolverOptions``; those of the adjoint serve tangents.
     """
 
     def __init__(
@@ -94,8 +82,8 @@ class BoundStep:
     ):
         self._context = context(handle)
         self._batch = arrays.y.shape[0]
-        shapes = arrays.shapes(self._batch, self._context.sizes, damped=arrays.damped)
-        self._moving = {n: s for n, s in shapes.items() if StepArrays.specs[n].batched}
+        shapes = arrays.shapes(self._batch, self._context.sizes)
+        self._moving = {n: s for n, s in shapes.items() if StepArrays.is_batched(n)}
         arrays.require_shapes({n: s for n, s in shapes.items() if n not in self._moving})
         self._shared = {n: getattr(arrays, n) for n in shapes if n not in self._moving}
         self._system = self._context.system(arrays, num_threads, method, preconditioner)
@@ -136,7 +124,7 @@ class BoundStep:
         Args:
             arrays: Arrays of the step, of batch 1.
             x: Its answer, (1, num_nodes, 3) [m].
-            directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
+            directions: By name of ``StepArrays.specs``, with a leading K instead of the
                 batch axis; what does not move may be missing.
 
         Returns:
@@ -147,7 +135,7 @@ class BoundStep:
         require_array("x", x, shapes["y"])
         count = next(iter(directions.values())).shape[0]
         for name, direction in directions.items():
-            one = shapes[name][1:] if StepArrays.specs[name].batched else shapes[name]
+            one = shapes[name][1:] if StepArrays.is_batched(name) else shapes[name]
             require_array(f"direction of {name}", direction, (count, *one))
         options = step_options(
             self._method, rtol=self._adjoint_rtol, max_iters=self._adjoint_max_iters
@@ -170,174 +158,80 @@ class BoundStep:
         return dx
 
 
-@custom_op("diffsim::soft_step")
-def soft_step(
-    inputs: list[Tensor],
-    *,
-    handle: int,
-    method: str,
-    preconditioner: str,
-    rtol: float,
-    atol: float,
-    max_iters: int,
-    num_threads: int,
-    on_failure: str,
-    adjoint_rtol: float,
-    adjoint_max_iters: int,
-) -> tuple[Tensor, Tensor]:
-    """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h.
-
-    Args:
-        inputs: Tensors of a :class:`StepArrays`.
-
-    Returns:
-        x (batch, num_nodes, 3) [m], stats.
-    """
-    arrays = StepArrays.of(inputs)
-    bound = BoundStep(
-        arrays,
-        handle=handle,
-        method=method,
-        preconditioner=preconditioner,
-        rtol=rtol,
-        atol=atol,
-        max_iters=max_iters,
-        num_threads=num_threads,
-        on_failure=on_failure,
-        adjoint_rtol=adjoint_rtol,
-        adjoint_max_iters=adjoint_max_iters,
-    )
-    return bound(arrays)
+def _step(call: Call) -> None:
+    arrays = StepArrays.of(call)
+    call["x"], call["stats"] = BoundStep(arrays, **call.options)(arrays)
 
 
-@soft_step.register_fake
-def _(inputs, **_options):
-    y = StepArrays.of(inputs).y
-    return torch.empty_like(y), y.new_empty(y.shape[0], len(STATS))
+def system_of(call: Call, **choice: bool) -> dict[str, Any]:
+    """What kernels of derivatives take of the body and of its options."""
+    options, arrays = call.options, StepArrays.of(call)
+    method, num_threads = options["method"], options["num_threads"]
+    return {
+        "system": owner(options).system(
+            arrays, num_threads, method, options["preconditioner"], **choice
+        ),
+        "options": step_options(
+            method, rtol=options["adjoint_rtol"], max_iters=options["adjoint_max_iters"]
+        ),
+        "num_threads": num_threads,
+    }
 
 
-@custom_op("diffsim::soft_step_vjp")
-def soft_step_vjp(
-    grad_x: Tensor,
-    x: Tensor,
-    inputs: list[Tensor],
-    *,
-    handle: int,
-    method: str,
-    preconditioner: str,
-    rtol: float,
-    max_iters: int,
-    num_threads: int,
-    on_failure: str,
-) -> list[Tensor]:
-    """Adjoint of :func:`soft_step`: gradients of ``StepArrays.differentiable()``, then stats."""
-    ctx = context(handle)
-    batch = x.shape[0]
-    grad_x = grad_x.contiguous()
-    arrays = require_step(ctx, inputs, batch, x=x, grad_x=grad_x)
-    grads = arrays.gradient_buffers(batch)
+def finish(call: Call, what: str, stats: Tensor, where: str = "") -> None:
+    """Hand on and judge how the solve of a derivative ended."""
+    hint = {"adjoint": ADJOINT_HINT, "tangent": TANGENT_HINT}[what]
+    notify(what, stats, call.options["adjoint_max_iters"], contact=bool(where))
+    report_failure(stats, f"{what} solve{where}", hint, call.options["on_failure"])
+
+
+# H z = dL/dx, then dL/dp = -z . d(grad g)/dp (thesis eqs. 4.9, 4.10): one solve for all inputs.
+def _adjoint(call: Call) -> None:
+    arrays, batch = StepArrays.of(call), call.sizes["batch"]
     stats = new_stats(batch)
     core.implicit_step_adjoint(
-        system=ctx.system(arrays, num_threads, method, preconditioner),
+        **system_of(call),
         inputs=soft_addresses(arrays.named()),
-        options=step_options(method, rtol=rtol, max_iters=max_iters),
         batch=batch,
-        x=x.data_ptr(),
-        grad_x=grad_x.data_ptr(),
-        grads=soft_addresses(grads),
+        **call.addresses("x", "grad_x"),
+        grads=soft_addresses(arrays.gradients(call)),
         stats=stats.data_ptr(),
-        num_threads=num_threads,
     )
-    notify("adjoint", stats, max_iters)
-    report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
-    return [*arrays.summed(grads), stats]
+    finish(call, "adjoint", stats)
+    arrays.add_gradients(call)
 
 
-@soft_step_vjp.register_fake
-def _(grad_x, x, inputs, **_options):
-    return [*StepArrays.of(inputs).empty_gradients(), x.new_empty(x.shape[0], len(STATS))]
-
-
-def adjoint_arguments(step: Mapping[str, Any]) -> dict[str, Any]:
-    """Keyword arguments of a step's adjoint from those of the step."""
-    same = ("handle", "method", "preconditioner", "num_threads", "on_failure")
-    own = {"rtol": step["adjoint_rtol"], "max_iters": step["adjoint_max_iters"]}
-    return {name: step[name] for name in same} | own
-
-
-def _step_setup(ctx, inputs, keyword_only_inputs, output):
-    (tensors,) = inputs
-    ctx.arguments = adjoint_arguments(keyword_only_inputs)
-    ctx.save_for_backward(output[0], *tensors)
-    ctx.owner = context(ctx.arguments["handle"])  # keeps the prepared solver of a deleted body
-    ctx.mark_non_differentiable(output[1])
-
-
-def _step_backward(ctx, grad_x, _grad_stats):
-    # H z = dL/dx, then dL/dp = -z . d(grad g)/dp (thesis eqs. 4.9, 4.10): one solve for all inputs.
-    x, *tensors = ctx.saved_tensors
-    *grads, _stats = soft_step_vjp_layer(grad_x, x, tensors, **ctx.arguments)
-    return StepArrays.all_gradients(grads)
-
-
-@custom_op("diffsim::soft_step_jvp")
-def soft_step_jvp(
-    x: Tensor,
-    inputs: list[Tensor],
-    directions: list[Tensor],
-    *,
-    handle: int,
-    method: str,
-    preconditioner: str,
-    rtol: float,
-    max_iters: int,
-    num_threads: int,
-    on_failure: str,
-) -> Tensor:
-    """Derivative of :func:`soft_step` along one direction of its inputs, for every batch item.
-
-    Args:
-        x: Answer of the step, (batch, num_nodes, 3) [m].
-        inputs: Tensors of a :class:`StepArrays`.
-        directions: Tangents in the same order; an empty tensor where an input does not move.
-
-    Returns:
-        (batch, num_nodes, 3).
-    """
-    ctx = context(handle)
-    x = x.contiguous()
-    arrays = require_step(ctx, inputs, x.shape[0], x=x)
-    moved = arrays.moving(directions)
-    dx, stats = torch.empty_like(x), new_stats(x.shape[0])
-    for k in range(x.shape[0]):
+def _tangent(call: Call) -> None:
+    arrays, batch = StepArrays.of(call), call.sizes["batch"]
+    moved, stats = arrays.moved(call), new_stats(batch)
+    for k in range(batch):
         core.implicit_step_tangent(
-            system=ctx.system(arrays, num_threads, method, preconditioner),
+            **system_of(call),
             inputs=soft_addresses(arrays.item(k)),
-            options=step_options(method, rtol=rtol, max_iters=max_iters),
             count=1,
-            x=x[k].data_ptr(),
+            x=call["x"][k].data_ptr(),
             directions=soft_addresses(arrays.item_of(moved, k)),
-            dx=dx[k].data_ptr(),
+            dx=call["d_x"][k].data_ptr(),
             stats=stats[k].data_ptr(),
-            num_threads=num_threads,
         )
-    notify("tangent", stats, max_iters)
-    report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
-    return dx
+    finish(call, "tangent", stats)
 
 
-@soft_step_jvp.register_fake
-def _(x, inputs, directions, **_options):
-    return torch.empty_like(x)
-
-
-def _step_tangent(ctx, moved):
-    x, *tensors = ctx.saved_tensors
-    return soft_step_jvp_layer(x, tensors, StepArrays.directions(moved, x), **ctx.arguments), None
-
-
-soft_step_vjp_layer = make_first_order(soft_step_vjp)
-soft_step_jvp_layer = make_first_order(soft_step_jvp)
-soft_step_layer = make_layer(
-    soft_step, setup=_step_setup, backward=_step_backward, tangent=_step_tangent
+OPTIONS = (
+    "str method, str preconditioner, float rtol, float atol, int max_iters, "
+    "int num_threads, str on_failure, float adjoint_rtol, int adjoint_max_iters"
+)
+STATS_ARRAY = array("batch", len(STATS), smooth=False, zeroed=True)
+soft_step = Op(  # one implicit step of a batch; csrc/kernels/soft/implicit_step.h
+    "soft_step",
+    inputs=StepArrays.specs,
+    outputs={"x": array(*NODAL), "stats": STATS_ARRAY},
+    options=f"int handle, {OPTIONS}",
+    sizes=sizes_of_call,
+    owner=owner,
+    reads=("x", *StepArrays.specs),
+    kernel=_step,
+    adjoint=_adjoint,
+    tangent=_tangent,
+    skips_still=True,
 )

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_indices, require_number, require_tensor
 from diffsim.core.checked import checked
-from diffsim.core.layer import on_constants
 from diffsim.core.numbers import anywhere, values_of
+from diffsim.core.torch_names import on_constants
 from diffsim.core.values import amounts
 from diffsim.mesh import HexMesh, TetMesh, cavities, surface_quads, surface_triangles
 from diffsim.mesh.surface import face_keys

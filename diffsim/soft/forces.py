@@ -24,9 +24,9 @@ def elastic_gradient(
     The arguments are checked already; the energy's gradient is right in x alone.
     """
     arrays, body = energy_arrays(loads, frame), loads.prepared.body
-    gradient, energy = _ops_elastic.elastic_gradient_layer(
+    gradient, energy = _ops_elastic.elastic_gradient(
         flat(x),
-        arrays.tensors(),
+        *arrays.tensors(),
         handle=body.handle,
         num_threads=body.solver.num_threads,
     )
@@ -114,9 +114,9 @@ def elastic_energy(
         Energies, (...) [J]. Gradients: x, activation, pressure, physics; first order.
     """
     x, loads = _check_state(body, x, activation=activation, pressure=pressure, physics=physics)
-    energy, _ = _ops_elastic.elastic_energy_layer(
+    energy, _ = _ops_elastic.elastic_energy(
         flat(x),
-        energy_arrays(loads).tensors(),
+        *energy_arrays(loads).tensors(),
         handle=body.handle,
         num_threads=body.solver.num_threads,
     )

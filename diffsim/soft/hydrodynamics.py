@@ -13,7 +13,7 @@ from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
-from diffsim.soft._ops_water import water_force_layer
+from diffsim.soft._ops_water import water_force
 from diffsim.soft.inputs import broadcast, flat
 from diffsim.soft.parameters import Value, as_tensor, hold
 
@@ -156,7 +156,7 @@ class Hydrodynamics(Float64Module):
         if water_velocity is not None:
             water = require("water_velocity", water_velocity, ("...", 3))
         water = broadcast("water_velocity", water, (*x.shape[:-2], 3))
-        forces = water_force_layer(
+        forces = water_force(
             flat(x),
             flat(v),
             flat(water, 1),

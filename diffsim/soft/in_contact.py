@@ -61,9 +61,9 @@ def solve_in_contact(
         friction=flat(planes.friction, 1),
         force_guess=flat(guess[..., nodes, :].expand(vector)),
     )
-    x, force, _, _ = _ops_contact.contact_step_layer(
-        problem.arrays().tensors(),
-        contacts.tensors(),
+    x, force, _, _ = _ops_contact.contact_step(
+        *problem.arrays().tensors(),
+        *contacts.tensors(),
         nodes,
         handle=body.handle,
         cache_columns=body.solver.cache_columns,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from diffsim.core.checked import checked
 from diffsim.core.numbers import require_unmapped
+from diffsim.core.torch_names import is_in_forward_mode
 from diffsim.soft.physics import Physics
 from diffsim.soft.solid import Solid
 
@@ -31,7 +32,7 @@ def physics_directions(
     Returns:
         Physics whose tensors have a leading K.
     """
-    if forward_ad._current_level >= 0:
+    if is_in_forward_mode():
         raise NotImplementedError("physics_directions is forward mode itself: a derivative in one")
     require_unmapped(**values, **{f"directions of {n}": d for n, d in directions.items()})
     if unknown := set(directions) - set(values):

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from diffsim.core.check import require_constant
 from diffsim.core.layer import is_followed, is_kernel_alone
+from diffsim.core.torch_names import has_modes
 from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
 from diffsim.soft._ops_step import LINEAR, BoundStep
@@ -79,7 +80,7 @@ class PreparedBody:
         weight: Force of gravity, (num_nodes, 3) [N].
         weights: Parameters of the solid as kernels read them, (num_weights, num_elements) [Pa].
         fiber_stiffness: Of each fiber, (num_fibers,) [Pa]; None: it depends on the activation.
-        no_pressure: (num_chambers,) [Pa].
+        no_pressure: Zeros, for chambers without pressure, (num_chambers,) [Pa].
     """
 
     def __init__(self, body: Solid, physics: Physics | None):
@@ -126,9 +127,9 @@ class PreparedBody:
         tensors = arrays.tensors()
         if iterate and self.is_linear:
             iterating = replace(self.body.solver, method="auto")
-            return _ops_step.soft_step_layer(tensors, **self._arguments | iterating.arguments())[0]
+            return _ops_step.soft_step(*tensors, **self._arguments | iterating.arguments())[0]
         if not is_kernel_alone(tensors):
-            return _ops_step.soft_step_layer(tensors, **self._arguments)[0]
+            return _ops_step.soft_step(*tensors, **self._arguments)[0]
         return self.bound(arrays)(arrays)[0]
 
     def bound(self, arrays: StepArrays) -> BoundStep:
@@ -167,7 +168,7 @@ def prepare(body: Solid, physics: Physics | None) -> PreparedBody:
         return PreparedBody(body, physics)
     own = body.own_values()
     values = tuple(own.values())
-    if is_followed(values) or torch._C._len_torch_dispatch_stack():
+    if is_followed(values) or has_modes():
         return PreparedBody(body, None)
     settings = (body.integrator, body.dt, body.solver, body.handle, *own)
     kept = body.kept

@@ -91,7 +91,7 @@ def solve_along(
         prepared: The body and its parameters.
         arrays: The problem, of one body.
         x: Its solution, (num_nodes, 3) [m].
-        rates: Directions by name of ``StepArrays.differentiable()``, with a leading K.
+        rates: Directions by name of ``StepArrays.specs``, with a leading K.
 
     Returns:
         (K, num_nodes, 3) [m] per unit of each direction.

@@ -17,8 +17,8 @@ from diffsim.core.check import (
     require_indices,
     require_number,
 )
-from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
+from diffsim.core.torch_names import on_constants
 from diffsim.core.values import as_array
 from diffsim.mesh import (
     HexMesh,

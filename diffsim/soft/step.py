@@ -10,6 +10,7 @@ from torch import Tensor
 from diffsim.contact import Obstacle
 from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.errors import DiffsimError
+from diffsim.core.torch_names import break_graph
 from diffsim.soft._ops_step import LINEAR
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
@@ -118,7 +119,7 @@ def _contact_step(body: Solid, state: State, obstacles: Sequence[Obstacle], load
     in free flight only, and steps that touch are implicit Euler's.
     """
     if body.integrator == "bdf2" and torch.compiler.is_compiling():
-        torch._dynamo.graph_break(msg=BDF2_BREAKS_GRAPHS)
+        break_graph(BDF2_BREAKS_GRAPHS)
     if body.integrator == "bdf2" and not in_contact(state):
         stage = make_stage("bdf2", body.dt, state)
         planes = contact_planes(body, obstacles, state.x, stage.y)

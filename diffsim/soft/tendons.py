@@ -9,9 +9,9 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_constant, require_number
 from diffsim.core.checked import checked
-from diffsim.core.layer import on_constants
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import values_of
+from diffsim.core.torch_names import on_constants
 from diffsim.core.values import as_array
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle

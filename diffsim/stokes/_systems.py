@@ -18,7 +18,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, StokesContext] = weakref.WeakValueDictionary()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_choice
 from diffsim.core.checked import checked
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 from diffsim.stokes.grid import Grid
 
 WALLS = ("no_slip", "slip")

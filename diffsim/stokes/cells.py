@@ -45,7 +45,7 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
     """
     num_threads = require_threads(num_threads)
     phi = require("phi", phi, grid.node_shape, torch.float64)
-    volume, area, normal = _ops_cut.cut_cells_layer(
+    volume, area, normal = _ops_cut.cut_cells(
         phi=phi.reshape(-1),
         cells=list(grid.shape),
         spacing=list(grid.spacing),

@@ -66,7 +66,7 @@ class FlowField:
         if not -count <= index < count:
             raise ValueError(f"index must lie in [-{count}, {count}), got {index}")
         cases = self.velocity.shape[0]
-        return _ops_cut.plane_flux_layer(
+        return _ops_cut.plane_flux(
             phi=self.phi.reshape(-1),
             velocity=self.velocity.reshape(cases, -1, self.grid.dim),
             cells=list(self.grid.shape),

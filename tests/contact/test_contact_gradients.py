@@ -7,7 +7,6 @@ which statuses it has. Tolerances as in tests/soft/test_step_gradients.py.
 import copy
 import math
 import pickle
-from dataclasses import replace
 
 import pytest
 import torch
@@ -15,7 +14,6 @@ import torch
 from diffsim import contact, mesh, soft
 from diffsim.contact.handles import shape_of
 from diffsim.soft import _ops_contact
-from diffsim.soft._arrays import ContactArrays, StepArrays
 from tests.covering import covering
 from tests.gradients import check_directions
 from tests.helpers import check_layer
@@ -25,7 +23,7 @@ from tests.soft.cases import (
     leaf,
     noise,
     record_calls,
-    recorded_ops,
+    recorded_op,
     soft_body,
     two_muscles,
 )
@@ -113,7 +111,7 @@ def test_every_input_through_a_rollout(mode, kind, integrator):
     body = soft_body(m, dt=0.05, integrator=integrator)
     inputs = {k: leaf(v) for k, v in inputs_of(m, mode).items()}
     layer, args = layer_of(body, inputs, 3), tuple(inputs.values())
-    met = [out[2].flatten() for *_, out in record_calls("contact_step", lambda: layer(*args))[1]]
+    met = [out[2].flatten() for _, out in record_calls("contact_step", lambda: layer(*args))[1]]
     found = torch.cat(met) if met else torch.zeros(0)  # in free flight BDF2 solves without contact
     counts = {name: int((found == value).sum()) for name, value in STATUS.items()}
     if mode == "stick":
@@ -223,32 +221,24 @@ def test_batch_of_two_and_strided_inputs():
         assert torch.equal(single, whole.reshape(3, 2, -1)[:, k].reshape(-1))
 
 
-def test_contract_of_the_op(monkeypatch):
+def test_contract_of_the_op():
     """opcheck, differences and torch.compile of the layer under the step."""
     m = irregular("tet")
     body = soft_body(m, dt=0.05)
     inputs = {k: leaf(v) for k, v in inputs_of(m, "mixed").items()}
     step = layer_of(body, inputs)
-    ops = recorded_ops(
-        monkeypatch, lambda: step(*inputs.values()).sum().backward(),
-        "contact_step", "contact_step_vjp",
-    )  # fmt: skip
-    _, (tensors, contacts, nodes), options = ops[0]
-    step_arrays, planes = StepArrays.of(tensors), ContactArrays.of(contacts)
+    ops = recorded_op("contact_step", lambda: step(*inputs.values()))
+    given = dict(zip(_ops_contact.contact_step.arguments, ops[0][1], strict=True))
+    given = {n: v.detach() if torch.is_tensor(v) else v for n, v in given.items()}
+    names = "y", "force", "normal", "reference", "offset", "friction"
 
     def layer(y, force, normal, reference, offset, friction):
         unit = normal / normal.norm(dim=-1, keepdim=True)  # the kernel takes unit normals
-        given = replace(StepArrays.of(tensors), y=y, force=force)
-        at = replace(planes, normal=unit, reference=reference, offset=offset, friction=friction)
-        x, contact_force, *_ = _ops_contact.contact_step_layer(
-            given.tensors(), at.tensors(), nodes, **options
-        )
+        moved = zip(names, (y, force, unit, reference, offset, friction), strict=True)
+        x, contact_force, *_ = _ops_contact.contact_step(**given | dict(moved))
         return torch.cat([x.flatten(), contact_force.flatten()])
 
-    moved = (step_arrays.y, step_arrays.force)
-    moved += (planes.normal, planes.reference, planes.offset, planes.friction)
-    args = tuple(leaf(t.detach()) for t in moved)
-    tensors[:] = [t.detach() for t in tensors]
+    args = tuple(leaf(given[name]) for name in names)
     check_layer(layer, args, ops=ops, fast_mode=True, **TOLERANCE)
 
 

@@ -36,7 +36,7 @@ def loss_of(body, state, height, friction):
     floor = contact.floor(height, friction=friction)
     end, calls = record_calls("contact_step", lambda: body(state, obstacles=floor))
     weights = noise(2, *end.x.shape, seed=6)
-    return (end.x * weights[0] + 0.1 * end.v * weights[1]).sum(), int(calls[0][2][2])
+    return (end.x * weights[0] + 0.1 * end.v * weights[1]).sum(), int(calls[0][1][2])
 
 
 def one_sided(loss, at, value) -> list[float]:

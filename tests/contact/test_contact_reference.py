@@ -84,8 +84,8 @@ def held_step(body, data, state, active, physics):
         force_guess=guess[None],
     )
     x, _, status, _ = _ops_contact.contact_step(
-        inputs.tensors(),
-        contacts.tensors(),
+        *inputs.tensors(),
+        *contacts.tensors(),
         nodes,
         handle=body.handle,
         cache_columns=True,

@@ -6,71 +6,52 @@ import sys
 
 import pytest
 import torch
-from torch import Tensor
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from torch.func import grad, jacfwd, jacrev, jvp, vjp, vmap
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from diffsim.core.layer import is_kernel_alone, make_first_order, make_layer
+from diffsim.core.layer import is_kernel_alone
+from diffsim.core.ops import Call, Op, array
+from tests.helpers import with_derivatives
 
 
-@torch.library.custom_op("diffsim_test::power_sum", mutates_args=())
-def power_sum(
-    x: Tensor, others: list[Tensor], exponent: int, *, scale: float
-) -> tuple[Tensor, Tensor]:
-    """scale x^exponent + the sum of the others, and a count without derivative."""
-    total = scale * x.pow(exponent)
-    for other in others:
-        total = total + other
-    return total, torch.tensor(float(len(others)))
+def _power_sum(call: Call) -> None:
+    """scale x^exponent + two others, and a count without derivative."""
+    scale, exponent = call.options["scale"], call.options["exponent"]
+    call["total"].copy_(scale * call["x"].pow(exponent) + call["one"] + call["other"])
+    call["count"].fill_(2)
 
 
-@power_sum.register_fake
-def _(x, others, exponent, *, scale):
-    return torch.empty_like(x), torch.empty((), dtype=torch.float32)
+def _slope(call: Call) -> torch.Tensor:
+    scale, exponent = call.options["scale"], call.options["exponent"]
+    return scale * exponent * call["x"].pow(exponent - 1)
 
 
-@torch.library.custom_op("diffsim_test::power_slope", mutates_args=())
-def power_slope(g: Tensor, x: Tensor, exponent: int, scale: float) -> list[Tensor]:
-    """g times the slope of the power, in a list as adjoints return theirs."""
-    return [g * (scale * exponent * x.pow(exponent - 1))]
+def _adjoint(call: Call) -> None:
+    call["grad_x"] += call["grad_total"] * _slope(call)
+    for name in ("grad_one", "grad_other"):
+        call[name] += call["grad_total"]
 
 
-@power_slope.register_fake
-def _(g, x, exponent, scale):
-    return [torch.empty_like(x)]
+def _tangent(call: Call) -> None:
+    call["d_total"].copy_(call["d_x"] * _slope(call) + call["d_one"] + call["d_other"])
 
 
-slope = make_first_order(power_slope)
-
-
-def _setup(ctx, inputs, keyword_only_inputs, output):
-    x, others, ctx.exponent = inputs
-    ctx.scale, ctx.count = keyword_only_inputs["scale"], len(others)
-    ctx.save_for_backward(x)
-    ctx.mark_non_differentiable(output[1])
-
-
-def _backward(ctx, g, _):
-    (x,) = ctx.saved_tensors
-    return slope(g.contiguous(), x, ctx.exponent, ctx.scale)[0], [g] * ctx.count, None
-
-
-def _tangent(ctx, dx, d_others, _):
-    (x,) = ctx.saved_tensors
-    total = torch.zeros_like(x) if dx is None else slope(dx, x, ctx.exponent, ctx.scale)[0]
-    for d in d_others:
-        total = total if d is None else total + d
-    return total, None
-
-
-layer = make_layer(power_sum, setup=_setup, backward=_backward, tangent=_tangent)
+layer = Op(
+    "test_power_sum",
+    inputs=dict.fromkeys(("x", "one", "other"), array("size")),
+    outputs={"total": array("size"), "count": array(dtype=torch.int64, smooth=False)},
+    options="int exponent, float scale",
+    kernel=_power_sum,
+    adjoint=_adjoint,
+    tangent=_tangent,
+)
 A, B = torch.tensor([1.0, 2.0, -3.0]).double(), torch.tensor([0.5, 0.1, 0.2]).double()
 
 
 def cube(a, b):
-    return layer(a, [b, b], 3, scale=2.0)[0]
+    return layer(a, b, b, 3, scale=2.0)[0]
 
 
 def test_reverse_and_forward_mode_agree_with_the_closed_form():
@@ -89,7 +70,7 @@ def test_jacobians_of_both_modes_are_diagonal():
         torch.testing.assert_close(made(A, B), torch.diag(6.0 * A**2))
 
 
-def test_a_mapped_axis_may_be_any_and_in_lists_too():
+def test_a_mapped_axis_may_be_any():
     rows = torch.stack([A, 2.0 * A], dim=1)
     mapped = vmap(cube, in_dims=(1, None))(rows, B)
     torch.testing.assert_close(mapped, torch.stack([cube(A, B), cube(2.0 * A, B)]))
@@ -136,8 +117,8 @@ def test_past_the_dispatcher_only_where_nothing_has_to_see_the_call(monkeypatch)
 
 
 def test_arguments_may_be_named():
-    named = layer(others=[B], exponent=2, x=A, scale=1.0)[0]
-    torch.testing.assert_close(named, A**2 + B)
+    named = layer(other=B, one=B, exponent=2, x=A, scale=1.0)[0]
+    torch.testing.assert_close(named, A**2 + 2.0 * B)
 
 
 def test_second_derivatives_are_refused_in_every_order():
@@ -156,27 +137,27 @@ def test_second_derivatives_are_refused_in_every_order():
         torch.autograd.grad(first.sum(), leaf)
 
 
-@torch.library.custom_op("diffsim_test::doubled", mutates_args=())
-def doubled(x: Tensor) -> Tensor:
-    """Twice x."""
-    return 2.0 * x
+def test_a_row_and_its_derivatives_are_ops_of_pytorch():
+    for op, args in with_derivatives(layer, A.clone().requires_grad_(), B, B, 3, 2.0):
+        torch.library.opcheck(op, args)
 
 
-@doubled.register_fake
-def _(x):
-    return torch.empty_like(x)
-
-
-reverse_only = make_layer(
-    doubled, setup=lambda ctx, inputs, output: None, backward=lambda ctx, g: 2.0 * g
+@pytest.mark.parametrize(
+    ("bad", "error", "message"),
+    [
+        (B[:2], ValueError, r"other must have shape \(3,\), got \(2,\)"),
+        (B[None], ValueError, r"other must have shape \(3,\), got \(1, 3\)"),
+        (B.float(), TypeError, "other must be a torch.float64 CPU tensor, got torch.float32"),
+    ],
 )
+def test_what_a_kernel_could_not_read_is_refused(bad, error, message):
+    with pytest.raises(error, match=message):
+        layer(A, B, bad, 3, 2.0)
 
 
-def test_forward_mode_is_refused_where_it_is_not_known():
-    with pytest.raises(NotImplementedError, match=r"doubled has no forward-mode derivative"):
-        jvp(reverse_only, (A,), (A,))
-    # what a custom op alone would answer: zero, without a word
-    torch.testing.assert_close(jvp(lambda a: a + reverse_only(B), (A,), (A,))[1], A)
+def test_a_kernel_reads_rows_without_gaps():
+    wide = torch.stack([A, B], dim=1)
+    torch.testing.assert_close(layer(wide[:, 0], wide[:, 1], B, 3, 2.0)[0], cube(A, B))
 
 
 def test_a_layer_compiles_whole():

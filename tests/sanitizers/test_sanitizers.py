@@ -23,7 +23,6 @@ KERNEL_TESTS = (
     "tests/contact/test_contact_gradients.py::test_every_method",
     "tests/contact/test_contact_robustness.py::test_all_nodes_in_contact",
     "tests/contact/test_detect.py",
-    "tests/copter/dynamics/test_ops.py",
     "tests/soft/test_input_checks.py",
     "tests/soft/test_step_order.py",
     "tests/stokes/test_closest_surface.py",

@@ -12,6 +12,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.soft import _ops_contact, _ops_elastic, _ops_step
 from diffsim.soft.materials import CONSTANTS
+from tests.helpers import with_derivatives
 
 SHARP = {"rtol": 1e-12, "adjoint_rtol": 1e-12}  # solver noise below what finite differences see
 
@@ -119,48 +120,29 @@ def leaf(value) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float64).clone().requires_grad_()
 
 
-def module_of(op: str):
-    """The module of a soft body's op by its name."""
-    modules = {"elastic": _ops_elastic, "contact": _ops_contact, "soft": _ops_step}
-    return modules[op.partition("_")[0]]
+MODULES = {"elastic": _ops_elastic, "contact": _ops_contact, "soft": _ops_step}
 
 
 def record_calls(op: str, function):
-    """What ``function`` returns, and (args, options, result) of each call of the op's layer."""
-    calls, module = [], module_of(op)
-    layer = getattr(module, f"{op}_layer")
+    """What ``function`` returns, and (arguments by name, result) of each call of the op."""
+    calls, module = [], MODULES[op.partition("_")[0]]
+    row = getattr(module, op)
 
-    def record(*args, **options):
-        out = layer(*args, **options)
-        calls.append((args, options, out))
+    def record(*args, **named):
+        out = row(*args, **named)
+        calls.append((dict(zip(row.arguments, args, strict=False)) | named, out))
         return out
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, f"{op}_layer", record)
+        patch.setattr(module, op, record)
         return function(), calls
 
 
-def recorded_ops(monkeypatch, function, *names):
-    """Runs ``function`` and returns [(op, args, kwargs)] of its first call of each named op."""
-    calls = {}
-    for name in names:
-        module = module_of(name)
-        op, layer = getattr(module, name), getattr(module, f"{name}_layer")
-
-        def record(*args, _op=op, _layer=layer, _name=name, **options):
-            keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
-            calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args), options))
-            return _layer(*args, **options)
-
-        monkeypatch.setattr(module, f"{name}_layer", record)
-    function()
-    monkeypatch.undo()
-    return [calls[name] for name in names]
-
-
-def _detached(value, keep_grad):
-    if isinstance(value, list):
-        return [_detached(v, keep_grad) for v in value]
-    if not torch.is_tensor(value):
-        return value
-    return value.detach().requires_grad_(keep_grad and value.requires_grad)
+def recorded_op(op: str, function):
+    """Checks of an op and its derivatives (:func:`tests.helpers.with_derivatives`), with the
+    arguments of its first call."""
+    row = getattr(MODULES[op.partition("_")[0]], op)
+    given = record_calls(op, function)[1][0][0]
+    args = [given[name] for name in row.arguments]
+    args = [a.detach().requires_grad_(a.requires_grad) if torch.is_tensor(a) else a for a in args]
+    return with_derivatives(row, *args)

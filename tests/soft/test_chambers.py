@@ -13,7 +13,7 @@ from diffsim import mesh, soft
 from diffsim.core.errors import ConvergenceError
 from tests.gradients import check_directions
 from tests.helpers import check_layer
-from tests.soft.cases import deformed, leaf, noise, rail_mask, recorded_ops, soft_body
+from tests.soft.cases import deformed, leaf, noise, rail_mask, recorded_op, soft_body
 
 METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
 # The differences of gradcheck are over 2e-6; the solver stops at 1e-12 of the force scale.
@@ -289,15 +289,8 @@ def test_layer_contract(monkeypatch):
     def force(x, pressure):
         return body.elastic_force(x, pressure=pressure)
 
-    for layer, names in (
-        (step, ("soft_step", "soft_step_vjp")),
-        (force, ("elastic_gradient", "elastic_gradient_vjp")),
-    ):
-
-        def run(layer=layer):
-            (layer(*args) * noise(*args[0].shape)).sum().backward()
-
-        ops = recorded_ops(monkeypatch, run, *names)
+    for layer, name in ((step, "soft_step"), (force, "elastic_gradient")):
+        ops = recorded_op(name, lambda layer=layer: layer(*args))
         check_layer(layer, args, ops=ops, fast_mode=True, **TOLERANCE)
 
 

@@ -513,7 +513,7 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
 
     def call(x, handle=BODY.handle, **changes):
         tensors = EnergyArrays(**{**good, **changes}).tensors()
-        return _ops_elastic.elastic_gradient(x, tensors, handle=handle, num_threads=1)
+        return _ops_elastic.elastic_gradient(x, *tensors, handle=handle, num_threads=1)
 
     call(x)
     with pytest.raises(ValueError, match="must have shape"):

@@ -96,8 +96,8 @@ def alone(monkeypatch, body, start, given):
 
     with monkeypatch.context() as patch, torch.no_grad():
         patch.delitem(sys.modules, "torch._dynamo", raising=False)
-        patch.setattr(_ops_step, "soft_step_layer", refuse)
-        patch.setattr(_ops_contact.contact_step, "_opoverload", refuse)
+        patch.setattr(_ops_step, "soft_step", refuse)
+        patch.setattr(_ops_contact.contact_step.op, "_opoverload", refuse)
         return soft.rollout(body, start, STEPS, **given)
 
 
@@ -201,7 +201,7 @@ def test_a_bound_energy_has_the_bits_of_the_op(monkeypatch):
         bound = ElasticGradient(loads)
         wanted, energy = elastic_gradient(x, loads)
         with monkeypatch.context() as patch:
-            patch.setattr(_ops_elastic, "elastic_gradient_layer", None)
+            patch.setattr(_ops_elastic, "elastic_gradient", None)
             for _ in range(2):  # nothing of the first call is left in the second
                 found = bound(2.0 * x)
                 found = bound(x)

@@ -5,6 +5,7 @@ import gc
 import io
 import pickle
 import warnings
+from dataclasses import replace
 
 import pytest
 import torch
@@ -292,18 +293,11 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     inputs["weights"] = physics.weights
     inputs["activation"] = inputs["pressure"] = torch.zeros(1, 0, dtype=torch.float64)
     arrays = StepArrays(**{**dict.fromkeys(StepArrays.specs, empty), **inputs})
-    grads = _ops_step.soft_step_vjp(
-        b,
-        x[None],
-        arrays.tensors(),
-        handle=body.handle,
-        **solver_of(method),
-        rtol=1e-10,
-        max_iters=2000,
-        num_threads=1,
-        on_failure="raise",
+    solver = replace(options(method), adjoint_rtol=1e-10, adjoint_max_iters=2000)
+    grads = _ops_step.soft_step.vjp(
+        x[None], *arrays.tensors(), b, handle=body.handle, **solver.arguments()
     )
-    z = grads[StepArrays.differentiable().index("force")].flatten()
+    z = grads[list(StepArrays.specs).index("force")].flatten()
     expected = torch.linalg.solve(block, b.flatten()[free])
     # 1e-10 of |b| over the smallest eigenvalue.
     smallest = float(eigenvalues.abs().min())

@@ -194,12 +194,17 @@ def test_the_same_bits_on_any_number_of_threads():
             assert all(torch.equal(a, b) for a, b in zip(one, more, strict=True))
 
 
+def ordered(op, given):
+    return tuple(given[name] for name in op.arguments)
+
+
 def test_the_ops_are_ops():
     given = arguments(tube(5), random(8, 3, 3))
-    surface = {k: v for k, v in given.items() if k in tube(5)._patch()._arrays()}
-    torch.library.opcheck(_ops_surface.closest_on_surface, tuple(given.values()))
-    args = (random(9, 3, 2), *surface.values())
-    torch.library.opcheck(_ops_surface.surface_frames, args)
+    torch.library.opcheck(
+        _ops_surface.closest_on_surface.op, ordered(_ops_surface.closest_on_surface, given)
+    )
+    frames = _ops_surface.surface_frames
+    torch.library.opcheck(frames.op, ordered(frames, given | {"uv": random(9, 3, 2)}))
     no_points = _ops_surface.closest_on_surface(**{**given, "points": random(8, 0, 3)})
     assert [t.shape for t in no_points] == [(0, 2), (0,)]
 
@@ -207,14 +212,14 @@ def test_the_ops_are_ops():
 @pytest.mark.parametrize(
     ("changed", "error", "message"),
     [
-        ({"points": random(1, 3, 2)}, ValueError, "wrong shapes"),
-        ({"points": random(1, 3, 3).float()}, TypeError, "points must be float64"),
+        ({"points": random(1, 3, 2)}, ValueError, "points must have shape"),
+        ({"points": random(1, 3, 3).float()}, TypeError, "points must be a torch.float64"),
         ({"points": math.nan * random(1, 3, 3)}, ValueError, "points must be finite"),
-        ({"sample_uv": random(1, 4, 4, 2)}, ValueError, "wrong shapes"),
+        ({"sample_uv": random(1, 4, 4, 2)}, ValueError, "sample_points must have shape"),
         ({"homogeneous": random(1, 8, 5, 3)}, ValueError, "homogeneous must have shape"),
-        ({"breaks": [random(1, 3), random(1, 3)]}, ValueError, "breaks or coefficients"),
-        ({"coefficients": [random(1, 8, 9, 9)] * 2}, ValueError, r"degree must lie in \[1, 5\]"),
-        ({"first": [torch.full((8,), 8), torch.zeros(3).long()]}, ValueError, r"lie in \[0, 7\]"),
+        ({"breaks_u": random(1, 3)}, ValueError, "breaks of u must be one more"),
+        ({"coefficients_u": random(1, 8, 9, 9)}, ValueError, r"degree must lie in \[1, 5\]"),
+        ({"first_u": torch.full((8,), 8)}, ValueError, r"lie in \[0, 7\]"),
         ({"low": [0.0, -math.inf]}, ValueError, "low must be below high"),
     ],
 )

@@ -25,8 +25,8 @@ from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.parts import RotorMount
 from diffsim.core.check import require, require_choice, require_constant
 from diffsim.core.checked import checked
-from diffsim.core.layer import on_constants
 from diffsim.core.numbers import to_numpy, values_of
+from diffsim.core.torch_names import on_constants
 
 _SLACK = 2e-6  # [m], more than the step of a difference quotient at a bound
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.core.layer import custom_op, directions_of, make_first_order, make_layer
+from diffsim.core.ops import Call, Op, array
 
 BODY: int = core.FLIGHT_BODY
 MAX_ROTORS: int = core.FLIGHT_MAX_ROTORS
@@ -63,7 +62,7 @@ class FlightSettings(NamedTuple):
 
     Attributes:
         dt: Integration step [s].
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
         substeps: Integration steps per control step.
         effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas;
             ``free_thrusts`` among them: commands are not clamped.
@@ -75,18 +74,6 @@ class FlightSettings(NamedTuple):
     substeps: int
     effects: str
     num_threads: int
-
-
-def rollout(
-    inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps: int, end_alone: bool
-) -> Tensor:
-    """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start.
-
-    With ``end_alone`` (batch, 1, BODY + num_rotors): the last ones, and no memory for the others.
-    """
-    contiguous = {name: value.contiguous() for name, value in inputs._asdict().items()}
-    sizes = {"batch": batch, "steps": steps, "end_alone": end_alone}
-    return flight_layer(**contiguous, **sizes, **settings._asdict())
 
 
 # known before PyTorch's compiler looks, which cannot follow the core
@@ -105,253 +92,100 @@ def parameter_width(num_rotors: int) -> int:
     return sum(size for _, size in _FIELDS[num_rotors])
 
 
-def _widths(inputs: FlightInputs) -> dict[str, int]:
-    """Width of every input; those of the feedback are absent without it."""
-    num_rotors = inputs.num_rotors
-    widths = {
-        "start": BODY + num_rotors,
-        "feed_forward": num_rotors,
-        "wind": 3,
-        "parameters": parameter_width(num_rotors),
+def _sizes(call: Call) -> dict[str, int]:
+    num_rotors = call["feed_forward"].shape[-1]
+    return {
+        "num_rotors": num_rotors,
+        "state": BODY + num_rotors,
+        "gains": 12 * num_rotors,
+        "fields": parameter_width(int(num_rotors)),
+        "kept": 1 if call.options["end_alone"] else call.options["steps"] + 1,
     }
-    return widths | ({"gain": 12 * num_rotors, "reference": 12} if inputs.feedback else {})
 
 
-def _once(name: str) -> bool:
-    """Whether an input has one row per vehicle rather than one per step."""
-    return name in ("start", "gain", "parameters")
-
-
-def _arrays(inputs: FlightInputs, batch: int, steps: int) -> object:
+def _arrays(call: Call, prefix: str = "") -> object:
+    """Rows of inputs, of their gradients or of their directions, and how far apart they lie."""
     arrays = core.FlightArrays()
-    for name, width in _widths(inputs).items():
-        value: Tensor = getattr(inputs, name)
-        want = f"({batch} or 1, {1 if _once(name) else f'{steps} or 1'}, {width})"
-        fits = (
-            value.dim() == 3
-            and value.shape[0] in (1, batch)
-            and value.shape[1] in ((1,) if _once(name) else (1, steps))
-            and value.shape[2] == width
-        )
-        if not fits or value.dtype != torch.float64 or not value.is_contiguous():
-            raise ValueError(
-                f"{name} must be contiguous float64 of shape {want}, got {value.dtype} of shape "
-                f"{tuple(value.shape)}"
-            )
-        row = getattr(arrays, name)
-        row.address = value.data_ptr()
-        row.step_stride = width if value.shape[1] > 1 else 0
-        row.vehicle_stride = value.shape[1] * width if value.shape[0] > 1 else 0
-    return arrays
-
-
-def _gradient_arrays(grads: FlightInputs) -> object:
-    arrays = core.FlightArrays()
-    for name, value in grads._asdict().items():
+    for name in FlightInputs._fields:
+        value = call[prefix + name]
+        if not value.numel():  # no feedback
+            continue
         row = getattr(arrays, name)
         row.address = value.data_ptr()
         row.step_stride = value.shape[2] if value.shape[1] > 1 else 0
-        row.vehicle_stride = value.shape[1] * value.shape[2]
+        row.vehicle_stride = value.shape[1] * value.shape[2] if value.shape[0] > 1 else 0
     return arrays
 
 
-def _options(
-    dt: float, gravity: float, substeps: int, effects: str, feedback: bool, end_alone: bool
-) -> object:
+def _common(call: Call, **changed: bool) -> dict[str, object]:
+    """What all kernels take."""
     options = core.FlightOptions()
-    options.end_alone = end_alone
-    options.dt, options.gravity, options.substeps = dt, gravity, substeps
-    options.feedback = feedback
-    for name in filter(None, effects.split(",")):
+    options.feedback = call["gain"].numel() > 0
+    for name in ("end_alone", "dt", "gravity", "substeps"):
+        setattr(options, name, (call.options | changed)[name])
+    for name in filter(None, call.options["effects"].split(",")):
         setattr(options, name, True)
-    return options
+    sizes = {name: call.sizes[name] for name in ("num_rotors", "batch", "steps", "num_threads")}
+    return {"options": options, "inputs": _arrays(call), **sizes}
 
 
-def _num_records(steps: int, end_alone: bool) -> int:
-    """Records that are kept of every vehicle."""
-    return 1 if end_alone else steps + 1
+def _rollout(call: Call) -> None:
+    core.flight_rollout(**_common(call), **call.addresses("records"))
 
 
-@custom_op("diffsim::flight")
-def flight(
-    start: Tensor,
-    feed_forward: Tensor,
-    gain: Tensor,
-    reference: Tensor,
-    wind: Tensor,
-    parameters: Tensor,
-    batch: int,
-    steps: int,
-    end_alone: bool,
-    dt: float,
-    gravity: float,
-    substeps: int,
-    effects: str,
-    num_threads: int,
-) -> Tensor:
-    """Records of ``FlightInputs`` under ``FlightSettings``; see :func:`rollout`."""
-    inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
-    records = start.new_empty(batch, _num_records(steps, end_alone), BODY + inputs.num_rotors)
-    core.flight_rollout(
-        num_rotors=inputs.num_rotors,
-        batch=batch,
-        steps=steps,
-        options=_options(dt, gravity, substeps, effects, inputs.feedback, end_alone),
-        inputs=_arrays(inputs, batch, steps),
-        records=records.data_ptr(),
-        num_threads=num_threads,
-    )
-    return records
-
-
-@flight.register_fake
-def _(start, feed_forward, gain, reference, wind, parameters, batch, steps, end_alone, *args):
-    return start.new_empty(batch, _num_records(steps, end_alone), BODY + feed_forward.shape[-1])
-
-
-@custom_op("diffsim::flight_vjp")
-def flight_vjp(
-    grad_records: Tensor,
-    records: Tensor,
-    start: Tensor,
-    feed_forward: Tensor,
-    gain: Tensor,
-    reference: Tensor,
-    wind: Tensor,
-    parameters: Tensor,
-    end_alone: bool,
-    dt: float,
-    gravity: float,
-    substeps: int,
-    effects: str,
-    num_threads: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Adjoint of :func:`flight`: gradients of ``FlightInputs``; ``records`` are all of them."""
-    inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
-    batch, steps = records.shape[0], records.shape[1] - 1
-    width = BODY + inputs.num_rotors
-    wanted = (batch, _num_records(steps, end_alone), width)
-    if grad_records.shape != wanted or records.shape[2] != width:
-        raise ValueError(
-            f"records must have shape ({batch}, {steps + 1}, {width}), grad_records {wanted}, got "
-            f"{tuple(records.shape)} and {tuple(grad_records.shape)}"
-        )
-    grad_records, records = grad_records.contiguous(), records.contiguous()
-    groups = -(-batch // core.FLIGHT_GROUP)  # vehicles that share a row have one gradient per group
-    grads = FlightInputs(
-        *(
-            value.new_zeros(groups, *value.shape[1:])
-            if value.shape[0] == 1
-            else torch.zeros_like(value)
-            for value in inputs
-        )
-    )
+def _adjoint(call: Call) -> None:
+    records = call["records"]
+    if call.options["end_alone"]:  # the records that nobody kept, once more
+        sizes = call.sizes
+        records = records.new_empty(sizes["batch"], sizes["steps"] + 1, sizes["state"])
+        core.flight_rollout(**_common(call, end_alone=False), records=records.data_ptr())
+    groups = -(-len(records) // core.FLIGHT_GROUP)
+    shared = [f"grad_{name}" for name in FlightInputs._fields if len(call[name]) == 1]
+    for name in shared:  # vehicles that share a row have one gradient per group
+        call[name] = records.new_zeros(groups, *call[name].shape[1:])
     core.flight_rollout_vjp(
-        num_rotors=inputs.num_rotors,
-        batch=batch,
-        steps=steps,
-        options=_options(dt, gravity, substeps, effects, inputs.feedback, end_alone),
-        inputs=_arrays(inputs, batch, steps),
+        **_common(call),
         records=records.data_ptr(),
-        grad_records=grad_records.data_ptr(),
-        grads=_gradient_arrays(grads),
-        num_threads=num_threads,
+        grad_records=call["grad_records"].data_ptr(),
+        grads=_arrays(call, "grad_"),
     )
-    return FlightInputs(
-        *(
-            grad.sum(0, keepdim=True) if value.shape[0] == 1 else grad
-            for grad, value in zip(grads, inputs, strict=True)
-        )
-    )
+    for name in shared:
+        call[name] = call[name].sum(0, keepdim=True)
 
 
-@flight_vjp.register_fake
-def _(grad_records, records, *args):
-    inputs = args[: len(FlightInputs._fields)]
-    return tuple(torch.empty_like(value) for value in inputs)
+def _tangent(call: Call) -> None:
+    rates = call["d_records"].data_ptr()
+    core.flight_rollout_tangent(**_common(call), directions=_arrays(call, "d_"), rates=rates)
 
 
-def _setup_context(ctx, inputs, output):
-    count = len(FlightInputs._fields)
-    ctx.batch, ctx.steps, ctx.end_alone, *settings = inputs[count:]
-    ctx.settings = FlightSettings(*settings)
-    ctx.save_for_backward(output, *inputs[:count])
+# Records, state of every vehicle after every control step from the start on; with ``end_alone`` the
+# last ones, and no memory for the others. An empty gain and reference: no feedback.
+flight = Op(
+    "flight",
+    inputs={
+        "start": array("batch?", 1, "state"),
+        "feed_forward": array("batch?", "steps?", "num_rotors"),
+        "gain": array("batch?", 1, "gains", optional=True),
+        "reference": array("batch?", "steps?", 12, optional=True),
+        "wind": array("batch?", "steps?", 3),
+        "parameters": array("batch?", 1, "fields"),
+    },
+    outputs={"records": array("batch", "kept", "state")},
+    options="int batch, int steps, bool end_alone, "
+    "float dt, float gravity, int substeps, str effects, int num_threads",
+    sizes=_sizes,
+    reads=("records", *FlightInputs._fields),
+    kernel=_rollout,
+    adjoint=_adjoint,
+    tangent=_tangent,
+)
 
 
-def _backward(ctx, grad_records):
-    records, *saved = ctx.saved_tensors
-    inputs = FlightInputs(*saved)._asdict()
-    settings = ctx.settings._asdict()
-    if ctx.end_alone:  # the records that nobody kept, once more
-        sizes = {"batch": ctx.batch, "steps": ctx.steps, "end_alone": False}
-        with torch.no_grad():
-            records = flight_layer(**inputs, **sizes, **settings)
-    grads = flight_vjp_layer(
-        grad_records=grad_records, records=records, **inputs, end_alone=ctx.end_alone, **settings
-    )
-    return (*grads, *(None,) * 8)
-
-
-@custom_op("diffsim::flight_jvp")
-def flight_jvp(
-    start: Tensor,
-    feed_forward: Tensor,
-    gain: Tensor,
-    reference: Tensor,
-    wind: Tensor,
-    parameters: Tensor,
-    d_start: Tensor,
-    d_feed_forward: Tensor,
-    d_gain: Tensor,
-    d_reference: Tensor,
-    d_wind: Tensor,
-    d_parameters: Tensor,
-    batch: int,
-    steps: int,
-    end_alone: bool,
-    dt: float,
-    gravity: float,
-    substeps: int,
-    effects: str,
-    num_threads: int,
+def rollout(
+    inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps: int, end_alone: bool
 ) -> Tensor:
-    """Records of :func:`flight` along one direction in ``FlightInputs``."""
-    inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
-    given = d_start, d_feed_forward, d_gain, d_reference, d_wind, d_parameters
-    directions = FlightInputs(*(direction.contiguous() for direction in given))
-    rates = start.new_empty(batch, _num_records(steps, end_alone), BODY + inputs.num_rotors)
-    core.flight_rollout_tangent(
-        num_rotors=inputs.num_rotors,
-        batch=batch,
-        steps=steps,
-        options=_options(dt, gravity, substeps, effects, inputs.feedback, end_alone),
-        inputs=_arrays(inputs, batch, steps),
-        directions=_arrays(directions, batch, steps),
-        rates=rates.data_ptr(),
-        num_threads=num_threads,
-    )
-    return rates
+    """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start.
 
-
-@flight_jvp.register_fake
-def _(start, feed_forward, *args):
-    batch, steps, end_alone = args[10:13]
-    return start.new_empty(batch, _num_records(steps, end_alone), BODY + feed_forward.shape[-1])
-
-
-def _tangent(ctx, *moved):
-    _, *saved = ctx.saved_tensors
-    inputs = FlightInputs(*saved)
-    return flight_jvp_layer(
-        **inputs._asdict(),
-        **directions_of(inputs._asdict(), moved),
-        batch=ctx.batch,
-        steps=ctx.steps,
-        end_alone=ctx.end_alone,
-        **ctx.settings._asdict(),
-    )
-
-
-flight_vjp_layer = make_first_order(flight_vjp)
-flight_jvp_layer = make_first_order(flight_jvp)
-flight_layer = make_layer(flight, setup=_setup_context, backward=_backward, tangent=_tangent)
+    With ``end_alone`` (batch, 1, BODY + num_rotors): the last ones, and no memory for the others.
+    """
+    return flight(*inputs, batch, steps, end_alone, *settings)

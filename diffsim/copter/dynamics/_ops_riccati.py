@@ -7,14 +7,13 @@ work too.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.copter.dynamics.stabilizability import raise_lyapunov_failure, raise_riccati_failure
 from diffsim.core.compiled import core
-from diffsim.core.layer import custom_op, make_layer
+from diffsim.core.ops import Call, Given, Op, array
 from diffsim.core.record import Solve, announce, is_recording, verdict
 
 RTOL = 1e-8
@@ -22,65 +21,41 @@ RTOL = 1e-8
 REPORT = ("solved", "num_iters", "residual", "abscissa")
 
 
-def _check(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """What the kernels rely on; lqr.py beside it has said it to the user already."""
-    if value.dtype != torch.float64 or value.device.type != "cpu" or value.shape != shape:
-        raise ValueError(
-            f"{name} must be a float64 CPU tensor of shape {shape}, got {value.dtype} on "
-            f"{value.device} of shape {tuple(value.shape)}"
-        )
-    return value.contiguous()
+SQUARE = array("batch", "size", "size")
 
 
-@custom_op("diffsim::lyapunov")
-def lyapunov(A: Tensor, Q: Tensor, num_threads: int) -> Tensor:
-    """X (B, n, n) of A X + X A' + Q = 0."""
-    batch, n, _ = A.shape
-    A, Q = _check("A", A, (batch, n, n)), _check("Q", Q, (batch, n, n))
-    X = torch.empty(A.shape, dtype=torch.float64)
-    solved = torch.empty(batch, dtype=torch.int64)
-    core.lyapunov(
-        A=A.data_ptr(),
-        Q=Q.data_ptr(),
-        batch=batch,
-        size=n,
-        X=X.data_ptr(),
-        solved=solved.data_ptr(),
-        num_threads=num_threads,
-    )
+def _lyapunov(call: Call) -> None:
+    solved = torch.empty(len(call["A"]), dtype=torch.int64)
+    core.lyapunov(**call.addresses(), **call.sizes, solved=solved.data_ptr())
     for index in torch.nonzero(solved == 0).flatten().tolist():
-        raise_lyapunov_failure(A[index].numpy(), index if batch > 1 else None)
-    return X
-
-
-@lyapunov.register_fake
-def _(A: Tensor, Q: Tensor, num_threads: int) -> Tensor:
-    return A.new_empty(A.shape)
-
-
-def _setup_lyapunov(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-    ctx.save_for_backward(inputs[0], output)
-    ctx.num_threads = inputs[2]
+        raise_lyapunov_failure(call["A"][index].numpy(), index if len(solved) > 1 else None)
 
 
 # dA X + A dX + dX A' + X dA' + dQ = 0, so with A' S + S A + dL/dX = 0:
 #   dL/dQ = S,  dL/dA = S X' + S' X.
-def _backward_lyapunov(ctx: Any, grad_X: Tensor) -> tuple[Tensor, Tensor, None]:
-    A, X = ctx.saved_tensors
-    S = lyapunov_layer(A=A.mT.contiguous(), Q=grad_X.contiguous(), num_threads=ctx.num_threads)
-    return S @ X.mT + S.mT @ X, S, None
+def _lyapunov_gradients(given: Given, grads: Given) -> dict[str, Tensor]:
+    X = given["X"]
+    S = lyapunov(given["A"].mT, grads["X"], given["num_threads"])
+    return {"A": S @ X.mT + S.mT @ X, "Q": S}
 
 
-def _tangent_lyapunov(ctx: Any, dA: Tensor | None, dQ: Tensor | None, _: None) -> Tensor:
-    A, X = ctx.saved_tensors
-    load = torch.zeros_like(X) if dQ is None else dQ
-    if dA is not None:
-        load = load + dA @ X + X @ dA.mT
-    return lyapunov_layer(A=A, Q=load, num_threads=ctx.num_threads)
+def _lyapunov_directions(given: Given, moved: Given) -> dict[str, Tensor]:
+    X = given["X"]
+    load = moved.get("Q", torch.zeros_like(X))
+    if "A" in moved:
+        load = load + moved["A"] @ X + X @ moved["A"].mT
+    return {"X": lyapunov(given["A"], load, given["num_threads"])}
 
 
-lyapunov_layer = make_layer(
-    lyapunov, setup=_setup_lyapunov, backward=_backward_lyapunov, tangent=_tangent_lyapunov
+lyapunov = Op(  # X of A X + X A' + Q = 0
+    "lyapunov",
+    inputs={"A": SQUARE, "Q": SQUARE},
+    outputs={"X": SQUARE},
+    options="int num_threads",
+    reads=("A", "X"),
+    kernel=_lyapunov,
+    backward=_lyapunov_gradients,
+    forward=_lyapunov_directions,
 )
 
 
@@ -97,66 +72,44 @@ def care_solve(report: Tensor) -> Solve:
     )
 
 
-@custom_op("diffsim::care")
-def care(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
-    """The stabilizing P (B, n, n) of A'P + P A - P G P + Q = 0, and REPORT (B, 4)."""
-    batch, n, _ = A.shape
-    shape = (batch, n, n)
-    A, G, Q = _check("A", A, shape), _check("G", G, shape), _check("Q", Q, shape)
-    P = torch.empty(A.shape, dtype=torch.float64)
-    report = torch.empty(batch, len(REPORT), dtype=torch.float64)
-    core.care(
-        A=A.data_ptr(),
-        G=G.data_ptr(),
-        Q=Q.data_ptr(),
-        batch=batch,
-        size=n,
-        P=P.data_ptr(),
-        report=report.data_ptr(),
-        num_threads=num_threads,
-    )
+def _care(call: Call) -> None:
+    core.care(**call.addresses(), **call.sizes)
+    report = call["report"]
     if is_recording():
         announce(care_solve(report))
     for index in torch.nonzero(report[:, 0] == 0).flatten().tolist():
-        raise_riccati_failure(
-            A[index].numpy(),
-            G[index].numpy(),
-            Q[index].numpy(),
-            float(report[index, 2]),
-            index if batch > 1 else None,
-        )
-    return P, report
-
-
-@care.register_fake
-def _(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
-    return A.new_empty(A.shape), A.new_empty(A.shape[0], len(REPORT))
-
-
-def _setup_care(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
-    ctx.save_for_backward(inputs[0], inputs[1], output[0])
-    ctx.mark_non_differentiable(output[1])
-    ctx.num_threads = inputs[3]
+        a, g, q = (call[name][index].numpy() for name in ("A", "G", "Q"))
+        item = index if len(report) > 1 else None
+        raise_riccati_failure(a, g, q, float(report[index, 2]), item)
 
 
 # With A_c = A - G P the differential is A_c' dP + dP A_c + dA' P + P dA - P dG P + dQ = 0, so with
 # A_c S + S A_c' + sym(dL/dP) = 0:  dL/dA = 2 P S,  dL/dG = -P S P,  dL/dQ = S.
-def _backward_care(ctx: Any, grad_P: Tensor, _: Any) -> tuple[Tensor, Tensor, Tensor, None]:
-    A, G, P = ctx.saved_tensors
-    S = lyapunov_layer(A=A - G @ P, Q=0.5 * (grad_P + grad_P.mT), num_threads=ctx.num_threads)
-    return 2.0 * P @ S, -P @ S @ P, S, None
+def _care_gradients(given: Given, grads: Given) -> dict[str, Tensor]:
+    P, grad_P = given["P"], grads["P"]
+    closed = given["A"] - given["G"] @ P
+    S = lyapunov(closed, 0.5 * (grad_P + grad_P.mT), given["num_threads"])
+    return {"A": 2.0 * P @ S, "G": -P @ S @ P, "Q": S}
 
 
-def _tangent_care(
-    ctx: Any, dA: Tensor | None, dG: Tensor | None, dQ: Tensor | None, _: None
-) -> tuple[Tensor, None]:
-    A, G, P = ctx.saved_tensors
-    load = torch.zeros_like(P) if dQ is None else dQ
-    if dA is not None:
-        load = load + dA.mT @ P + P @ dA
-    if dG is not None:
-        load = load - P @ dG @ P
-    return lyapunov_layer(A=(A - G @ P).mT, Q=load, num_threads=ctx.num_threads), None
+def _care_directions(given: Given, moved: Given) -> dict[str, Tensor]:
+    P = given["P"]
+    load = moved.get("Q", torch.zeros_like(P))
+    if "A" in moved:
+        load = load + moved["A"].mT @ P + P @ moved["A"]
+    if "G" in moved:
+        load = load - P @ moved["G"] @ P
+    closed = given["A"] - given["G"] @ P
+    return {"P": lyapunov(closed.mT, load, given["num_threads"])}
 
 
-care_layer = make_layer(care, setup=_setup_care, backward=_backward_care, tangent=_tangent_care)
+care = Op(  # the stabilizing P of A'P + P A - P G P + Q = 0
+    "care",
+    inputs={"A": SQUARE, "G": SQUARE, "Q": SQUARE},
+    outputs={"P": SQUARE, "report": array("batch", len(REPORT), smooth=False)},
+    options="int num_threads",
+    reads=("A", "G", "P"),
+    kernel=_care,
+    backward=_care_gradients,
+    forward=_care_directions,
+)

@@ -78,7 +78,7 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     Q = require("Q", Q, ("...", n, n))
     batch = torch.Size(np.broadcast_shapes(A.shape[:-2], Q.shape[:-2]))
     num_threads = require_threads(num_threads)
-    X = _ops_riccati.lyapunov_layer(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
+    X = _ops_riccati.lyapunov(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
     return X.reshape(*batch, n, n)
 
 
@@ -90,7 +90,7 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     A'P + P A - P B R^-1 B' P + Q = 0 (thesis 3.3.3).
 
     Args:
-        A: (..., n, n) float64 [1/s].
+        A: State matrix, (..., n, n) float64 [1/s].
         B: (..., n, m) float64.
         Q: State weights, (..., n, n) float64, symmetric positive semidefinite.
         R: Input weights, (..., m, m) float64, symmetric positive definite.
@@ -155,7 +155,7 @@ def _solve(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, num_threads: int) -> tupl
     G = B @ torch.linalg.solve(R, B.mT)
     G = 0.5 * (G + G.mT)
     batch = torch.Size(np.broadcast_shapes(A.shape[:-2], G.shape[:-2], Q.shape[:-2]))
-    P, report = _ops_riccati.care_layer(
+    P, report = _ops_riccati.care(
         A=_flat(A, batch), G=_flat(G, batch), Q=_flat(Q, batch), num_threads=num_threads
     )
     return P.reshape(*batch, *A.shape[-2:]), report.reshape(*batch, -1)

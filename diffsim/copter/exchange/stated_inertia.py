@@ -29,7 +29,7 @@ def refuse_impossible_inertia(root: Element, compiler: dict[str, str] | None = N
         if inertial is None:
             continue
         try:
-            mass, entries, names = _stated(inertial)
+            mass, entries, names = _read_inertial(inertial)
         except ValueError:
             continue  # not a number: MuJoCo names it
         named = dict(zip(names, entries, strict=True))
@@ -40,7 +40,7 @@ def refuse_impossible_inertia(root: Element, compiler: dict[str, str] | None = N
             raise ValueError(f"{owner.tag} {owner.get('name', 'without a name')!r}: {said}")
 
 
-def _stated(inertial: Element) -> tuple[float | None, tuple[float, ...], tuple[str, ...]]:
+def _read_inertial(inertial: Element) -> tuple[float | None, tuple[float, ...], tuple[str, ...]]:
     """Mass, six entries and their names in the file; zeros where nothing is stated."""
     weighs, tensor = inertial.find("mass"), inertial.find("inertia")
     mass = inertial.get("mass") if weighs is None else weighs.get("value")

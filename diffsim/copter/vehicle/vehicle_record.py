@@ -58,9 +58,9 @@ class Body:
     """Mass properties, and places by name.
 
     Attributes:
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the center of mass, (3, 3) [kg m^2].
-        center_of_mass: (3,) [m].
+        center_of_mass: Center of mass, (3,) [m].
         places: Position of each link, body or site, (3,) [m].
         axes: Their z axes, (3,).
     """
@@ -93,7 +93,7 @@ def assembled(
     """The record that the layers take.
 
     Args:
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the center of mass, forward, right, down, (3, 3) [kg m^2].
         places: Rotors relative to the center of mass, (n_rotors, 3) [m].
         axes: Directions of thrust, (n_rotors, 3).

@@ -37,7 +37,8 @@ from diffsim.diagnose.search.gauss_newton import has_exact_slopes
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
-MUCH_LEFT = 3.0  # noise sd, root mean square, that a fit leaves or unseen runs show
+MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
+MUCH_UNSEEN = 3.0  # that unseen runs show
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 FIRST_ANSWER = "this is a first answer"
 
@@ -353,7 +354,7 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
     if gain is not None and (why := _is_unconfirmed(gain)):
         yield f"{why} on test runs"
     left = max((r / n for r, n in _pool_errors(errors).values()), default=0.0)
-    if left > MUCH_LEFT:
+    if left > MUCH_UNSEEN:
         yield f"the error on unseen runs is {left:.2g} times the noise"
 
 

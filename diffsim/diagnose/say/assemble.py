@@ -27,6 +27,7 @@ from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
+    MUCH_LEFT,
     Grounds,
     doubts_of,
     doubts_of_fit,
@@ -202,6 +203,7 @@ def _evidence(
     known = CauseEvidence(judgment, None, screened, effects, members, unmet)
     if grounds is None:
         return replace(known, rivals=decision.rivals)
+    left = float(np.sqrt(grounds.fit.chi2 / grounds.fit.num_samples))
     alone, asked = singled_out(grounds), decision.best if decision.verdict in NAMES else NONE
     return replace(
         known,
@@ -212,6 +214,7 @@ def _evidence(
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),
         wrong_gradients=wrong_gradients(grounds.gates),
+        left=left if left > MUCH_LEFT else 1.0,
     )
 
 
@@ -439,7 +442,7 @@ def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:
         "unrepeatable": UNREPEATABLE,
         "work": case.model.simulations.since(case.begun)._asdict(),
         "search": asdict(case.settings.search),
-        "numerics": None if (made := null.fit.problem.stands_for) is None else asdict(made),
+        "numerics": None if (made := null.fit.problem.reference_numerics) is None else asdict(made),
         **({} if search is None else _trouble(search)),
         "versions": {
             "python": platform.python_version(),

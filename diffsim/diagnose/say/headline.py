@@ -194,10 +194,10 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
         ]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
-        names = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
+        them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
         verb = "help" if len(helping) > 1 else "helps"
         return [
-            f"{capital(names)} {verb}, but something without a name is missing, too",
+            f"{capital(them)} {verb}, but something without a name is missing, too",
             "Causes of the library help, but something without a name is missing, too",
         ]
     return [
@@ -281,7 +281,7 @@ def _missing(
         also = _count(len(beside))
         ends = (f", with {also} that these runs leave open", f", with {also} left open")
         names = [f"{said}{end}" for said in names for end in ends]
-    counts = _counted(_by_share([*effects, *beside], laws), verb, is_set=is_set)
+    counts = _count_causes(_by_share([*effects, *beside], laws), verb, is_set=is_set)
     out = [*names, *counts]
     if sheet:
         off = f", {sheet[0].words} is off its data sheet"
@@ -294,7 +294,7 @@ def _laws(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -> list
     own = [row for row in effects if row.name in laws]
     total = sum(row.removes or 0.0 for row in effects)
     beside = [row for row in effects if row not in own and (row.removes or 0.0) > SMALL * total]
-    said = _without_sizes(own, verb, is_set=False) + _counted(own, verb, is_set=False)
+    said = _without_sizes(own, verb, is_set=False) + _count_causes(own, verb, is_set=False)
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
     also = f", beside {_join([_brief(row.words) for row in beside[:MAX_NAMES]])}" if beside else ""
     return [f"{n}{text}{also}" for text in said for n in none] + [
@@ -345,7 +345,7 @@ def _without_sizes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> l
     return [_say(effects, verb, {}, is_whole=True), alone] if is_cut else [alone]
 
 
-def _counted(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> list[str]:
+def _count_causes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> list[str]:
     """How many causes there are, and which one removes most."""
     if len(effects) < 2:
         return []

@@ -39,6 +39,7 @@ from diffsim.diagnose.judge.records import (
     band_words,
     no_skill_words,
 )
+from diffsim.diagnose.say.factors import gain_words, sheet_words, stated_of
 from diffsim.identify.effect import is_of_run
 
 VERDICTS = (
@@ -368,7 +369,8 @@ def _data_sheets(answer: Answer) -> list[str]:
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
-    return out
+    found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
+    return [*out, *sheet_words([(row, v) for row in found if (v := stated_of(row)) is not None])]
 
 
 def _rest(answer: Answer) -> list[str]:
@@ -427,5 +429,6 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
     parts = []
     for row in rows:
         what = "" if has_many_sizes(row) else "; 90 % interval"
-        parts.append(f"{row.words} ({size_range(row)}{what})")
+        slip = f"; {words}" if (words := gain_words(row)) else ""
+        parts.append(f"{row.words} ({size_range(row)}{what}{slip})")
     return " and ".join(parts)

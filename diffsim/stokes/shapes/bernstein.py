@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor
 
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 
 
 @functools.cache

@@ -55,7 +55,7 @@ class Chain:
             on the rays -s and num_curves + s, s [m]; unit normals (N, 2) on the left side, such
             that normal.(p - closest point) is the signed distance.
         """
-        return _ops_curve.closest_on_curves_layer(
+        return _ops_curve.closest_on_curves(
             points=p,
             homogeneous=self.homogeneous,
             rays=p.new_zeros(0) if rays is None else rays,

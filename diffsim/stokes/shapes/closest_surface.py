@@ -32,7 +32,7 @@ class SurfacePatch:
 
     def derivatives(self, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """S, S_u, S_v; (N, 3) each, uv (N, 2)."""
-        s, su, sv = _ops_surface.surface_frames_layer(uv=uv, **self._arrays()).unbind(1)
+        s, su, sv = _ops_surface.surface_frames(uv=uv, **self._arrays()).unbind(1)
         return s, su, sv
 
     def closest(
@@ -46,7 +46,7 @@ class SurfacePatch:
             Parameters and how far each is from stationary, (N,): the cosine between S - p and the
             surface there, 0 where held at the end of the range or not refined.
         """
-        uv, slope = _ops_surface.closest_on_surface_layer(
+        uv, slope = _ops_surface.closest_on_surface(
             points=p,
             **self._arrays(),
             sample_uv=samples.uv,
@@ -59,15 +59,13 @@ class SurfacePatch:
 
     def _arrays(self) -> dict[str, Any]:
         """The surface as the ops take it."""
-        return {
-            "homogeneous": self.homogeneous,
-            "breaks": [basis.breaks for basis in self.bases],
-            "coefficients": [basis.coefficients for basis in self.bases],
-            "first": [basis.active[:, 0] for basis in self.bases],
-            "kinks": [torch.tensor(basis.kinks, dtype=torch.float64) for basis in self.bases],
-            "low": self.low.tolist(),
-            "high": self.high.tolist(),
-        }
+        found: dict[str, Any] = {"homogeneous": self.homogeneous}
+        for axis, basis in zip("uv", self.bases, strict=True):
+            found[f"breaks_{axis}"] = basis.breaks
+            found[f"coefficients_{axis}"] = basis.coefficients
+            found[f"first_{axis}"] = basis.active[:, 0]
+            found[f"kinks_{axis}"] = torch.tensor(basis.kinks, dtype=torch.float64)
+        return found | {"low": self.low.tolist(), "high": self.high.tolist()}
 
 
 class SurfaceSamples:

@@ -15,6 +15,7 @@ from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.vehicle.effects import FlightEffects, MotorLag
 from tests.copter.flight_cases import all_effects, crooked_copter, tensor, tumbling
 from tests.gradients import check_directions
+from tests.helpers import with_derivatives
 
 pytestmark = pytest.mark.grad
 STEPS, ROTORS, BATCH = 3, 5, 2
@@ -275,10 +276,11 @@ def test_op_contract():
         tensor(rng.uniform(0.5, 1.0, (1, 1, width))).requires_grad_(),
     ]
     args = (*tensors, 2, 3, False, 0.01, 9.81, 1, "body_drag", 1)
-    torch.library.opcheck(_ops_flight.flight, args)
     end_alone = (*tensors, 2, 3, True, 0.01, 9.81, 1, "body_drag", 1)
-    torch.library.opcheck(_ops_flight.flight, end_alone)
-    layer = torch.compile(_ops_flight.flight, fullgraph=True, backend="aot_eager")
+    checks = with_derivatives(_ops_flight.flight, *args)
+    for op, given in (*checks, (_ops_flight.flight.op, end_alone)):
+        torch.library.opcheck(op, given)
+    layer = torch.compile(_ops_flight.flight.op, fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(layer(*args), _ops_flight.flight(*args))
 
 

@@ -22,7 +22,7 @@ from diffsim.copter.dynamics import _ops_hover
 from tests.copter.designs import random_copter
 from tests.copter.vehicle.test_vehicle import NAMES, from_reference, plus_quadcopter, reference
 from tests.gradients import check_directions
-from tests.helpers import check_layer
+from tests.helpers import check_layer, with_derivatives
 
 
 def matrices(copter):
@@ -166,12 +166,7 @@ def test_contract(share):
     n = 6.0
     flat = [force.detach()[None] / n, torque[None], h[None], limits[None] * n / weight]
     flat = [t.detach() for t in flat]
-    found = _ops_hover.hover(*flat, 0.0, 1)
-    vjp_args = (*flat, *found, torch.linspace(1, 2, 6, dtype=torch.float64)[None], 0.0, 1)
-    ops = [
-        (_ops_hover.hover, (*flat, 0.0, 1)),
-        (_ops_hover.hover_vjp, vjp_args),
-    ]
+    ops = with_derivatives(_ops_hover.hover, *flat, 0.0, 1)
     if share < 0.8:  # the limits of idle bounds have no gradient, which check_layer would refuse
         args[3] = args[3].detach()
     check_layer(layer, args, ops=ops, atol=1e-7, rtol=1e-6)

@@ -11,7 +11,7 @@ from diffsim.copter import LQR, RiccatiError, hover, linearize, lqr, lqr_stats, 
 from diffsim.copter.dynamics import _ops_riccati
 from tests.copter.designs import random_copter
 from tests.copter.vehicle.test_vehicle import NAMES, from_reference, reference
-from tests.helpers import check_layer
+from tests.helpers import check_layer, with_derivatives
 
 
 def eye(n):
@@ -140,7 +140,7 @@ def test_lqr_contract():
     check_layer(
         layer,
         args,
-        ops=[(_ops_riccati.care, (A[None], G[None], Q[None], 1))],
+        ops=with_derivatives(_ops_riccati.care, A[None], G[None], Q[None], 1),
         atol=1e-7,
         rtol=1e-7,
     )
@@ -177,7 +177,7 @@ def test_lyapunov_contract():
     np.testing.assert_allclose(X, scipy.linalg.solve_continuous_lyapunov(A, -Q), atol=1e-13)
     torch.testing.assert_close(A @ X + X @ A.T, -Q, atol=1e-13, rtol=0)
     args = [A.clone().requires_grad_(), Q.clone().requires_grad_()]
-    ops = [(_ops_riccati.lyapunov, (A[None], Q[None], 1))]
+    ops = with_derivatives(_ops_riccati.lyapunov, A[None], Q[None], 1)
     check_layer(lyapunov, args, ops=ops, atol=1e-8, rtol=1e-7)
     assert torch.autograd.gradgradcheck(lyapunov, args)
 

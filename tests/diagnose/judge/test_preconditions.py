@@ -178,7 +178,7 @@ def test_what_is_within_the_limits_is_no_doubt(grounds):
         replace(grounds, base=[own_value(4.9), own_value(-4.9)]),
         replace(grounds, gates=[*grounds.gates, replace(WRONG, applies=False)]),
         replace(grounds, gates=[*grounds.gates, replace(WRONG, name="gradient:other")]),
-        replace(grounds, fit=replace(grounds.fit, chi2=8.9 * grounds.fit.num_samples)),
+        replace(grounds, fit=replace(grounds.fit, chi2=3.9 * grounds.fit.num_samples)),
         with_judgment(grounds, gain=gained(1.5, 1.1, 1.9, excess=0.1)),  # a small excess
         with_decision(grounds, beside=Hypothesis(PUSHED, 0), lead=10.0),
         with_stalled_rival(grounds, 300.0),
@@ -257,7 +257,8 @@ def known(fits=(), withdrawn=(), typical=0.4):
         withdrawn=frozenset(withdrawn),
         decision=SimpleNamespace(forms={}),
     )
-    return SimpleNamespace(effects=[effect], judgment=judgment, wrong_gradients=frozenset())
+    none = frozenset()
+    return SimpleNamespace(effects=[effect], judgment=judgment, wrong_gradients=none, left=1.0)
 
 
 def test_nothing_is_refuted_by_fits_along_a_wrong_gradient():

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from diffsim.diagnose.judge.left_out import folds_of
 from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
-from diffsim.diagnose.say.causes import _rise_without
+from diffsim.diagnose.say.causes import CauseEvidence, _rise_without
 from diffsim.diagnose.say.headline import _on_unseen, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
@@ -401,3 +402,34 @@ def test_causes_are_ordered_by_the_share_that_is_back_without_them():
     assert [row.name for row in report.causes[:2]] == ["other", "push"]
     # without that fit, the slopes of the best one say as much of a linear model
     assert _rise_without(report.best, OTHER) > _rise_without(report.best, PUSH) > 0.0
+
+
+def test_what_is_left_is_the_noise_that_sizes_must_show_above():
+    """Something outside of the library acts, twice the noise: slopes tell of what is left."""
+    hidden = linear.line("hidden")
+    runs = [recorded(f"r{k}", k, {hidden: 1.5}) for k in range(6)]
+    study = Study("lines", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (PUSH,), seed=0, settings=QUICK)
+    assert report.left > 2.0
+    found = causes(report)
+    screened = dict(zip(report.screened.names, report.screened.smallest_visible, strict=True))
+    assert found["push"].status == "not visible below"
+    least = found["push"].smallest_visible["size"]  # a fit's prior narrows it by a third of 1 %
+    assert least == pytest.approx(report.left * screened["push"], rel=0.01)
+    assert f"Of what is left, {report.left:.2g} times the noise." in found["push"].note
+
+
+@pytest.mark.parametrize(("left", "fits"), [(1.0, ()), (3.0, ()), (3.0, ({1},))])
+def test_a_kink_that_no_fit_held_is_not_judged_while_much_is_left(left, fits):
+    """An overflow of 172 mm that nothing had fitted was not visible below 0.3 mm."""
+    made = SimpleNamespace(scans={}, scans_late=frozenset())
+    search = SimpleNamespace(fits=dict.fromkeys(map(frozenset, fits)), simulations=made)
+    effects = (PUSH, replace(linear.line("overflow"), smooth=False))
+    judgment = SimpleNamespace(search=search)
+    known = CauseEvidence(judgment, None, None, effects, frozenset(), {}, left=left)
+    is_silent = left > 1.0 and not fits
+    assert bool(known.why_not_judged(1)) == is_silent
+    assert known.why_not_judged(0) == ""
+    late = SimpleNamespace(scans={}, scans_late=frozenset({("", frozenset(), frozenset({0}))}))
+    judgment = SimpleNamespace(search=SimpleNamespace(fits={}, simulations=late))
+    assert replace(known, judgment=judgment).why_not_judged(0) == "its sizes were not tried"
