@@ -7,7 +7,7 @@ import torch
 
 from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 from diffsim.mesh.core import TetMesh
 from diffsim.mesh.reference import TET_EDGES, IntArray
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
-from diffsim.core.layer import on_constants
+from diffsim.core.torch_names import on_constants
 from diffsim.mesh import HexMesh, ShapeGradients, TetMesh, shape_gradients
 from diffsim.mesh.reference import HEX_CORNERS, TET_EDGES, Array, IntArray
 from diffsim.mesh.shape import tet_gradients
