@@ -49,6 +49,7 @@ def cantilever(
     return soft.SoftBody(
         box,
         dt=dt,
+        element="standard",
         fixed=held,
         material=soft.Material(material, volume_weight=volume_weight),
         solver=solver,

@@ -55,6 +55,11 @@ void bind_prepared(nb::module_& m) {
                    })
       .def_prop_ro("preconditioner",
                    [](const ConstantSystem& s) { return s.plan().preconditioner; });
+  nb::enum_<ElementKind>(m, "ElementKind")
+      .value("hex", ElementKind::kHex)
+      .value("tet", ElementKind::kTet)
+      .value("mean_hex", ElementKind::kMeanHex)
+      .value("eighth_tet", ElementKind::kEighthTet);
   nb::enum_<Preconditioner>(m, "Preconditioner")
       .value("auto", Preconditioner::kAuto)
       .value("constant", Preconditioner::kConstant)
@@ -62,15 +67,16 @@ void bind_prepared(nb::module_& m) {
 
   m.def(
       "make_soft_pattern",
-      [](bool is_hex, const char* material, std::int64_t num_nodes, std::int64_t num_elements,
+      [](ElementKind kind, const char* material, std::int64_t num_nodes, std::int64_t num_elements,
          std::int64_t num_classes, std::int64_t num_fibers, std::int64_t num_chambers,
-         std::int64_t num_lids, Address elements, Address grad, Address weight, Address class_idx,
-         Address coords, Address fiber_elements, Address fiber_directions, Address fiber_pull_only,
-         Address chamber_start, Address chamber_faces, Address lid_chamber, Address lid_start,
-         Address lid_nodes) {
+         std::int64_t num_lids, Address elements, Address grad, Address weight, Address hourglass,
+         Address class_idx, Address coords, Address fiber_elements, Address fiber_directions,
+         Address fiber_pull_only, Address chamber_start, Address chamber_faces, Address lid_chamber,
+         Address lid_start, Address lid_nodes) {
         nb::gil_scoped_release release;
         MeshTables t;
-        t.is_hex = is_hex;
+        t.kind = kind;
+        t.hourglass = in(hourglass);
         t.material = find_material(material);
         t.num_nodes = num_nodes;
         t.num_elements = num_elements;
@@ -93,12 +99,13 @@ void bind_prepared(nb::module_& m) {
                       in_index(lid_nodes)};
         return std::make_shared<SoftPattern>(make_soft_model(t), t.coords);
       },
-      nb::kw_only(), nb::arg("is_hex"), nb::arg("material"), nb::arg("num_nodes"),
+      nb::kw_only(), nb::arg("kind"), nb::arg("material"), nb::arg("num_nodes"),
       nb::arg("num_elements"), nb::arg("num_classes"), nb::arg("num_fibers"),
       nb::arg("num_chambers"), nb::arg("num_lids"), nb::arg("elements"), nb::arg("grad"),
-      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fiber_elements"),
-      nb::arg("fiber_directions"), nb::arg("fiber_pull_only"), nb::arg("chamber_start"),
-      nb::arg("chamber_faces"), nb::arg("lid_chamber"), nb::arg("lid_start"), nb::arg("lid_nodes"));
+      nb::arg("weight"), nb::arg("hourglass"), nb::arg("class_idx"), nb::arg("coords"),
+      nb::arg("fiber_elements"), nb::arg("fiber_directions"), nb::arg("fiber_pull_only"),
+      nb::arg("chamber_start"), nb::arg("chamber_faces"), nb::arg("lid_chamber"),
+      nb::arg("lid_start"), nb::arg("lid_nodes"));
 
   m.def(
       "make_constant_system",

@@ -26,6 +26,7 @@ from diffsim.mesh.solids import (
     tet_sphere,
     tet_torus,
 )
+from diffsim.mesh.split import split_tets
 from diffsim.mesh.stuffing import tet_from_sdf
 from diffsim.mesh.surface import (
     Surface,
@@ -70,6 +71,7 @@ __all__ = [
     "save",
     "sdf",
     "shape_gradients",
+    "split_tets",
     "surface_quads",
     "surface_triangles",
     "surface_vertices",

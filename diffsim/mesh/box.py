@@ -41,10 +41,29 @@ def tet_box(
     cells: Sequence[int] = (4, 4, 4),
     size: Sequence[float] = (1.0, 1.0, 1.0),
     origin: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    symmetric: bool = False,
 ) -> TetMesh:
-    """The nodes of `hex_box`, each cell split in six (Kuhn); element 6 e + t lies in cell e."""
+    """The nodes of `hex_box`, each cell split in six (Kuhn); element 6 e + t lies in cell e.
+
+    Args:
+        cells: Cells per axis, (nx, ny, nz), each at least 1.
+        size: Edge lengths of the box, (lx, ly, lz) [m], positive.
+        origin: Lower corner [m].
+        symmetric: Whether a cell is the mirror image of its neighbors, so that a box of even
+            ``cells`` has the symmetries of its shape. Otherwise all diagonals point one way, and
+            what bends a body turns it sideways, too.
+    """
     x, hexes = box_arrays(cells, size, origin)
-    return TetMesh(torch.from_numpy(x), torch.from_numpy(hexes[:, KUHN].reshape(-1, 4)))
+    tets = hexes[:, KUHN]
+    if symmetric:
+        odd = np.indices(require_counts("cells", cells, 3)).reshape(3, -1) % 2
+        mirror = odd[0] * 4 + odd[1] * 2 + odd[2]  # of local nodes a to a xor mirror
+        tets = np.take_along_axis(hexes, (KUHN.reshape(1, -1) ^ mirror[:, None]), axis=1)
+        tets = tets.reshape(-1, 6, 4)
+        turned = odd.sum(axis=0) % 2 == 1
+        tets[turned] = tets[turned][:, :, [0, 1, 3, 2]]
+    return TetMesh(torch.from_numpy(x), torch.from_numpy(tets.reshape(-1, 4)))
 
 
 MAX_NODES = 500_000_000

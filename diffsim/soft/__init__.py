@@ -9,6 +9,7 @@ from diffsim.soft.actuators import (
 )
 from diffsim.soft.body import SoftBody
 from diffsim.soft.chambers import PressureChamber, sealed_pressure
+from diffsim.soft.elements import ELEMENTS
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
 from diffsim.soft.immersion import added_mass, buoyancy
@@ -26,6 +27,7 @@ from diffsim.soft.tangents import Directions, Tangents, rollout_tangents, static
 from diffsim.soft.tendons import Tendon
 
 __all__ = [
+    "ELEMENTS",
     "MATERIALS",
     "ActuatorDynamics",
     "ActuatorState",

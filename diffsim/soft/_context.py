@@ -53,11 +53,12 @@ class SoftContext:
     def __init__(
         self,
         *,
-        is_hex: bool,
+        kind: str,
         material: str,
         elements: Tensor,
         grad: Tensor,
         weight: Tensor,
+        hourglass: Tensor,
         class_idx: Tensor,
         x_rest: Tensor,
         fiber_elements: Tensor,
@@ -76,7 +77,7 @@ class SoftContext:
         self.num_chambers = chambers.num_chambers
         self.fixed = fixed.to(torch.uint8).contiguous()
         self.pattern = core.make_soft_pattern(
-            is_hex=is_hex,
+            kind=getattr(core.ElementKind, kind),
             material=material,
             num_nodes=self.num_nodes,
             num_elements=self.num_elements,
@@ -87,6 +88,7 @@ class SoftContext:
             elements=elements.data_ptr(),
             grad=grad.data_ptr(),
             weight=weight.data_ptr(),
+            hourglass=hourglass.data_ptr(),
             class_idx=class_idx.data_ptr(),
             coords=x_rest.data_ptr(),
             fiber_elements=fiber_elements.data_ptr(),

@@ -37,6 +37,8 @@ class SoftBody(Solid):
         density: Mass per rest volume, scalar, (num_elements,) or (num_nodes,) [kg/m^3], > 0.
         material: Energy of the solid: ``pd`` (projective dynamics, corotated and volume energies,
             thesis eq. 4.12), another of ``MATERIALS``, or a :class:`~diffsim.soft.Material`.
+        element: One of ``ELEMENTS``, see :mod:`diffsim.soft.elements`: ``assumed_strain`` for
+            hexahedra that bend and that are nearly incompressible; None: ``standard``.
         gravity: Acceleration of free fall, (3,) [m/s^2].
         fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_nodes,) or one per
             axis (num_nodes, 3) bool; None: free.

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_range
 from diffsim.core.module import loadable
+from diffsim.soft.elements import hourglass_weights
 from diffsim.soft.materials import Material, small_strain_moduli
 
 
@@ -23,7 +24,8 @@ class Physics:
 
     Attributes:
         material: Energy of the solid, see :mod:`diffsim.soft.materials`.
-        weights: The material's element parameters, (num_weights, num_elements) [Pa].
+        weights: The material's element parameters, then those of hourglass strains where the
+            element has some, (num_weights, num_elements) [Pa].
         mass: Nodal inertia, attached and added masses included, (num_nodes,) [kg].
         weighing_mass: What gravity acts on: ``mass`` without added mass, (num_nodes,) [kg].
         gravity: Acceleration of free fall, (3,) [m/s^2].
@@ -168,6 +170,8 @@ def make_physics(
     material: Material,
     num_muscles: int,
     batch: int | None = None,
+    *,
+    element: str = "standard",
 ) -> Physics:
     """Check ranges and expand scalars to elements and nodes.
 
@@ -177,6 +181,7 @@ def make_physics(
         material: Energy of the solid.
         num_muscles: Number of muscles.
         batch: Members of a batch that parameters may be given for; None: they may not.
+        element: One of :data:`~diffsim.soft.ELEMENTS`.
 
     Returns:
         :class:`Physics`, with a batch axis where there is a batch. Gradients: all values.
@@ -186,11 +191,15 @@ def make_physics(
     def per_element(name: str, value: Tensor) -> Tensor:
         return _repeat_for_batch(name, value, num_elements, "num_elements", batch)
 
-    weights = material.weights(
+    of_law = material.weights(
         per_element("youngs_modulus", values.youngs_modulus),
         per_element("poissons_ratio", values.poissons_ratio),
         **{name: per_element(name, value) for name, value in values.constants.items()},
     )
+    weights = torch.stack([_expand_to_batch(w, batch) for w in of_law], dim=-2)
+    if element == "assumed_strain":
+        bending = hourglass_weights(small_strain_moduli(material.law, weights))
+        weights = torch.cat([weights, torch.stack(bending, dim=-2)], dim=-2)
     if values.node_mass is None:
         mass = volume.mass(values.density, batch)
     else:
@@ -211,7 +220,7 @@ def make_physics(
     _range("fiber_stiffness", fiber_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
         material=material.law,
-        weights=torch.stack([_expand_to_batch(w, batch) for w in weights], dim=-2),
+        weights=weights,
         mass=_expand_to_batch(mass, batch),
         weighing_mass=_expand_to_batch(weighing_mass, batch),
         gravity=gravity,

@@ -25,11 +25,11 @@ from diffsim.mesh import (
     TetMesh,
     nodal_shares,
     nodal_volume,
-    shape_gradients,
     surface_vertices,
 )
 from diffsim.soft._context import SoftContext
 from diffsim.soft.chambers import ChamberSet, PressureChamber
+from diffsim.soft.elements import element_tables, require_element
 from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import Material
 from diffsim.soft.muscles import Muscle, MuscleSet
@@ -44,7 +44,7 @@ from diffsim.soft.physics import (
     make_physics,
     require_distinct,
 )
-from diffsim.soft.plausible import warn_of_units
+from diffsim.soft.plausible import warn_of_locking, warn_of_units
 from diffsim.soft.state import State
 
 
@@ -70,6 +70,7 @@ class Solid(Float64Module):
         poissons_ratio: Value,
         density: Value = 1000.0,
         material: str | Material = "pd",
+        element: str | None = None,
         gravity: Value = (0.0, 0.0, -9.81),
         fixed: Tensor | None = None,
         muscles: Sequence[Muscle] = (),
@@ -92,6 +93,7 @@ class Solid(Float64Module):
         require_number("dt", self.dt, at_least=1e-15, at_most=1e9, hint="unit is s")
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
         self.material = material if isinstance(material, Material) else Material(material)
+        self.element = require_element(element, mesh)
         self.solver = _options("solver", solver, SolverOptions)
         with on_constants():
             self.muscles = MuscleSet(muscles, mesh.num_elements)
@@ -124,19 +126,22 @@ class Solid(Float64Module):
         self.physics()  # refuse bad parameters now, not at the first step
         modulus = as_tensor("youngs_modulus", youngs_modulus)
         warn_of_units(self.x_rest, modulus, as_tensor("density", density))
+        if element is None:
+            warn_of_locking(mesh, as_tensor("poissons_ratio", poissons_ratio))
         self._context = self._make_context()
         self.kept: Any = None  # see prepared.py
 
     def _make_context(self) -> SoftContext:
         with on_constants():
-            shape = shape_gradients(self.mesh)
+            tables = element_tables(self.mesh, self.element)
             return SoftContext(
-                is_hex=self.mesh.kind == "hex",
+                kind=tables.kind,
                 material=self.material.law,
-                elements=self.mesh.elements,
-                grad=shape.grad,
-                weight=shape.weight,
-                class_idx=shape.class_idx,
+                elements=tables.elements,
+                grad=tables.shape.grad,
+                weight=tables.shape.weight,
+                hourglass=tables.hourglass,
+                class_idx=tables.shape.class_idx,
                 x_rest=self.mesh.x_rest,
                 fiber_elements=self.muscles.elements,
                 fiber_directions=self.muscles.directions,
@@ -189,7 +194,9 @@ class Solid(Float64Module):
         )
         constants = {name: values.pop(name) for name in own}
         given = PhysicalValues(**values, constants=constants)
-        return make_physics(given, volume, self.material, self.muscles.num_muscles, members)
+        return make_physics(
+            given, volume, self.material, self.muscles.num_muscles, members, element=self.element
+        )
 
     def own_values(self) -> dict[str, Tensor]:
         """The body's parameters by name, as they were given; what it does not have is missing."""
@@ -208,7 +215,7 @@ class Solid(Float64Module):
         return (
             f"{self.mesh.kind} mesh, {self.mesh.num_elements} elements, "
             f"{3 * self.mesh.num_nodes} DoF ({int(self.fixed.sum())} fixed), "
-            f"material {self.material.law}, "
+            f"material {self.material.law}, {self.element} elements, "
             f"{self.muscles.num_muscles} muscles, {self.chambers.num_chambers} chambers, "
             f"{self.integrator}, dt = {self.dt:g} s, "
             f"solver {self.solver.method}"

@@ -45,6 +45,7 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int =
     body = soft.SoftBody(
         bunny((0.010 if quick else 0.0052) / cells),
         dt=dt,
+        element="standard",
         youngs_modulus=1e6,
         poissons_ratio=0.45,
         density=1000.0,

@@ -82,6 +82,7 @@ def _body(shape: mesh.HexMesh, solver: soft.SolverOptions, integrator: str) -> s
     return soft.SoftBody(
         shape,
         dt=DT,
+        element="standard",
         youngs_modulus=TRUTH[0],
         poissons_ratio=TRUTH[1],
         density=1000.0,

@@ -39,6 +39,7 @@ def build(solver: soft.SolverOptions, quick: bool) -> Application:
     body = soft.SoftBody(
         shape,
         dt=DT,
+        element="standard",
         youngs_modulus=1e5,
         poissons_ratio=0.45,
         density=1070.0,

@@ -68,6 +68,7 @@ def drape(cells: int, radius: float, num_steps: int) -> Run:
     body = soft.SoftBody(
         m,
         dt=DT,
+        element="standard",
         youngs_modulus=2e4,
         poissons_ratio=0.3,
         density=500.0,

@@ -73,6 +73,7 @@ def slide(m: mesh.TetMesh, friction: float, model: str, duration: float) -> tupl
     body = soft.SoftBody(
         m,
         dt=dt,
+        element="standard",
         youngs_modulus=2e5,
         poissons_ratio=0.4,
         contact=soft.ContactOptions(contact_nodes=nodes),

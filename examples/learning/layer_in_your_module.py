@@ -26,6 +26,7 @@ def make_arm() -> soft.SoftBody:
     return soft.SoftBody(
         bar,
         dt=1.0 / 60.0,
+        element="standard",
         youngs_modulus=3e5,
         poissons_ratio=0.45,
         density=1070.0,

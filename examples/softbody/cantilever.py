@@ -23,6 +23,7 @@ def main(cells: tuple[int, int, int] = (20, 4, 4), modulus: float = 2.6e5) -> di
     body = soft.SoftBody(
         bar,
         dt=0.01,
+        element="standard",
         youngs_modulus=modulus,
         poissons_ratio=0.45,
         density=1070.0,

@@ -47,6 +47,7 @@ def make_arm(cells: int = 3) -> tuple[mesh.HexMesh, soft.SoftBody]:
     body = soft.SoftBody(
         m,
         dt=0.01,
+        element="standard",
         youngs_modulus=1e5,
         poissons_ratio=0.45,
         density=1070.0,

@@ -25,6 +25,7 @@ def main(pressure: float = 2e4, step: float = 1.0) -> dict[str, float]:
     body = soft.SoftBody(
         block,
         dt=0.01,
+        element="standard",
         youngs_modulus=3e5,
         poissons_ratio=0.45,
         density=1070.0,

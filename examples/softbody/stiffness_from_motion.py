@@ -27,6 +27,7 @@ def main() -> dict[str, float]:
     body = soft.SoftBody(
         bar,
         dt=0.005,
+        element="standard",
         integrator="implicit_midpoint",
         youngs_modulus=START,
         poissons_ratio=0.45,

@@ -87,6 +87,7 @@ def make_robot(
     body = soft.SoftBody(
         m,
         dt=dt,
+        element="standard",
         youngs_modulus=5e5,
         poissons_ratio=0.4,
         density=1000.0,  # ballasted: weight and buoyancy cancel, so

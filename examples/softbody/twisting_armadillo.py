@@ -188,6 +188,7 @@ def main(
         body = soft.SoftBody(
             m,
             dt=DT,
+            element="standard",
             youngs_modulus=2e5,
             poissons_ratio=poissons_ratio,
             material=material,

@@ -105,6 +105,7 @@ def quarter(
     body = soft.SoftBody(
         m,
         dt=dt_s,
+        element="standard",
         integrator=integrator,
         youngs_modulus=6e5,
         poissons_ratio=poissons_ratio,

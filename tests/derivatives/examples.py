@@ -240,6 +240,7 @@ CALL |= dict.fromkeys(
 CALL |= {
     "save": lambda: {"mesh": BAR, "path": Path(tempfile.mkdtemp()) / "bar.vtu", "x": BAR.x_rest},
     "RegionMesh.values": lambda: {"of": {"a": real(1.0), "b": real(2.0)}},
+    "split_tets": lambda: {"mesh": BAR},
     "to_trimesh": lambda: {"mesh": BAR, "x": BAR.x_rest},
 }
 

@@ -26,11 +26,21 @@ def noise(*shape: int, seed: int = 0) -> Tensor:
     return torch.randn(*shape, generator=generator(seed), dtype=torch.float64)
 
 
+def element_of(kind: str) -> str:
+    """The element of a body on ``irregular_mesh(kind)``."""
+    return kind if kind in soft.ELEMENTS else "standard"
+
+
+KINDS = ["hex", "tet", "assumed_strain", "quadratic"]
+"""Kinds of mesh with the standard element, and the other elements."""
+
+
 def irregular_mesh(kind: str, cells=(2, 1, 1), size=(2.0, 1.0, 1.0), amount: float = 0.08):
-    """A box whose nodes are all displaced, so that no two elements are alike."""
-    box = (mesh.hex_box if kind == "hex" else mesh.tet_box)(cells, size)
+    """A box whose nodes are all displaced, so that no two elements are alike; of ``KINDS``."""
+    box = (mesh.tet_box if kind in ("tet", "quadratic") else mesh.hex_box)(cells, size)
     x = box.x_rest + amount * noise(box.num_nodes, 3, seed=9).clamp(-1.5, 1.5)
-    return type(box)(x, box.elements)
+    moved = type(box)(x, box.elements)
+    return mesh.split_tets(moved) if kind == "quadratic" else moved
 
 
 def deformed(m, amount: float = 0.25, seed: int = 1) -> Tensor:

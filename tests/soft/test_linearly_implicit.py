@@ -8,8 +8,10 @@ from torch import Tensor
 
 from diffsim import contact, mesh, soft
 from tests.soft.cases import (
+    KINDS,
     SHARP,
     deformed,
+    element_of,
     irregular_mesh,
     leaf,
     noise,
@@ -58,7 +60,8 @@ def two_steps(body: soft.SoftBody, weight: Tensor, **given):
 
 def leaves_of(m, *more) -> list[Tensor]:
     shape = (m.num_nodes, 3)
-    start = [deformed(m, 0.15), noise(*shape, seed=3), 30.0, 0.3, 1.5, noise(*shape, seed=4)]
+    amount = 0.15 if m.num_nodes < 40 else 0.05  # eighths are half as long: none inverted
+    start = [deformed(m, amount), noise(*shape, seed=3), 30.0, 0.3, 1.5, noise(*shape, seed=4)]
     return [leaf(value) for value in (*start, *more)]
 
 
@@ -72,19 +75,19 @@ def require_transposes(loss, leaves: list[Tensor]) -> None:
     torch.testing.assert_close(forward, parts.sum(), rtol=0, atol=1e-8 * float(parts.abs().sum()))
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("material", soft.MATERIALS)
 def test_forward_mode_of_every_material_is_the_transpose_of_the_gradient(material, kind):
     m = irregular_mesh(kind)
-    body = linear_body(m, material=material, fixed=rail_mask(m))
+    body = linear_body(m, element=element_of(kind), material=material, fixed=rail_mask(m))
     require_transposes(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("kind", KINDS[:3])  # the fourth's curvature is beyond two points
 @pytest.mark.parametrize("material", soft.MATERIALS)
 def test_gradients_of_every_material_are_those_of_differences(material, kind):
     m = irregular_mesh(kind)
-    body = linear_body(m, material=material)
+    body = linear_body(m, element=element_of(kind), material=material)
     require_differences(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
 
 

@@ -6,12 +6,15 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from diffsim.soft.plausible import UnitsWarning
+from diffsim.soft.plausible import LockingWarning, UnitsWarning, expected_stiffness
+from tests.soft.test_elements import tip_share
 
 
-def body(size=0.1, modulus=2.6e5, density=1070.0):
-    bar = mesh.hex_box(cells=(2, 1, 1), size=(size, 0.3 * size, 0.3 * size))
-    return soft.SoftBody(bar, dt=0.01, youngs_modulus=modulus, poissons_ratio=0.45, density=density)
+def body(size=0.1, modulus=2.6e5, density=1070.0, nu=0.45, element="standard", bar=None):
+    bar = bar or mesh.hex_box(cells=(2, 1, 1), size=(size, 0.3 * size, 0.3 * size))
+    return soft.SoftBody(
+        bar, dt=0.01, youngs_modulus=modulus, poissons_ratio=nu, density=density, element=element
+    )
 
 
 @pytest.mark.parametrize(
@@ -40,3 +43,29 @@ def test_usual_bodies_and_massless_ones_are_quiet():
         body()
         body(size=0.002, modulus=1e3)
         body(modulus=2e11, density=7850.0)
+
+
+def test_thin_bodies_of_elements_that_nobody_chose_are_told():
+    size = (0.1, 0.01, 0.01)
+    with pytest.warns(LockingWarning, match=r"one cell.* at nu 0\.49 .* 2\.1 times") as told:
+        body(bar=mesh.hex_box((10, 1, 1), size), nu=0.49, element=None)
+    assert told[0].filename == __file__
+    with pytest.warns(LockingWarning, match=r"2 cells .*split_tets"):
+        body(bar=mesh.tet_box((20, 2, 2), size), element=None)
+    quiet = (
+        {"bar": mesh.hex_box((60, 6, 6), size)},
+        {"bar": mesh.hex_box((2, 2, 2), (0.01, 0.01, 0.01)), "nu": 0.49},
+        {"bar": mesh.hex_box((10, 1, 1), size), "element": "assumed_strain"},
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for given in quiet:
+            body(**{"element": None, **given})
+
+
+@pytest.mark.parametrize("cells", [(10, 2, 2), (20, 2, 2), (20, 4, 4)])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
+def test_the_stiffness_told_is_what_a_beam_has(nu, cells):
+    told, count = expected_stiffness(mesh.hex_box(cells, (1.0, 0.1, 0.1)), nu)
+    assert count == cells[2]
+    assert told == pytest.approx(1.0 / tip_share(cells, nu, element="standard")[0], rel=0.1)

@@ -12,8 +12,10 @@ from tests.covering import covering
 from tests.gradients import check_directions
 from tests.helpers import check_layer
 from tests.soft.cases import (
+    KINDS,
     SHARP,
     deformed,
+    element_of,
     irregular_mesh,
     leaf,
     noise,
@@ -71,13 +73,16 @@ def layer_of(body, names, num_steps=2):
     return layer
 
 
-@covering(integrator=INTEGRATORS, kind=["hex", "tet"], per_element=[False, True])
+@covering(integrator=INTEGRATORS, kind=KINDS, per_element=[False, True])
 def test_every_input(integrator, kind, per_element):
     """Two steps (three for BDF2, whose third is the first with gradients of two old states)."""
-    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    m = irregular_mesh(
+        kind, (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1), (1.0, 1.0, 1.0)
+    )
     fixed = rail_mask(m)
     body = soft_body(
         m,
+        element=element_of(kind),
         fixed=fixed,
         muscles=two_muscles(),
         integrator=integrator,
@@ -93,12 +98,15 @@ def test_every_input(integrator, kind, per_element):
     check_directions(layer, args, seeds=(0, 1), **TOLERANCE)
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method(method, kind):
     m = irregular_mesh(kind, (1, 1, 1), (1.0, 1.0, 1.0))
     body = soft_body(
-        m, fixed=torch.tensor([0, 1]), solver=soft.SolverOptions(method=method, **SHARP)
+        m,
+        element=element_of(kind),
+        fixed=torch.tensor([0, 1]),
+        solver=soft.SolverOptions(method=method, **SHARP),
     )
     inputs = all_inputs(m)
     names = ("x", "v", "external_force", "dirichlet_target", "youngs_modulus", "rayleigh_beta")
@@ -291,12 +299,15 @@ def test_checkpoints_change_nothing(integrator, block):
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_batch_equals_one_by_one(integrator, kind):
-    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    m = irregular_mesh(
+        kind, (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1), (1.0, 1.0, 1.0)
+    )
     body = soft_body(
         m,
+        element=element_of(kind),
         fixed=rail_mask(m),
         muscles=two_muscles()[:1],
         integrator=integrator,

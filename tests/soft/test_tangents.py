@@ -4,7 +4,15 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from tests.soft.cases import irregular_mesh, noise, rail_mask, soft_body, two_muscles
+from tests.soft.cases import (
+    KINDS,
+    element_of,
+    irregular_mesh,
+    noise,
+    rail_mask,
+    soft_body,
+    two_muscles,
+)
 
 STEPS = 5  # BDF2 takes its first two with less history
 IMPLICIT = ["implicit_euler", "bdf2", "implicit_midpoint"]
@@ -12,7 +20,10 @@ STATE, SIGNALS = ("x", "v"), ("external_force", "activation", "dirichlet_target"
 
 
 def make_body(kind="hex", integrator="bdf2", **changes):
-    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    m = irregular_mesh(
+        kind, (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1), (1.0, 1.0, 1.0)
+    )
+    changes["element"] = element_of(kind)
     arguments = {"fixed": rail_mask(m), "muscles": two_muscles(), "integrator": integrator}
     return soft_body(m, **{**arguments, "rayleigh_beta": 0.02, **changes})
 
@@ -86,7 +97,7 @@ def assert_close(found, expected, rtol):
     assert float((found - expected).norm()) < rtol * float(expected.norm())
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("integrator", IMPLICIT)
 def test_against_differences(integrator, kind):
     body = make_body(kind, integrator)
@@ -100,7 +111,7 @@ def test_against_differences(integrator, kind):
 
 
 @pytest.mark.parametrize("material", ["pd", "stable_neo_hookean"])
-@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("integrator", IMPLICIT)
 def test_against_the_adjoint(integrator, kind, material):
     """<w, J p> = <J' w, p> for a direction p that moves everything."""
@@ -119,9 +130,10 @@ def test_against_the_adjoint(integrator, kind, material):
         assert abs(forward - reverse) < 1e-9 * size
 
 
-def test_damping_that_starts_to_act():
+@pytest.mark.parametrize("kind", ["hex", "assumed_strain"])
+def test_damping_that_starts_to_act(kind):
     """A body without damping, along a direction that gives it some."""
-    body = make_body(rayleigh_beta=0.0)
+    body = make_body(kind, rayleigh_beta=0.0)
     values = {n: v for n, v in inputs_of(body).items() if n != "rayleigh_beta"}
     given = {**values, "rayleigh_beta": torch.zeros(body.mesh.num_elements, dtype=torch.float64)}
     names = ["rayleigh_beta", "youngs_modulus"]

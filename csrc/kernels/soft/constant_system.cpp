@@ -3,6 +3,7 @@
 #include <limits>
 
 #include "kernels/linalg/cholesky_symbolic.h"
+#include "kernels/soft/hourglass.h"
 #include "kernels/subscript.h"
 
 namespace diffsim {
@@ -16,10 +17,13 @@ void add_group(const SoftModel& model, const ElementBlock& block,
                const std::vector<std::int32_t>& slots, Index g, const double* kappa,
                const double* direction, Vector& values) {
   constexpr int n = Group::kNodes;
-  constexpr int per_group = n == 8 ? 1 : kLanes;
+  constexpr int per_group = Group::kInLanes ? kLanes : 1;
   const auto& shape = Group::shape(block, g);
   const Lane weight = shape.weight * Group::element_value(block, g, kappa);
   Lane along[n];
+  Lane modes[8][8];
+  if constexpr (std::is_same_v<Group, MeanHexGroup>)
+    hourglass::scalar_matrix(block.hourglass[at(block.mean_class[at(g)])], modes);
   if (direction) {
     for (int a = 0; a < n; ++a) {
       along[a] = broadcast(0.0);
@@ -33,7 +37,9 @@ void add_group(const SoftModel& model, const ElementBlock& block,
                                      : shape.grad[a][0] * shape.grad[b][0] +
                                            shape.grad[a][1] * shape.grad[b][1] +
                                            shape.grad[a][2] * shape.grad[b][2];
-      const Lane k = weight * product;
+      Lane k = weight * product;
+      if constexpr (std::is_same_v<Group, MeanHexGroup>)
+        if (!direction) k += modes[a][b] * Group::element_value(block, g, kappa);
       for (int lane = 0; lane < per_group; ++lane) {
         const Index e = g * per_group + lane;
         if (e >= block.num_elements) break;
@@ -54,7 +60,7 @@ Vector scalar_matrix(const SoftModel& model, const ConstantSystemInputs& in) {
       add_group<Group>(model, model.fiber, model.fiber_slot, g, in.fiber_kappa,
                        model.fiber_directions.data(), values);
   };
-  model.solid.is_hex ? add(HexGroup{}) : add(TetGroup{});
+  with_group(model.solid, add);
   for (Index i = 0; i < model.num_nodes; ++i) values[at(model.diagonal[at(i)])] += in.inertia[i];
   return values;
 }

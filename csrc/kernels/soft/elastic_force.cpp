@@ -7,16 +7,15 @@
 namespace diffsim {
 namespace {
 
-std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in,
-                                    ThreadPool& pool) {
+DampingFrames frames_of(const SoftModel& model, const StepInputs& in, ThreadPool& pool) {
   if (!in.parameters.damp_mu) return {};
   return damping_frames(model, in.x_frame, in.x_velocity, pool);
 }
 
 /// Derivative of the gradient along z [N], overwritten.
-void product_along(const SoftModel& model, const StepInputs& in,
-                   const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                   double* out, ElasticityScratch& scratch, ThreadPool& pool) {
+void product_along(const SoftModel& model, const StepInputs& in, const DampingFrames& frames,
+                   const double* x, const double* z, double* out, ElasticityScratch& scratch,
+                   ThreadPool& pool) {
   tangent_product(model, in.parameters, frames, x, z, out, scratch, pool);
   if (model.chambers.num_chambers == 0) return;
   Vector values(static_cast<std::size_t>(model.values_size()), 0.0);
@@ -49,7 +48,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
   scratch.keep_samples = true;
-  const std::vector<DampingFrame> frames = frames_of(model, in, pool);
+  const DampingFrames frames = frames_of(model, in, pool);
   product_along(model, in, frames, x, z, grad_x, scratch, pool);
   parameter_adjoint(model, in.parameters, x, z, out, scratch, pool);
   damping_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
@@ -61,7 +60,7 @@ void elastic_gradient_tangent(const SoftModel& model, const StepInputs& in, cons
                               int num_threads) {
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
-  const std::vector<DampingFrame> frames = frames_of(model, in, pool);
+  const DampingFrames frames = frames_of(model, in, pool);
   const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
   parameter_tangent(model, in.parameters, frames, x, 1, directions, out, scratch, pool);
   if (directions.pressure) add_pressure_gradient(model, directions.pressure, x, out, pool);

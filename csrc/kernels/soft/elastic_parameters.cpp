@@ -1,6 +1,7 @@
 // Derivatives of the elastic force with respect to the energy's parameters.
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_stage.h"
+#include "kernels/soft/hourglass.h"
 
 namespace diffsim {
 namespace {
@@ -14,7 +15,7 @@ constexpr Index kDirections = 16;
 ///   z . grad D = Y : T(S),  d/dF_n = Z T(S) + delta T(Y),  d/dF_v = -F_n T(Y).
 template <typename Group>
 void damping_adjoint_of(const SoftModel& model, const SoftParameters& p,
-                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                        const DampingFrames& frames, const double* x, const double* z,
                         const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   std::fill(scratch.vectors.begin(), scratch.vectors.end(), 0.0);
@@ -27,8 +28,8 @@ void damping_adjoint_of(const SoftModel& model, const SoftParameters& p,
       const auto& shape = Group::shape(solid, g);
       for (int part = 0; part < kParts; ++part) {
         Native Fn[9], delta[9], S[9], Y[9], TS[9], TY[9], B[9];
-        split_matrix(frames[at(g)].Fn, part, Fn);
-        split_matrix(frames[at(g)].Fv, part, delta);
+        split_matrix(frames.solid[at(g)].Fn, part, Fn);
+        split_matrix(frames.solid[at(g)].Fv, part, delta);
         for (int i = 0; i < 9; ++i) delta[i] = F[part][i] - delta[i];
         const Native d_mu = Group::part_value(solid, g, part, p.damp_mu);
         const Native d_lambda = Group::part_value(solid, g, part, p.damp_lambda);
@@ -52,8 +53,10 @@ void damping_adjoint_of(const SoftModel& model, const SoftParameters& p,
         Group::add_element_value(solid, g, products, out.damp_mu);
         Group::add_element_value(solid, g, traces, out.damp_lambda);
       }
-      scatter_stress(shape, A, scratch.vectors.data() + g * solid.vectors_size());
+      scatter_stress(Group{}, shape, A, scratch.vectors.data() + g * solid.vectors_size());
     });
+    hourglass::add_damping_adjoint(model, p, frames, x, z, frame_pass, out, scratch.vectors.data(),
+                                   pool);
     gather_vectors(model, scratch.vectors.data(), frame_pass ? out.x_frame : out.x_velocity, pool);
   }
 }
@@ -159,9 +162,8 @@ struct UnitStresses {
 /// Directions [first, last) into their vectors buffers, one behind the other.
 template <typename Group, typename M>
 void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
-                          const std::vector<DampingFrame>& frames, const double* x, Index first,
-                          Index last, const ParameterDirections& d, double* vectors,
-                          ThreadPool& pool) {
+                          const DampingFrames& frames, const double* x, Index first, Index last,
+                          const ParameterDirections& d, double* vectors, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
   for_stages(solid, pool, [&](Index begin, int count) {
@@ -172,7 +174,7 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
       for (Index k = first; k < last; ++k) {
         Native P[kParts][9];
         for (int part = 0; part < kParts; ++part) {
-          const Weights<M> w = weights_along<Group, M>(solid, g, part, d.weights, k);
+          const Weights<M> w = weights_along<Group, M>(model, g, part, d.weights, k);
           const Native(*own)[9] = unit.P[n * kParts + part];
           for (int i = 0; i < 9; ++i) {
             P[part][i] = w[0] * own[0][i];
@@ -180,8 +182,9 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
           }
         }
         if (p.damp_mu)
-          add_damping_tangent<Group>(model, p, frames[at(g)], stage.F + n * kParts, g, k, d, P);
-        scatter_stress(Group::shape(solid, g), P,
+          add_damping_tangent<Group>(model, p, frames.solid[at(g)], stage.F + n * kParts, g, k, d,
+                                     P);
+        scatter_stress(Group{}, Group::shape(solid, g), P,
                        vectors + (k - first) * model.vectors_size + g * solid.vectors_size());
       }
     }
@@ -201,7 +204,7 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
         for (int i = 0; i < 9; ++i)
           P[part][i] = tension * f[part].state.unit[i / 3] * f[part].state.direction[i % 3];
       }
-      scatter_stress(Group::shape(fiber, g), P,
+      scatter_stress(Group{}, Group::shape(fiber, g), P,
                      vectors + (k - first) * model.vectors_size + model.fiber_vectors_start +
                          g * fiber.vectors_size());
     }
@@ -258,6 +261,7 @@ void energy_slopes(const SoftModel& model, const SoftParameters& p, const double
   with_types(model, [&](auto group, auto material) {
     energy_slopes_of<decltype(group), decltype(material)>(model, p, x, out, scratch, pool);
   });
+  hourglass::add_energy_slopes(model, x, out.weights, pool);
 }
 
 void parameter_adjoint(const SoftModel& model, const SoftParameters& p, const double* x,
@@ -267,25 +271,24 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& p, const do
   with_types(model, [&](auto group, auto material) {
     parameter_adjoint_of<decltype(group), decltype(material)>(model, p, x, z, out, scratch, pool);
   });
+  hourglass::add_parameter_adjoint(model, x, z, out.weights, pool);
 }
 
-void damping_adjoint(const SoftModel& model, const SoftParameters& p,
-                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                     const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+void damping_adjoint(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                     const double* x, const double* z, const ParameterAdjoint& out,
+                     ElasticityScratch& scratch, ThreadPool& pool) {
   if (!p.damp_mu) return;
   std::fill(out.damp_mu, out.damp_mu + model.solid.num_elements, 0.0);
   std::fill(out.damp_lambda, out.damp_lambda + model.solid.num_elements, 0.0);
   scratch.vectors.resize(at(model.vectors_size));
-  if (model.solid.is_hex)
-    damping_adjoint_of<HexGroup>(model, p, frames, x, z, out, scratch, pool);
-  else
-    damping_adjoint_of<TetGroup>(model, p, frames, x, z, out, scratch, pool);
+  with_group(model.solid, [&](auto group) {
+    damping_adjoint_of<decltype(group)>(model, p, frames, x, z, out, scratch, pool);
+  });
 }
 
-void parameter_tangent(const SoftModel& model, const SoftParameters& p,
-                       const std::vector<DampingFrame>& frames, const double* x, Index count,
-                       const ParameterDirections& directions, double* out,
-                       ElasticityScratch& scratch, ThreadPool& pool) {
+void parameter_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                       const double* x, Index count, const ParameterDirections& directions,
+                       double* out, ElasticityScratch& scratch, ThreadPool& pool) {
   scratch.vectors.resize(at(std::min(count, kDirections) * model.vectors_size));
   for (Index first = 0; first < count; first += kDirections) {
     const Index last = std::min(count, first + kDirections);
@@ -293,6 +296,10 @@ void parameter_tangent(const SoftModel& model, const SoftParameters& p,
       parameter_tangent_of<decltype(group), decltype(material)>(
           model, p, frames, x, first, last, directions, scratch.vectors.data(), pool);
     });
+    for (Index k = first; k < last; ++k)
+      hourglass::add_parameter_tangent(model, p, frames, x, k, directions,
+                                       scratch.vectors.data() + (k - first) * model.vectors_size,
+                                       pool);
     for (Index k = first; k < last; ++k)
       gather_vectors(model, scratch.vectors.data() + (k - first) * model.vectors_size,
                      out + 3 * k * model.num_nodes, pool);

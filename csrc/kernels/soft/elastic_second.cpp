@@ -2,6 +2,7 @@
 
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_stage.h"
+#include "kernels/soft/hourglass.h"
 
 namespace diffsim {
 namespace {
@@ -75,7 +76,8 @@ void for_solid_jets(const SoftModel& model, const double* x, const double* first
                                  turned[3 * i + 1] * frame.V[3 * j + 1] +
                                  turned[3 * i + 2] * frame.V[3 * j + 2];
       }
-      scatter_stress(Group::shape(solid, g), P, scratch.vectors.data() + g * solid.vectors_size());
+      scatter_stress(Group{}, Group::shape(solid, g), P,
+                     scratch.vectors.data() + g * solid.vectors_size());
     }
   });
 }
@@ -122,7 +124,7 @@ void solid_tangent(const SoftModel& model, const SoftParameters& p, const double
         for (int part = 0; part < kParts; ++part) {
           const auto& P = jets[part].P;
           const Weights<M> w = weights_at<Group, M>(solid, g, part, p.weights);
-          const Weights<M> dw = weights_along<Group, M>(solid, g, part, along.weights, k);
+          const Weights<M> dw = weights_along<Group, M>(model, g, part, along.weights, k);
           for (int i = 0; i < 9; ++i) {
             Native total = w[0] * P[0][i].ab;
             for (int m = 1; m < M::kWeights; ++m) total += w[m] * P[m][i].ab;
@@ -182,7 +184,7 @@ void for_fiber_jets(const SoftModel& model, const SoftParameters& p, const doubl
     use(g, jets, pull);
     for (int part = 0; part < kParts; ++part)
       for (int i = 0; i < 9; ++i) P[part][i] = pull[part][i / 3] * direction[part][i % 3];
-    scatter_stress(Group::shape(fiber, g), P,
+    scatter_stress(Group{}, Group::shape(fiber, g), P,
                    scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
   });
 }
@@ -250,6 +252,7 @@ void linearized_adjoint(const SoftModel& model, const SoftParameters& p, const d
     solid_adjoint<Group, decltype(material)>(model, p, x, d, z, out, scratch, pool);
     fiber_adjoint<Group>(model, p, x, d, z, out, scratch, pool);
   });
+  hourglass::add_linearized_adjoint(model, p, x, d, z, out.weights, scratch.vectors.data(), pool);
   gather_vectors(model, scratch.vectors.data(), force, pool);
 }
 
@@ -262,6 +265,7 @@ void linearized_tangent(const SoftModel& model, const SoftParameters& p, const d
     solid_tangent<Group, decltype(material)>(model, p, x, d, dx, along, k, scratch, pool);
     fiber_tangent<Group>(model, p, x, d, dx, along, k, scratch, pool);
   });
+  hourglass::add_linearized_tangent(model, p, x, d, dx, along, k, scratch.vectors.data(), pool);
   gather_vectors(model, scratch.vectors.data(), force, pool);
 }
 

@@ -1,6 +1,7 @@
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_matrix.h"
 #include "kernels/soft/element_stage.h"
+#include "kernels/soft/hourglass.h"
 #include "kernels/soft/small_tangent.h"
 
 namespace diffsim {
@@ -8,10 +9,10 @@ namespace {
 
 using namespace elements;
 
-// Tasks whose element matrices are held at once while the tangent is assembled: on few threads less
-// than a core's own cache (hexahedra: 384 KiB), on many some for each, so that their elements have
-// rows for all.
-constexpr Index kLeastTasks = 8, kTasksPerThread = 4;
+// Tasks whose element matrices are held at once while the tangent is assembled: on few threads
+// kLeastTasks of the kind, less than a core's own cache (hexahedra: 384 KiB), on many some for
+// each, so that their elements have rows for all.
+constexpr Index kTasksPerThread = 4;
 // How many elements ahead of its use the place of an element's matrix is asked for: in the order of
 // elements it comes from memory in pieces that no stream of the hardware's follows.
 constexpr Index kElementsAhead = 2;
@@ -20,11 +21,7 @@ constexpr Index kZeros = 1 << 16;
 
 /// How the matrices of a group are made and read.
 struct HexMatrices {
-  static constexpr Index kSize = kHexMatrixSize, kElements = 1;
-
-  static void make(const ElementBlock& block, Index g, const GroupTangent& tangent, double* out) {
-    element_matrix(block.hex_nodes[at(block.hex_class[at(g)])], tangent, out);
-  }
+  static constexpr Index kSize = kHexMatrixSize, kElements = 1, kLeastTasks = 8;
   static void read(const double* matrix, int, int a, int b, double out[9]) {
     element_block(matrix, a, b, a, b, out);
   }
@@ -32,12 +29,11 @@ struct HexMatrices {
     element_block(matrix, p.row, p.column, p.first, p.second, out);
   }
 };
-struct TetMatrices {
-  static constexpr Index kSize = kTetMatrixSize, kElements = kLanes;
+template <int kNodes>
+struct LaneMatrices {
+  static constexpr Index kSize = lane_matrix_size(kNodes), kElements = kLanes;
+  static constexpr Index kLeastTasks = kNodes == 4 ? 8 : 1;
 
-  static void make(const ElementBlock& block, Index g, const GroupTangent& tangent, double* out) {
-    element_matrix(TetGroup::shape(block, g), tangent, out);
-  }
   static void read(const double* matrix, int lane, int a, int b, double out[9]) {
     const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
     for (int i = 0; i < 9; ++i) out[i] = from[i * kLanes];
@@ -50,7 +46,7 @@ struct TetMatrices {
   }
 };
 template <typename Group>
-using MatricesOf = std::conditional_t<Group::kNodes == 8, HexMatrices, TetMatrices>;
+using MatricesOf = std::conditional_t<Group::kInLanes, LaneMatrices<Group::kNodes>, HexMatrices>;
 
 DIFFSIM_INLINE void add_block(double* to, const double block[9]) {
   for (int i = 0; i < 3; ++i)
@@ -120,24 +116,20 @@ void scatter_matrices(const SoftModel& model, const ElementBlock& block,
   });
 }
 
-/// Assembles one block; fill(first, count, tangents) writes the tangents of a stage's groups.
-template <typename Group, typename Fill>
+/// Assembles one block; matrices(first, count, out) writes those of a stage's groups.
+template <typename Group, typename Make>
 void assemble(const SoftModel& model, const ElementBlock& block,
-              const std::vector<std::int32_t>& slots, Fill&& fill, double* values,
+              const std::vector<std::int32_t>& slots, Make&& matrices, double* values,
               ElasticityScratch& scratch, ThreadPool& pool) {
   using Matrices = MatricesOf<Group>;
-  const Index chunk = kTask * std::max(kLeastTasks, kTasksPerThread * pool.size());
+  const Index chunk = kTask * std::max(Matrices::kLeastTasks, kTasksPerThread * pool.size());
   scratch.blocks.resize(at(std::min(chunk, block.num_groups) * Matrices::kSize));
   for (Index first = 0; first < block.num_groups; first += chunk) {
     const Index last = std::min(block.num_groups, first + chunk);
     pool.run(num_tasks(last - first, kTask), [&](Index task) {
       const Index begin = first + task * kTask;
       for_stages(begin, std::min(last, begin + kTask), [&](Index g, int count) {
-        GroupTangent tangents[kStage];
-        fill(g, count, tangents);
-        for (int n = 0; n < count; ++n)
-          Matrices::make(block, g + n, tangents[n],
-                         scratch.blocks.data() + (g + n - first) * Matrices::kSize);
+        matrices(g, count, scratch.blocks.data() + (g - first) * Matrices::kSize);
       });
     });
     scatter_matrices<Group>(model, block, slots, scratch.blocks.data(), first, last, values, pool);
@@ -146,17 +138,39 @@ void assemble(const SoftModel& model, const ElementBlock& block,
 
 /// Whether a group of fibers lies in one group of the solid, to whose tangent its own is added.
 template <typename Group>
-constexpr bool kFibersInSolid = Group::kNodes == 8;
+constexpr bool kFibersInSolid = !Group::kInLanes;
 
-/// Fills in the tangents dP/dF of a stage's groups, of the solid and of the fibers.
+/// Element matrices of a stage's groups, of the solid and of the fibers, by their tangents dP/dF.
 template <typename Group, typename M>
 struct TangentFill {
   const SoftModel& model;
   const SoftParameters& p;
-  const std::vector<DampingFrame>& frames;
+  const DampingFrames& frames;
   const double* x;
   bool clamp;
   KeptSamples<M> kept;
+
+  void solid_matrices(Index first, int count, double* out) const {
+    GroupTangent tangents[kStage];
+    solid(first, count, tangents);
+    for (int n = 0; n < count; ++n, out += MatricesOf<Group>::kSize) {
+      if constexpr (!Group::kInLanes)
+        element_matrix(model.solid.hex_nodes[at(model.solid.hex_class[at(first + n)])], tangents[n],
+                       out);
+      else if constexpr (Group::kNodes == 8)
+        hourglass::element_matrix(model, p, frames, x, clamp, first + n, tangents[n], out);
+      else
+        element_matrix(Group::shape(model.solid, first + n), tangents[n], out);
+    }
+  }
+
+  void fiber_matrices(Index first, int count, double* out) const {
+    for (int n = 0; n < count; ++n, out += MatricesOf<Group>::kSize) {
+      GroupTangent tangent{};
+      fiber(first + n, tangent);
+      element_matrix(Group::shape(model.fiber, first + n), tangent, out);
+    }
+  }
 
   void solid(Index first, int count, GroupTangent* tangents) const {
     const ElementBlock& block = model.solid;
@@ -170,7 +184,7 @@ struct TangentFill {
       stiffness<M>(sample, w.data(), clamp, H);
       if (!p.damp_mu) continue;
       Native Fn[9];
-      split_matrix(frames[at(g)].Fn, part, Fn);
+      split_matrix(frames.solid[at(g)].Fn, part, Fn);
       add_viscous_tangent(Fn, Group::part_value(block, g, part, p.damp_mu),
                           Group::part_value(block, g, part, p.damp_lambda), H);
     }
@@ -190,24 +204,19 @@ struct TangentFill {
       add_fiber_tangent(f.state, f.pull, clamp, tangent.H[part]);
     }
   }
-
-  void fibers(Index first, int count, GroupTangent* tangents) const {
-    std::fill(tangents, tangents + count, GroupTangent{});
-    for (int n = 0; n < count; ++n) fiber(first + n, tangents[n]);
-  }
 };
 
 template <typename Group, typename M>
-void tangent_of(const SoftModel& model, const SoftParameters& p,
-                const std::vector<DampingFrame>& frames, const double* x, bool clamp,
-                double* values, ElasticityScratch& scratch, ThreadPool& pool) {
+void tangent_of(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                const double* x, bool clamp, double* values, ElasticityScratch& scratch,
+                ThreadPool& pool) {
   const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_samples<M>(scratch, model, x)};
-  const auto solid = [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); };
+  const auto solid = [&](Index g, int count, double* out) { fill.solid_matrices(g, count, out); };
   pool.run_ranges(model.values_size(), kZeros,
                   [&](Index begin, Index end) { std::fill(values + begin, values + end, 0.0); });
   assemble<Group>(model, model.solid, model.solid_slot, solid, values, scratch, pool);
   if constexpr (kFibersInSolid<Group>) return;
-  const auto fibers = [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); };
+  const auto fibers = [&](Index g, int count, double* out) { fill.fiber_matrices(g, count, out); };
   assemble<Group>(model, model.fiber, model.fiber_slot, fibers, values, scratch, pool);
 }
 
@@ -225,12 +234,12 @@ void scatter_product(const ElementBlock& block, Index g, const GroupTangent& tan
       P[part][a] = total;
     }
   }
-  scatter_stress(Group::shape(block, g), P, vectors + g * block.vectors_size());
+  scatter_stress(Group{}, Group::shape(block, g), P, vectors + g * block.vectors_size());
 }
 
 template <typename Group, typename M>
 void tangent_product_of(const SoftModel& model, const SoftParameters& p,
-                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                        const DampingFrames& frames, const double* x, const double* z,
                         ElasticityScratch& scratch, ThreadPool& pool) {
   const TangentFill<Group, M> fill{model, p, frames, x, false, kept_samples<M>(scratch, model, x)};
   double* fibers = scratch.vectors.data() + model.fiber_vectors_start;
@@ -244,25 +253,24 @@ void tangent_product_of(const SoftModel& model, const SoftParameters& p,
     std::fill(fibers, scratch.vectors.data() + model.vectors_size, 0.0);
   } else {
     for_groups(model.fiber, pool, [&](Index g) {
-      GroupTangent tangent;
-      fill.fibers(g, 1, &tangent);
+      GroupTangent tangent{};
+      fill.fiber(g, tangent);
       scatter_product<Group>(model.fiber, g, tangent, z, fibers);
     });
   }
 }
 
-/// Adds the matrices of one block to that of a small body; fill as in assemble().
-template <typename Group, typename Fill>
-void add_to_small(const ElementBlock& block, const std::vector<SmallPlace>& places, Fill&& fill,
+/// Adds the matrices of one block to that of a small body; matrices as in assemble().
+template <typename Group, typename Make>
+void add_to_small(const ElementBlock& block, const std::vector<SmallPlace>& places, Make&& matrices,
                   SmallCholesky& to) {
   using Matrices = MatricesOf<Group>;
   constexpr int kPairs = Group::kNodes * (Group::kNodes + 1) / 2;
-  alignas(64) double matrix[Matrices::kSize];
+  alignas(64) double all[kStage * Matrices::kSize];
   for_stages(0, block.num_groups, [&](Index first, int count) {
-    GroupTangent tangents[kStage];
-    fill(first, count, tangents);
+    matrices(first, count, all);
     for (int k = 0; k < count; ++k) {
-      Matrices::make(block, first + k, tangents[k], matrix);
+      const double* matrix = all + k * Matrices::kSize;
       const Index begin = (first + k) * Matrices::kElements;
       const Index end = std::min(block.num_elements, begin + Matrices::kElements);
       for (Index e = begin; e < end; ++e)
@@ -301,9 +309,9 @@ SmallPlaces small_places(const SoftModel& model, const SmallPattern& pattern) {
           places_of(model, model.fiber, model.fiber_slot, pattern)};
 }
 
-void add_small_tangent(const SoftModel& model, const SoftParameters& p,
-                       const std::vector<DampingFrame>& frames, const double* x,
-                       const SmallPlaces& places, ElasticityScratch& scratch, SmallCholesky& to) {
+void add_small_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                       const double* x, const SmallPlaces& places, ElasticityScratch& scratch,
+                       SmallCholesky& to) {
   with_types(model, [&](auto group, auto material) {
     using Group = decltype(group);
     using M = decltype(material);
@@ -311,27 +319,28 @@ void add_small_tangent(const SoftModel& model, const SoftParameters& p,
                                      x,     false, kept_samples<M>(scratch, model, x)};
     add_to_small<Group>(
         model.solid, places.solid,
-        [&](Index g, int count, GroupTangent* out) { fill.solid(g, count, out); }, to);
+        [&](Index g, int count, double* out) { fill.solid_matrices(g, count, out); }, to);
     if constexpr (!kFibersInSolid<Group>)
       add_to_small<Group>(
           model.fiber, places.fiber,
-          [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); }, to);
+          [&](Index g, int count, double* out) { fill.fiber_matrices(g, count, out); }, to);
   });
 }
 
-void tangent_product(const SoftModel& model, const SoftParameters& p,
-                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                     double* out, ElasticityScratch& scratch, ThreadPool& pool) {
+void tangent_product(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                     const double* x, const double* z, double* out, ElasticityScratch& scratch,
+                     ThreadPool& pool) {
   scratch.vectors.resize(at(model.vectors_size));
   with_types(model, [&](auto group, auto material) {
     tangent_product_of<decltype(group), decltype(material)>(model, p, frames, x, z, scratch, pool);
   });
+  hourglass::add_product(model, p, frames, x, z, scratch.vectors.data(), pool);
   gather_vectors(model, scratch.vectors.data(), out, pool);
 }
 
-void tangent(const SoftModel& model, const SoftParameters& p,
-             const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
-             ElasticityScratch& scratch, ThreadPool& pool) {
+void tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+             const double* x, bool clamp, double* values, ElasticityScratch& scratch,
+             ThreadPool& pool) {
   with_types(model, [&](auto group, auto material) {
     tangent_of<decltype(group), decltype(material)>(model, p, frames, x, clamp, values, scratch,
                                                     pool);

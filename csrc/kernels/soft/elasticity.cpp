@@ -2,6 +2,7 @@
 
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_stage.h"
+#include "kernels/soft/hourglass.h"
 
 namespace diffsim {
 namespace {
@@ -10,8 +11,8 @@ using namespace elements;
 
 template <typename Group, typename M>
 double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
-                          const std::vector<DampingFrame>& frames, const double* x,
-                          ElasticityScratch& scratch, ThreadPool& pool) {
+                          const DampingFrames& frames, const double* x, ElasticityScratch& scratch,
+                          ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
   scratch.vectors.resize(at(model.vectors_size));
@@ -29,15 +30,15 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
         Native psi = stress<M>(stage.sample(r), w.data(), P[part]);
         if (p.damp_mu) {
           Native Fn[9], delta[9];
-          split_matrix(frames[at(g)].Fn, part, Fn);
-          split_matrix(frames[at(g)].Fv, part, delta);
+          split_matrix(frames.solid[at(g)].Fn, part, Fn);
+          split_matrix(frames.solid[at(g)].Fv, part, delta);
           for (int i = 0; i < 9; ++i) delta[i] = stage.F[r][i] - delta[i];
           psi += add_viscous_stress(Fn, delta, Group::part_value(solid, g, part, p.damp_mu),
                                     Group::part_value(solid, g, part, p.damp_lambda), P[part]);
         }
         energy[part] = split(shape.weight, part) * psi;
       }
-      scatter_stress(shape, P, scratch.vectors.data() + g * solid.vectors_size());
+      scatter_stress(Group{}, shape, P, scratch.vectors.data() + g * solid.vectors_size());
       scratch.partial[at(g)] = sum(fold(energy));
     }
   });
@@ -49,7 +50,7 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
       const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
       energy[part] = split(shape.weight, part) * fiber_stress(f.state, f.pull, P[part]);
     }
-    scatter_stress(shape, P,
+    scatter_stress(Group{}, shape, P,
                    scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
     scratch.partial[at(solid.num_groups + g)] = sum(fold(energy));
   });
@@ -60,9 +61,10 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
 
 }  // namespace
 
-std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x_frame,
-                                         const double* x_velocity, ThreadPool& pool) {
-  std::vector<DampingFrame> frames(at(model.solid.num_groups));
+DampingFrames damping_frames(const SoftModel& model, const double* x_frame,
+                             const double* x_velocity, ThreadPool& pool) {
+  DampingFrames frames;
+  frames.solid.resize(at(model.solid.num_groups));
   const auto fill = [&](auto group) {
     using Group = decltype(group);
     const auto one = [&](Index g, const double* x, Lane out[9]) {
@@ -72,21 +74,23 @@ std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x
         for (int i = 0; i < 9; ++i) join(out[i], part, F[part][i]);
     };
     for_groups(model.solid, pool, [&](Index g) {
-      one(g, x_frame, frames[at(g)].Fn);
-      one(g, x_velocity, frames[at(g)].Fv);
+      one(g, x_frame, frames.solid[at(g)].Fn);
+      one(g, x_velocity, frames.solid[at(g)].Fv);
     });
   };
-  model.solid.is_hex ? fill(HexGroup{}) : fill(TetGroup{});
+  with_group(model.solid, fill);
+  hourglass::fill_frames(model, x_frame, x_velocity, frames, pool);
   return frames;
 }
 
-double energy_gradient(const SoftModel& model, const SoftParameters& p,
-                       const std::vector<DampingFrame>& frames, const double* x, double* gradient,
-                       ElasticityScratch& scratch, ThreadPool& pool) {
-  const double energy = with_types(model, [&](auto group, auto material) {
+double energy_gradient(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                       const double* x, double* gradient, ElasticityScratch& scratch,
+                       ThreadPool& pool) {
+  double energy = with_types(model, [&](auto group, auto material) {
     return energy_gradient_of<decltype(group), decltype(material)>(model, p, frames, x, scratch,
                                                                    pool);
   });
+  energy += hourglass::add_gradient(model, p, frames, x, scratch, pool);
   gather_vectors(model, scratch.vectors.data(), gradient, pool);
   return energy;
 }
@@ -108,7 +112,7 @@ std::int64_t count_inverted(const SoftModel& model, const double* x) {
       Group::add_element_value(model.solid, g, inverted, bad.data());
     }
   };
-  model.solid.is_hex ? count(HexGroup{}) : count(TetGroup{});
+  with_group(model.solid, count);
   return std::count_if(bad.begin(), bad.end(), [](double n) { return n > 0.0; });
 }
 

@@ -24,6 +24,14 @@ struct SoftParameters {
 struct DampingFrame {
   Lane Fn[9], Fv[9];
 };
+/// Hourglass amplitudes of the same frames, see hourglass.h.
+struct HourglassFrame {
+  Lane hn[3 * kHourglassModes], hv[3 * kHourglassModes];
+};
+struct DampingFrames {
+  std::vector<DampingFrame> solid;
+  std::vector<HourglassFrame> hourglass;  // empty where there are no hourglass strains
+};
 
 /// Reusable memory of one evaluation at a time, of one model.
 struct ElasticityScratch {
@@ -38,24 +46,24 @@ struct ElasticityScratch {
 
 /// @param[in] x_frame     (num_nodes, 3) predicted positions, F_n [m]
 /// @param[in] x_velocity  (num_nodes, 3) positions that velocity is measured from, F_v [m]
-std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x_frame,
-                                         const double* x_velocity, ThreadPool& pool);
+DampingFrames damping_frames(const SoftModel& model, const double* x_frame,
+                             const double* x_velocity, ThreadPool& pool);
 
 /// Energy E + D [J] and its gradient [N], overwritten.
 double energy_gradient(const SoftModel& model, const SoftParameters& parameters,
-                       const std::vector<DampingFrame>& frames, const double* x, double* gradient,
+                       const DampingFrames& frames, const double* x, double* gradient,
                        ElasticityScratch& scratch, ThreadPool& pool);
 
 /// d^2(E + D)/dx^2 z [N], overwritten, without a matrix: for a single product.
 void tangent_product(const SoftModel& model, const SoftParameters& parameters,
-                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
-                     double* out, ElasticityScratch& scratch, ThreadPool& pool);
+                     const DampingFrames& frames, const double* x, const double* z, double* out,
+                     ElasticityScratch& scratch, ThreadPool& pool);
 
 /// d^2(E + D)/dx^2 [N/m] in the model's layout, overwritten.
 /// @param[in] clamp  drop negative eigenvalues of each sample's tangent
-void tangent(const SoftModel& model, const SoftParameters& parameters,
-             const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
-             ElasticityScratch& scratch, ThreadPool& pool);
+void tangent(const SoftModel& model, const SoftParameters& parameters, const DampingFrames& frames,
+             const double* x, bool clamp, double* values, ElasticityScratch& scratch,
+             ThreadPool& pool);
 
 /// z . d(gradient)/dp for every parameter p of the energy, overwritten.
 struct ParameterAdjoint {
@@ -73,7 +81,7 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
                        ThreadPool& pool);
 /// Its part of damping, where there is any.
 void damping_adjoint(const SoftModel& model, const SoftParameters& parameters,
-                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     const DampingFrames& frames, const double* x, const double* z,
                      const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
 
 /// dE/dp for the weights, stiffnesses and activations of E, without damping, overwritten.
@@ -97,7 +105,7 @@ struct ParameterDirections {
 /// parameter_adjoint.
 /// @param[out] out  (count, num_nodes, 3)
 void parameter_tangent(const SoftModel& model, const SoftParameters& parameters,
-                       const std::vector<DampingFrame>& frames, const double* x, std::int64_t count,
+                       const DampingFrames& frames, const double* x, std::int64_t count,
                        const ParameterDirections& directions, double* out,
                        ElasticityScratch& scratch, ThreadPool& pool);
 

@@ -1,8 +1,9 @@
 // Finite elements in SIMD order: the deformation gradient and its transpose, eight samples at once.
 //
 // A *sample* is one quadrature point of one element. Lanes hold eight samples: the 2x2x2 Gauss
-// points of one hexahedron, or one point each of eight tetrahedra. Such eight samples are a
-// *group*; arithmetic takes it register by register, in kParts *parts*.
+// points of one hexahedron, or one point each of eight elements (tetrahedra, or hexahedra by their
+// mean deformation gradient, see hourglass.h). Such eight samples are a *group*; arithmetic takes
+// it register by register, in kParts *parts*.
 #pragma once
 
 #include <cstdint>
@@ -26,26 +27,49 @@ struct NodeShape {
   alignas(64) double weighted[24][8];  // times the quadrature weight [m^2]
 };
 
+/// Hexahedra at 2x2x2 Gauss points, tetrahedra, hexahedra by their mean deformation gradient with
+/// hourglass strains, eighths of ten-node tetrahedra by the gradient of the whole.
+enum class ElementKind { kHex, kTet, kMeanHex, kEighthTet };
+
+constexpr int kHourglassModes = 4, kHourglassRows = 21, kHourglassWeights = 2;
+/// Doubles of one class of elements in a table of hourglass shapes.
+constexpr int kHourglassTable = 8 * kHourglassModes + 3 * kHourglassRows;
+
+/// What the hourglass strains of a group are made of, see hourglass.h.
+struct HourglassShape {
+  Lane gamma[kHourglassModes][8];  // amplitude of a mode is sum_a gamma_a x_a [-]
+  Lane row[kHourglassRows][3];     // zero in padding lanes [m^(1/2)]
+};
+
 /// Some elements of a mesh, all of one kind: the solid itself, or the elements a muscle runs
 /// through.
 struct ElementBlock {
-  bool is_hex = true;
+  ElementKind kind = ElementKind::kHex;
   std::int64_t num_elements = 0;
   std::int64_t num_groups = 0;
-  std::vector<std::int64_t> nodes;       // (num_elements, 8 or 4)
-  std::vector<GroupShape<8>> hex_shape;  // one per congruence class
-  std::vector<NodeShape> hex_nodes;      // one per congruence class
-  std::vector<std::int64_t> hex_class;   // (num_elements,)
-  std::vector<GroupShape<4>> tet_shape;  // (num_groups,); padding lanes weigh nothing
+  std::vector<std::int64_t> nodes;           // (num_elements, 8 or 4)
+  std::vector<GroupShape<8>> hex_shape;      // one per congruence class
+  std::vector<NodeShape> hex_nodes;          // one per congruence class
+  std::vector<std::int64_t> hex_class;       // (num_elements,)
+  std::vector<GroupShape<4>> tet_shape;      // (num_groups,); padding lanes weigh nothing
+  std::vector<GroupShape<10>> eighth_shape;  // the same, of kEighthTet
+  std::vector<GroupShape<8>> mean_shape;     // of kMeanHex, those that differ; padding as above
+  std::vector<HourglassShape> hourglass;     // the same
+  std::vector<std::int64_t> mean_class;      // (num_groups,)
 
-  int nodes_per_element() const { return is_hex ? 8 : 4; }
-  /// Doubles that one group needs to hold one 3-vector per node (and per lane, for tets).
-  std::int64_t vectors_size() const { return is_hex ? 8 * 3 : 4 * 3 * kLanes; }
+  int nodes_per_element() const {
+    return kind == ElementKind::kTet ? 4 : kind == ElementKind::kEighthTet ? 10 : 8;
+  }
+  /// Whether the samples of a group are of one element each.
+  bool in_lanes() const { return kind != ElementKind::kHex; }
+  /// Doubles that one group needs to hold one 3-vector per node, and per lane where in lanes.
+  std::int64_t vectors_size() const { return nodes_per_element() * 3 * (in_lanes() ? kLanes : 1); }
 };
 
-/// What differs between hexes and tets: how lanes meet nodes.
+/// What differs between the kinds: how lanes meet nodes.
 struct HexGroup {
   static constexpr int kNodes = 8;
+  static constexpr bool kInLanes = false;
   using NodeValue = double;  // all lanes see the same eight nodes
   static Native part_of(NodeValue v, int) { return broadcast<Native>(v); }
 
@@ -74,13 +98,22 @@ struct HexGroup {
   }
 };
 
-struct TetGroup {
-  static constexpr int kNodes = 4;
+/// Eight elements side by side, one sample each.
+template <int kNodesPerElement>
+struct LaneGroup {
+  static constexpr int kNodes = kNodesPerElement;
+  static constexpr bool kInLanes = true;
   using NodeValue = Lane;
   static Native part_of(const NodeValue& v, int part) { return split(v, part); }
 
-  static const GroupShape<4>& shape(const ElementBlock& block, std::int64_t g) {
-    return block.tet_shape[static_cast<std::size_t>(g)];
+  static const GroupShape<kNodes>& shape(const ElementBlock& block, std::int64_t g) {
+    if constexpr (kNodes == 4)
+      return block.tet_shape[static_cast<std::size_t>(g)];
+    else if constexpr (kNodes == 10)
+      return block.eighth_shape[static_cast<std::size_t>(g)];
+    else
+      return block
+          .mean_shape[static_cast<std::size_t>(block.mean_class[static_cast<std::size_t>(g)])];
   }
   /// Element behind a lane; padding lanes repeat the last element (their weight is zero).
   static std::int64_t element(const ElementBlock& block, std::int64_t g, int lane) {
@@ -120,6 +153,24 @@ struct TetGroup {
       out[g * kLanes + lane] += v[lane / kNativeLanes][lane % kNativeLanes];
   }
 };
+using TetGroup = LaneGroup<4>;
+using MeanHexGroup = LaneGroup<8>;
+using EighthTetGroup = LaneGroup<10>;
+
+/// Calls f(group) with the type of a block's groups.
+template <typename F>
+decltype(auto) with_group(const ElementBlock& block, F&& f) {
+  switch (block.kind) {
+    case ElementKind::kTet:
+      return f(TetGroup{});
+    case ElementKind::kMeanHex:
+      return f(MeanHexGroup{});
+    case ElementKind::kEighthTet:
+      return f(EighthTetGroup{});
+    default:
+      return f(HexGroup{});
+  }
+}
 
 /// F = sum_a x_a (grad N_a)^T, row-major (3, 3) [-], of every part of a group.
 template <typename Group>
@@ -144,7 +195,8 @@ inline void deformation_gradient(const ElementBlock& block, std::int64_t g, cons
 
 /// Nodal forces of a stress: f_a = sum over samples of weight P grad N_a [N], into the group's
 /// slice of a vectors buffer (see ElementBlock::vectors_size).
-inline void scatter_stress(const GroupShape<8>& shape, const Native (*P)[9], double* out) {
+inline void scatter_stress(HexGroup, const GroupShape<8>& shape, const Native (*P)[9],
+                           double* out) {
   alignas(64) Native f[24];
   for (int part = 0; part < kParts; ++part) {
     const Native weight = split(shape.weight, part);
@@ -163,12 +215,14 @@ inline void scatter_stress(const GroupShape<8>& shape, const Native (*P)[9], dou
   for (int k = 0; k < 24; k += kNativeLanes) store(out + k, sum_each(f + k));
 }
 
-inline void scatter_stress(const GroupShape<4>& shape, const Native (*P)[9], double* out) {
+template <int kNodes>
+inline void scatter_stress(LaneGroup<kNodes>, const GroupShape<kNodes>& shape, const Native (*P)[9],
+                           double* out) {
   for (int part = 0; part < kParts; ++part) {
     const Native weight = split(shape.weight, part);
     Native Pw[9];
     for (int i = 0; i < 9; ++i) Pw[i] = P[part][i] * weight;
-    for (int a = 0; a < 4; ++a) {
+    for (int a = 0; a < kNodes; ++a) {
       Native grad[3];
       for (int j = 0; j < 3; ++j) grad[j] = split(shape.grad[a][j], part);
       for (int i = 0; i < 3; ++i)
@@ -181,9 +235,11 @@ inline void scatter_stress(const GroupShape<4>& shape, const Native (*P)[9], dou
 /// Where the 3-vector of (element, local node) lies in a vectors buffer, and the step between its
 /// components.
 inline std::int64_t vector_offset(const ElementBlock& block, std::int64_t element, int node) {
-  if (block.is_hex) return element * 24 + node * 3;
+  if (!block.in_lanes()) return element * 24 + node * 3;
   return (element / kLanes) * block.vectors_size() + node * 3 * kLanes + element % kLanes;
 }
-inline std::int64_t vector_stride(const ElementBlock& block) { return block.is_hex ? 1 : kLanes; }
+inline std::int64_t vector_stride(const ElementBlock& block) {
+  return block.in_lanes() ? kLanes : 1;
+}
 
 }  // namespace diffsim

@@ -99,18 +99,21 @@ DIFFSIM_INLINE void element_block(const double* matrix, int a, int b, int first,
       block[3 * i + k] = from[i < k ? 0 : i == k ? 1 : 2][64 * kComponentPair[i][k]];
 }
 
-constexpr std::int64_t kTetMatrixSize = 10 * 9 * kLanes;
+/// Doubles of the matrices of eight elements side by side.
+constexpr std::int64_t lane_matrix_size(int nodes) { return nodes * (nodes + 1) / 2 * 9 * kLanes; }
 
-/// Matrices of eight tetrahedra side by side.
-/// @param[out] out (10, 3, 3, 8): pair of nodes b (b + 1) / 2 + a for a <= b, block, element
-inline void element_matrix(const GroupShape<4>& shape, const GroupTangent& tangent, double* out) {
+/// Matrices of eight elements side by side, one sample each.
+/// @param[out] out (10, 36 or 55, 3, 3, 8): pair of nodes b (b + 1) / 2 + a for a <= b, block,
+/// element
+template <int kNodes>
+void element_matrix(const GroupShape<kNodes>& shape, const GroupTangent& tangent, double* out) {
   for (int part = 0; part < kParts; ++part) {
     const Native* H = tangent.H[part];
     const Native weight = split(shape.weight, part);
-    Native grad[4][3];
-    for (int a = 0; a < 4; ++a)
+    Native grad[kNodes][3];
+    for (int a = 0; a < kNodes; ++a)
       for (int j = 0; j < 3; ++j) grad[a][j] = split(shape.grad[a][j], part);
-    for (int b = 0; b < 4; ++b) {
+    for (int b = 0; b < kNodes; ++b) {
       Native g[3], T[27];  // H grad_b, (i, j, k)
       for (int l = 0; l < 3; ++l) g[l] = weight * grad[b][l];
       for (int row = 0; row < 9; ++row)

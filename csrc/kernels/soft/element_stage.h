@@ -129,10 +129,9 @@ Weights<M> weights_at(const ElementBlock& solid, Index g, int part, const double
 
 /// Item k of a (count, num_weights, num_elements) array at a part of a group; zero for null.
 template <typename Group, typename M>
-Weights<M> weights_along(const ElementBlock& solid, Index g, int part, const double* values,
-                         Index k) {
+Weights<M> weights_along(const SoftModel& model, Index g, int part, const double* values, Index k) {
   if (!values) return {};
-  return weights_at<Group, M>(solid, g, part, values + k * M::kWeights * solid.num_elements);
+  return weights_at<Group, M>(model.solid, g, part, values + k * model.weights_size());
 }
 
 /// Entry k is one for weight k and zero for the others: as an energy is linear in its weights, what
@@ -191,7 +190,8 @@ inline void gather_vectors(const SoftModel& model, const double* vectors, double
 template <typename F>
 decltype(auto) with_types(const SoftModel& model, F&& f) {
   return with_material(model.material, [&](auto material) -> decltype(auto) {
-    return model.solid.is_hex ? f(HexGroup{}, material) : f(TetGroup{}, material);
+    return with_group(model.solid,
+                      [&](auto group) -> decltype(auto) { return f(group, material); });
   });
 }
 

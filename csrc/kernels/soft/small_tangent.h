@@ -21,7 +21,7 @@ SmallPlaces small_places(const SoftModel& model, const SmallPattern& pattern);
 
 /// Adds d^2(E + D)/dx^2 [N/m], not clamped; pressures are not part of it.
 void add_small_tangent(const SoftModel& model, const SoftParameters& parameters,
-                       const std::vector<DampingFrame>& frames, const double* x,
-                       const SmallPlaces& places, ElasticityScratch& scratch, SmallCholesky& to);
+                       const DampingFrames& frames, const double* x, const SmallPlaces& places,
+                       ElasticityScratch& scratch, SmallCholesky& to);
 
 }  // namespace diffsim

@@ -1,6 +1,8 @@
 #include "kernels/soft/soft_model.h"
 
 #include <algorithm>
+#include <array>
+#include <map>
 
 #include "kernels/soft/material.h"
 #include "kernels/subscript.h"
@@ -32,10 +34,45 @@ NodeShape by_node(const GroupShape<8>& shape) {
   return nodes;
 }
 
+HourglassShape hourglass_lanes(const double* table[kLanes], int count) {
+  HourglassShape shape;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const double *gamma = table[lane], *row = gamma + 8 * kHourglassModes;
+    for (int m = 0; m < kHourglassModes; ++m)
+      for (int a = 0; a < 8; ++a) shape.gamma[m][a][lane] = gamma[8 * m + a];
+    for (int r = 0; r < kHourglassRows; ++r)
+      for (int i = 0; i < 3; ++i) shape.row[r][i][lane] = lane < count ? row[3 * r + i] : 0.0;
+  }
+  return shape;
+}
+
+/// Shapes of the groups of kMeanHex: groups of the same classes share one.
+void list_mean_shapes(ElementBlock& block, const MeshTables& t, const std::vector<Index>& classes) {
+  std::map<std::array<Index, kLanes + 1>, Index> known;
+  for (Index g = 0; g < block.num_groups; ++g) {
+    const int count = static_cast<int>(std::min<Index>(kLanes, block.num_elements - g * kLanes));
+    std::array<Index, kLanes + 1> key;
+    const double *grad[kLanes], *table[kLanes];
+    double weight[kLanes];
+    key.back() = count;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const Index c = key[at(lane)] = classes[at(MeanHexGroup::element(block, g, lane))];
+      grad[lane] = t.grad + c * 24;
+      weight[lane] = lane < count ? t.weight[c] : 0.0;
+      table[lane] = t.hourglass + c * kHourglassTable;
+    }
+    const auto [place, is_new] = known.try_emplace(key, static_cast<Index>(known.size()));
+    block.mean_class.push_back(place->second);
+    if (!is_new) continue;
+    block.mean_shape.push_back(lanes_of<8>(grad, weight));
+    block.hourglass.push_back(hourglass_lanes(table, count));
+  }
+}
+
 /// The block of the elements listed in `subset` (all, where null).
 ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
   ElementBlock block;
-  block.is_hex = t.is_hex;
+  block.kind = t.kind;
   block.num_elements = count;
   const int n = block.nodes_per_element();
   std::vector<Index> classes(at(count));
@@ -44,7 +81,7 @@ ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
     block.nodes.insert(block.nodes.end(), t.elements + element * n, t.elements + (element + 1) * n);
     classes[at(e)] = t.class_idx[element];
   }
-  if (t.is_hex) {
+  if (t.kind == ElementKind::kHex) {
     block.num_groups = count;
     block.hex_class = std::move(classes);
     for (Index c = 0; c < t.num_classes; ++c) {
@@ -56,15 +93,22 @@ ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
     return block;
   }
   block.num_groups = (count + kLanes - 1) / kLanes;
+  if (t.kind == ElementKind::kMeanHex) {
+    list_mean_shapes(block, t, classes);
+    return block;
+  }
   for (Index g = 0; g < block.num_groups; ++g) {
     const double* grad[kLanes];
     double weight[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       const Index c = classes[at(TetGroup::element(block, g, lane))];
-      grad[lane] = t.grad + c * 12;
+      grad[lane] = t.grad + c * 3 * n;
       weight[lane] = g * kLanes + lane < count ? t.weight[c] : 0.0;
     }
-    block.tet_shape.push_back(lanes_of<4>(grad, weight));
+    if (t.kind == ElementKind::kTet)
+      block.tet_shape.push_back(lanes_of<4>(grad, weight));
+    else
+      block.eighth_shape.push_back(lanes_of<10>(grad, weight));
   }
   return block;
 }
@@ -161,6 +205,7 @@ SoftModel make_soft_model(const MeshTables& t) {
   model.num_nodes = t.num_nodes;
   model.material = t.material;
   model.num_weights = with_material(t.material, [](auto law) { return decltype(law)::kWeights; });
+  if (t.kind == ElementKind::kMeanHex) model.num_weights += kHourglassWeights;
   model.solid = make_block(t, nullptr, t.num_elements);
   model.fiber = make_block(t, t.fiber_elements, t.num_fibers);
   model.fiber_directions.assign(t.fiber_directions, t.fiber_directions + 3 * t.num_fibers);

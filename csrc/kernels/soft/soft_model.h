@@ -16,12 +16,13 @@ enum class Material : int {};
 
 /// Shape-function tables as Python computes them (diffsim/mesh/shape.py).
 struct MeshTables {
-  bool is_hex = true;
+  ElementKind kind = ElementKind::kHex;
   Material material{};
   std::int64_t num_nodes = 0, num_elements = 0, num_classes = 0;
   const std::int64_t* elements = nullptr;   // (num_elements, N)
   const double* grad = nullptr;             // (num_classes, Q, N, 3) [1/m]
   const double* weight = nullptr;           // (num_classes, Q) [m^3]
+  const double* hourglass = nullptr;        // (num_classes, kHourglassTable) of kMeanHex
   const std::int64_t* class_idx = nullptr;  // (num_elements,)
   const double* coords = nullptr;           // (num_nodes, 3) rest positions [m], for ordering
   std::int64_t num_fibers = 0;
@@ -36,7 +37,8 @@ struct MeshTables {
 struct SoftModel {
   std::int64_t num_nodes = 0;
   Material material{};
-  std::int64_t num_weights = 0;  // of the material, per element
+  std::int64_t num_weights =
+      0;  // of the material and, after them, of hourglass strains; per element
   ElementBlock solid, fiber;
   std::vector<double> fiber_directions;               // (num_fibers, 3)
   std::vector<double> fiber_pull_only;                // (num_fibers,) 1 or 0

@@ -111,7 +111,7 @@ class StepProblem {
   VectorOps ops_;
   std::size_t size_;
   double scale_ = 0.0, magnitude_ = 0.0, energy_ = 0.0;
-  std::vector<DampingFrame> frames_;
+  DampingFrames frames_;
   std::unique_ptr<StepMemory> memory_;
   ConstantSystem::Scratch constant_;
   CholeskyWorkspace cholesky_;

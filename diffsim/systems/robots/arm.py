@@ -48,6 +48,7 @@ def tendon_arm(
     body = soft.SoftBody(
         shape,
         dt=dt,
+        element="standard",
         youngs_modulus=youngs_modulus,
         poissons_ratio=0.4,
         density=1000.0,

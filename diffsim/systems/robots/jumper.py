@@ -71,6 +71,7 @@ def soft_jumper(
     body = soft.SoftBody(
         shape,
         dt=dt,
+        element="standard",
         youngs_modulus=youngs_modulus,
         poissons_ratio=poissons_ratio,
         density=density,

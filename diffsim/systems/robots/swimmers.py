@@ -250,6 +250,7 @@ def _make_swimmer(
     body = soft.SoftBody(
         shape,
         dt=dt,
+        element="standard",
         youngs_modulus=youngs_modulus,
         poissons_ratio=0.4,
         density=DENSITY,

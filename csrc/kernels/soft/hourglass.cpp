@@ -1,0 +1,635 @@
+#include "kernels/soft/hourglass.h"
+
+#include "kernels/soft/element_stage.h"
+#include "kernels/soft/jets.h"
+
+namespace diffsim::hourglass {
+namespace {
+
+using namespace elements;
+using Group = MeanHexGroup;
+
+constexpr int kStrains = 12, kAmplitudes = 3 * kHourglassModes;
+/// Modes h_rd, h_sd of direction d, in the order 01, 02, 12 (and 012, the fourth).
+constexpr int kModes[3][2] = {{0, 1}, {0, 2}, {1, 2}};
+constexpr int strain_of(int row) { return row < 18 ? row / 2 : row - 9; }
+constexpr int mode_of(int row) { return row < 18 ? kModes[row / 6][row % 2] : 3; }
+
+// Numbers and jets times what has no derivative.
+DIFFSIM_INLINE Native scaled(const Native& c, const Native& v) { return c * v; }
+DIFFSIM_INLINE Jet<Native> scaled(const Native& c, const Jet<Native>& j) {
+  return {c * j.v, c * j.a, c * j.b, c * j.ab};
+}
+
+/// Rows of one part of a group.
+struct Rows {
+  Native row[kHourglassRows][3];
+
+  Rows(const HourglassShape& shape, int part) {
+    for (int r = 0; r < kHourglassRows; ++r)
+      for (int i = 0; i < 3; ++i) row[r][i] = split(shape.row[r][i], part);
+  }
+};
+
+/// Mean deformation gradient F and amplitudes h_m (3 m + i) of positions or of their directions.
+template <class T>
+struct State {
+  T F[9], h[kAmplitudes];
+};
+using Numbers = State<Native>;
+using Strains = Native[kStrains];
+
+const HourglassShape& shape_of(const SoftModel& model, Index g) {
+  return model.solid.hourglass[at(model.solid.mean_class[at(g)])];
+}
+
+void amplitudes(const SoftModel& model, Index g, const double* x, Native (*out)[kAmplitudes]) {
+  Lane node[8][3];
+  Group::gather(model.solid, g, x, node);
+  const HourglassShape& shape = shape_of(model, g);
+  for (int part = 0; part < kParts; ++part)
+    for (int m = 0; m < kHourglassModes; ++m)
+      for (int i = 0; i < 3; ++i) {
+        Native sum = split(shape.gamma[m][0], part) * split(node[0][i], part);
+        for (int a = 1; a < 8; ++a) sum += split(shape.gamma[m][a], part) * split(node[a][i], part);
+        out[part][3 * m + i] = sum;
+      }
+}
+
+/// States of all parts at (num_nodes, 3) values; zero for null.
+struct GroupState {
+  Numbers part[kParts];
+
+  GroupState(const SoftModel& model, Index g, const double* x) {
+    if (!x) {
+      for (Numbers& s : part) s = Numbers{};
+      return;
+    }
+    Native F[kParts][9], h[kParts][kAmplitudes];
+    deformation_gradient<Group>(model.solid, g, x, F);
+    amplitudes(model, g, x, h);
+    for (int k = 0; k < kParts; ++k) {
+      std::copy(F[k], F[k] + 9, part[k].F);
+      std::copy(h[k], h[k] + kAmplitudes, part[k].h);
+    }
+  }
+};
+
+Numbers minus(const Numbers& a, const Numbers& b) {
+  Numbers d;
+  for (int i = 0; i < 9; ++i) d.F[i] = a.F[i] - b.F[i];
+  for (int i = 0; i < kAmplitudes; ++i) d.h[i] = a.h[i] - b.h[i];
+  return d;
+}
+
+/// s_k = sum of h_m . F row_r, of a deformation gradient and amplitudes.
+template <class T>
+void strains(const Rows& rows, const T F[9], const T h[kAmplitudes], T s[kStrains]) {
+  T g[kAmplitudes];  // F^T h_m
+  for (int m = 0; m < kHourglassModes; ++m)
+    for (int j = 0; j < 3; ++j)
+      g[3 * m + j] = F[j] * h[3 * m] + F[3 + j] * h[3 * m + 1] + F[6 + j] * h[3 * m + 2];
+  for (int k = 0; k < kStrains; ++k) s[k] = T{};
+  for (int r = 0; r < kHourglassRows; ++r)
+    for (int j = 0; j < 3; ++j)
+      s[strain_of(r)] = s[strain_of(r)] + scaled(rows.row[r][j], g[3 * mode_of(r) + j]);
+}
+
+/// Derivative of the strains at `at` along `along`.
+void strain_change(const Rows& rows, const Numbers& at, const Numbers& along, Strains& s) {
+  Strains other;
+  strains(rows, at.F, along.h, s);
+  strains(rows, along.F, at.h, other);
+  for (int k = 0; k < kStrains; ++k) s[k] += other[k];
+}
+
+/// The stresses that weight 0 and weight 1 multiply; w0 and w1 are numbers.
+template <class T>
+void stresses(const T s[kStrains], const Native& w0, const Native& w1, T t[kStrains]) {
+  for (int k = 0; k < kStrains; ++k) t[k] = scaled(w0, s[k]);
+  for (int d = 0; d < 3; ++d) {
+    const T trace = scaled(w1, s[3 * d] + s[3 * d + 1]);
+    t[3 * d] = t[3 * d] + trace;
+    t[3 * d + 1] = t[3 * d + 1] + trace;
+  }
+}
+
+/// Transpose of strain_change(): adds sum_k t_k ds_k/dF and ds_k/dh at a state.
+template <class T>
+void add_forces(const Rows& rows, const State<T>& at, const T t[kStrains], State<T>& out) {
+  T z[kAmplitudes] = {};
+  for (int r = 0; r < kHourglassRows; ++r)
+    for (int j = 0; j < 3; ++j) {
+      T& sum = z[3 * mode_of(r) + j];
+      sum = sum + scaled(rows.row[r][j], t[strain_of(r)]);
+    }
+  for (int m = 0; m < kHourglassModes; ++m)
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j)
+        out.F[3 * i + j] = out.F[3 * i + j] + at.h[3 * m + i] * z[3 * m + j];
+      out.h[3 * m + i] = out.h[3 * m + i] + at.F[3 * i] * z[3 * m] +
+                         at.F[3 * i + 1] * z[3 * m + 1] + at.F[3 * i + 2] * z[3 * m + 2];
+    }
+}
+
+Native dot(const Strains& a, const Strains& b) {
+  Native total = a[0] * b[0];
+  for (int k = 1; k < kStrains; ++k) total += a[k] * b[k];
+  return total;
+}
+Native dot_traces(const Strains& a, const Strains& b) {
+  Native total{};
+  for (int d = 0; d < 3; ++d) total += (a[3 * d] + a[3 * d + 1]) * (b[3 * d] + b[3 * d + 1]);
+  return total;
+}
+
+/// Row k of the hourglass weights of a group, in (num_weights, num_elements) values; zero for null.
+Native weight(const SoftModel& model, Index g, int part, const double* values, Index k) {
+  const Index row = model.num_weights - kHourglassWeights + k;
+  return values ? Group::part_value(model.solid, g, part, values + row * model.solid.num_elements)
+                : Native{};
+}
+
+void add_weights(const SoftModel& model, Index g, const Native (&v)[kHourglassWeights][kParts],
+                 double* out) {
+  for (int k = 0; k < kHourglassWeights; ++k)
+    Group::add_element_value(
+        model.solid, g, v[k],
+        out + (model.num_weights - kHourglassWeights + k) * model.solid.num_elements);
+}
+
+/// Weights of damping. That of plane stress, d_mu d_lambda/(d_mu + d_lambda), is homogeneous, and
+/// d_mu and d_lambda have the ratio of the solid's moduli: so it is linear in both, with the slopes
+/// that this ratio gives, and stationary in the ratio.
+struct DampingModuli {
+  Native mu, plane;
+  Native slope_mu, slope_lambda;  // of `plane`
+
+  DampingModuli(const SoftModel& model, const SoftParameters& p, Index g, int part) {
+    const Native ratio =
+        weight(model, g, part, p.weights, 1) / weight(model, g, part, p.weights, 0);
+    slope_mu = ratio * ratio;
+    slope_lambda = (1.0 - ratio) * (1.0 - ratio);
+    mu = Group::part_value(model.solid, g, part, p.damp_mu);
+    plane = along(mu, Group::part_value(model.solid, g, part, p.damp_lambda));
+  }
+  Native along(const Native& d_mu, const Native& d_lambda) const {
+    return slope_mu * d_mu + slope_lambda * d_lambda;
+  }
+};
+
+/// The frames of a group at a part, as states.
+Numbers frame_state(const DampingFrames& frames, Index g, int part) {
+  Numbers s;
+  split_matrix(frames.solid[at(g)].Fn, part, s.F);
+  for (int i = 0; i < kAmplitudes; ++i) s.h[i] = split(frames.hourglass[at(g)].hn[i], part);
+  return s;
+}
+Numbers velocity_state(const DampingFrames& frames, Index g, int part) {
+  Numbers s;
+  split_matrix(frames.solid[at(g)].Fv, part, s.F);
+  for (int i = 0; i < kAmplitudes; ++i) s.h[i] = split(frames.hourglass[at(g)].hv[i], part);
+  return s;
+}
+
+/// Adds forces on F and h to nodes: f_a += P grad N_a + sum_m Q_m gamma_ma.
+void scatter(const SoftModel& model, Index g, const Numbers (&force)[kParts], double* vectors) {
+  const auto& mean = Group::shape(model.solid, g);
+  const HourglassShape& shape = shape_of(model, g);
+  double* out = vectors + g * model.solid.vectors_size();
+  for (int part = 0; part < kParts; ++part) {
+    const Numbers& f = force[part];
+    for (int a = 0; a < 8; ++a)
+      for (int i = 0; i < 3; ++i) {
+        double* to = out + (3 * a + i) * kLanes + part * kNativeLanes;
+        Native sum = load<Native>(to);
+        for (int j = 0; j < 3; ++j) sum += f.F[3 * i + j] * split(mean.grad[a][j], part);
+        for (int m = 0; m < kHourglassModes; ++m)
+          sum += f.h[3 * m + i] * split(shape.gamma[m][a], part);
+        store(to, sum);
+      }
+  }
+}
+
+/// Calls f(g) for the groups of a solid with hourglass strains.
+template <typename F>
+void for_hourglass(const SoftModel& model, ThreadPool& pool, F&& f) {
+  if (model.solid.kind == ElementKind::kMeanHex) for_groups(model.solid, pool, f);
+}
+
+/// What a node's positions move: components c of one axis, three of F and four of h.
+constexpr int kColumns = 3 + kHourglassModes;
+/// Second derivatives by (component c of axis i, component d of axis k), for the pairs i <= k of
+/// kComponents.
+using Curvature = Native[6][kColumns][kColumns];
+
+/// Columns that the strains of a direction touch, then those of mode 012.
+constexpr int kTouched[4][5] = {{0, 1, 2, 3, 4}, {0, 1, 2, 3, 5}, {0, 1, 2, 4, 5}, {0, 1, 2, 6, 6}};
+
+/// Adds w u u^T; u[i][c] of the listed columns.
+template <int kDirection>
+DIFFSIM_INLINE void add_square(const Native& w, const Native (*u)[kColumns], Curvature& M) {
+  constexpr int count = kDirection < 3 ? 5 : 4;
+  for (int pair = 0; pair < 6; ++pair) {
+    const int i = kComponents[pair][0], k = kComponents[pair][1];
+#pragma GCC unroll 5
+    for (int c = 0; c < count; ++c) {
+      const Native wu = w * u[i][kTouched[kDirection][c]];
+#pragma GCC unroll 5
+      for (int d = 0; d < count; ++d)
+        M[pair][kTouched[kDirection][c]][kTouched[kDirection][d]] +=
+            wu * u[k][kTouched[kDirection][d]];
+    }
+  }
+}
+
+/// Adds (ds/dy)^T W ds/dy at a state, W the matrix of the weights.
+template <int kDirection>
+DIFFSIM_INLINE void add_direction(const Rows& rows, const Numbers& at, const Native& w0,
+                                  const Native& w1, Curvature& M) {
+  constexpr int first = kDirection < 3 ? 3 * kDirection : 9;
+  Native u[3][3][kColumns] = {};
+#pragma GCC unroll 21
+  for (int r = 0; r < kHourglassRows; ++r) {
+    const int k = strain_of(r) - first, m = mode_of(r);
+    if (k < 0 || k > 2) continue;
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        u[k][i][j] += at.h[3 * m + i] * rows.row[r][j];
+        u[k][i][3 + m] += at.F[3 * i + j] * rows.row[r][j];
+      }
+    }
+  }
+  for (int k = 0; k < 3; ++k) add_square<kDirection>(w0, u[k], M);
+  if (kDirection == 3) return;
+  for (int i = 0; i < 3; ++i)
+    for (int c = 0; c < kColumns; ++c) u[0][i][c] += u[1][i][c];
+  add_square<kDirection>(w1, u[0], M);
+}
+
+void add_squares(const Rows& rows, const Numbers& at, const Native& w0, const Native& w1,
+                 Curvature& M) {
+  add_direction<0>(rows, at, w0, w1, M);
+  add_direction<1>(rows, at, w0, w1, M);
+  add_direction<2>(rows, at, w0, w1, M);
+  add_direction<3>(rows, at, w0, w1, M);
+}
+
+/// Adds sum_k t_k d^2 s_k: between h_m and F, on each axis alone.
+void add_bends(const Rows& rows, const Strains& t, Curvature& M) {
+  Native z[kHourglassModes][3] = {};
+  for (int r = 0; r < kHourglassRows; ++r)
+    for (int j = 0; j < 3; ++j) z[mode_of(r)][j] += rows.row[r][j] * t[strain_of(r)];
+  for (const int pair : {kComponentPair[0][0], kComponentPair[1][1], kComponentPair[2][2]})
+    for (int m = 0; m < kHourglassModes; ++m)
+      for (int j = 0; j < 3; ++j) {
+        M[pair][j][3 + m] += z[m][j];
+        M[pair][3 + m][j] += z[m][j];
+      }
+}
+
+/// Node blocks of one part: out as in element_matrix.h, at the part.
+void multiply_nodes(const Native (*B)[kColumns], const Curvature& M, double* out) {
+  for (int pair = 0; pair < 6; ++pair) {
+    const int i = kComponents[pair][0], k = kComponents[pair][1];
+    for (int b = 0; b < 8; ++b) {
+      Native column[kColumns];
+      for (int c = 0; c < kColumns; ++c) {
+        column[c] = M[pair][c][0] * B[b][0];
+        for (int d = 1; d < kColumns; ++d) column[c] += M[pair][c][d] * B[b][d];
+      }
+      for (int a = 0; a < (i == k ? b + 1 : 8); ++a) {
+        Native sum = B[a][0] * column[0];
+        for (int c = 1; c < kColumns; ++c) sum += B[a][c] * column[c];
+        const int low = a < b ? a : b, high = a < b ? b : a;
+        double* block = out + 9 * (high * (high + 1) / 2 + low) * kLanes;
+        if (a <= b) store(block + (3 * i + k) * kLanes, sum);
+        if (b <= a || i == k) store(block + (3 * k + i) * kLanes, sum);
+      }
+    }
+  }
+}
+
+/// Jets of states: positions, and two directions in which they move.
+State<Jet<Native>> state_jets(const Numbers& x, const Numbers& first, const Numbers& second) {
+  State<Jet<Native>> jets;
+  for (int i = 0; i < 9; ++i) jets.F[i] = {x.F[i], first.F[i], second.F[i], Native{}};
+  for (int i = 0; i < kAmplitudes; ++i) jets.h[i] = {x.h[i], first.h[i], second.h[i], Native{}};
+  return jets;
+}
+
+/// Forces that each weight multiplies, as jets.
+struct ForceJets {
+  State<Jet<Native>> by[kHourglassWeights];
+
+  ForceJets(const Rows& rows, const State<Jet<Native>>& at) : by{} {
+    Jet<Native> s[kStrains], t[kStrains];
+    strains(rows, at.F, at.h, s);
+    const Native one = broadcast<Native>(1.0);
+    for (int k = 0; k < kHourglassWeights; ++k) {
+      stresses(s, k == 0 ? one : Native{}, k == 1 ? one : Native{}, t);
+      add_forces(rows, at, t, by[k]);
+    }
+  }
+};
+
+/// Calls use(entry of the force, jet of weight 0, jet of weight 1) for all entries of F and h.
+template <typename Use>
+void for_entries(const ForceJets& jets, Numbers& out, Use&& use) {
+  for (int i = 0; i < 9; ++i) out.F[i] = use(i, jets.by[0].F[i], jets.by[1].F[i]);
+  for (int i = 0; i < kAmplitudes; ++i) out.h[i] = use(9 + i, jets.by[0].h[i], jets.by[1].h[i]);
+}
+
+}  // namespace
+
+void fill_frames(const SoftModel& model, const double* x_frame, const double* x_velocity,
+                 DampingFrames& frames, ThreadPool& pool) {
+  if (model.solid.kind != ElementKind::kMeanHex) return;
+  frames.hourglass.resize(at(model.solid.num_groups));
+  for_hourglass(model, pool, [&](Index g) {
+    HourglassFrame& frame = frames.hourglass[at(g)];
+    Native hn[kParts][kAmplitudes], hv[kParts][kAmplitudes];
+    amplitudes(model, g, x_frame, hn);
+    amplitudes(model, g, x_velocity, hv);
+    for (int part = 0; part < kParts; ++part)
+      for (int i = 0; i < kAmplitudes; ++i) {
+        join(frame.hn[i], part, hn[part][i]);
+        join(frame.hv[i], part, hv[part][i]);
+      }
+  });
+}
+
+double add_gradient(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                    const double* x, ElasticityScratch& scratch, ThreadPool& pool) {
+  if (model.solid.kind != ElementKind::kMeanHex) return 0.0;
+  scratch.partial.assign(at(model.solid.num_groups), 0.0);
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x);
+    Numbers force[kParts] = {};
+    Native energy[kParts];
+    for (int part = 0; part < kParts; ++part) {
+      const Rows rows(shape_of(model, g), part);
+      const Numbers& now = state.part[part];
+      Strains s, t;
+      strains(rows, now.F, now.h, s);
+      stresses(s, weight(model, g, part, p.weights, 0), weight(model, g, part, p.weights, 1), t);
+      energy[part] = 0.5 * dot(s, t);
+      add_forces(rows, now, t, force[part]);
+      if (!p.damp_mu) continue;
+      const Numbers frame = frame_state(frames, g, part);
+      const DampingModuli moduli(model, p, g, part);
+      strain_change(rows, frame, minus(now, velocity_state(frames, g, part)), s);
+      stresses(s, moduli.mu, moduli.plane, t);
+      energy[part] += 0.5 * dot(s, t);
+      add_forces(rows, frame, t, force[part]);
+    }
+    scatter(model, g, force, scratch.vectors.data());
+    scratch.partial[at(g)] = sum(fold(energy));
+  });
+  double energy = 0.0;
+  for (double e : scratch.partial) energy += e;
+  return energy;
+}
+
+void element_matrix(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                    const double* x, bool clamp, std::int64_t g, const GroupTangent& stress,
+                    double* out) {
+  const auto& mean = Group::shape(model.solid, g);
+  const HourglassShape& shape = shape_of(model, g);
+  const GroupState state(model, g, x);
+  for (int part = 0; part < kParts; ++part) {
+    const Rows rows(shape, part);
+    const Numbers& now = state.part[part];
+    const Native w0 = weight(model, g, part, p.weights, 0);
+    const Native w1 = weight(model, g, part, p.weights, 1);
+    Curvature M = {};
+    add_squares(rows, now, w0, w1, M);
+    if (!clamp) {  // what is left then is positive semidefinite
+      Strains s, t;
+      strains(rows, now.F, now.h, s);
+      stresses(s, w0, w1, t);
+      add_bends(rows, t, M);
+    }
+    if (p.damp_mu) {
+      const DampingModuli moduli(model, p, g, part);
+      add_squares(rows, frame_state(frames, g, part), moduli.mu, moduli.plane, M);
+    }
+    const Native volume = split(mean.weight, part);
+    for (int pair = 0; pair < 6; ++pair)
+      for (int j = 0; j < 3; ++j)
+        for (int l = 0; l < 3; ++l) {
+          const int row = 3 * kComponents[pair][0] + j, col = 3 * kComponents[pair][1] + l;
+          M[pair][j][l] += volume * stress.H[part][row <= col ? 9 * row + col : 9 * col + row];
+        }
+    Native B[8][kColumns];
+    for (int a = 0; a < 8; ++a) {
+      for (int j = 0; j < 3; ++j) B[a][j] = split(mean.grad[a][j], part);
+      for (int m = 0; m < kHourglassModes; ++m) B[a][3 + m] = split(shape.gamma[m][a], part);
+    }
+    multiply_nodes(B, M, out + part * kNativeLanes);
+  }
+}
+
+void add_product(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                 const double* x, const double* z, double* vectors, ThreadPool& pool) {
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x), along(model, g, z);
+    Numbers force[kParts] = {};
+    for (int part = 0; part < kParts; ++part) {
+      const Rows rows(shape_of(model, g), part);
+      const Numbers& now = state.part[part];
+      const Native w0 = weight(model, g, part, p.weights, 0);
+      const Native w1 = weight(model, g, part, p.weights, 1);
+      Strains s, t;
+      strains(rows, now.F, now.h, s);
+      stresses(s, w0, w1, t);
+      add_forces(rows, along.part[part], t, force[part]);
+      strain_change(rows, now, along.part[part], s);
+      stresses(s, w0, w1, t);
+      add_forces(rows, now, t, force[part]);
+      if (!p.damp_mu) continue;
+      const DampingModuli moduli(model, p, g, part);
+      const Numbers frame = frame_state(frames, g, part);
+      strain_change(rows, frame, along.part[part], s);
+      stresses(s, moduli.mu, moduli.plane, t);
+      add_forces(rows, frame, t, force[part]);
+    }
+    scatter(model, g, force, vectors);
+  });
+}
+
+void add_parameter_adjoint(const SoftModel& model, const double* x, const double* z,
+                           double* weights, ThreadPool& pool) {
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x), along(model, g, z);
+    Native by_weight[kHourglassWeights][kParts];
+    for (int part = 0; part < kParts; ++part) {
+      const Rows rows(shape_of(model, g), part);
+      Strains s, change;
+      strains(rows, state.part[part].F, state.part[part].h, s);
+      strain_change(rows, state.part[part], along.part[part], change);
+      by_weight[0][part] = dot(s, change);
+      by_weight[1][part] = dot_traces(s, change);
+    }
+    add_weights(model, g, by_weight, weights);
+  });
+}
+
+void add_damping_adjoint(const SoftModel& model, const SoftParameters& p,
+                         const DampingFrames& frames, const double* x, const double* z,
+                         bool frame_pass, const ParameterAdjoint& out, double* vectors,
+                         ThreadPool& pool) {
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x), along(model, g, z);
+    Numbers force[kParts] = {};
+    Native by_mu[kParts], by_lambda[kParts];
+    for (int part = 0; part < kParts; ++part) {
+      const Rows rows(shape_of(model, g), part);
+      const DampingModuli moduli(model, p, g, part);
+      const Numbers frame = frame_state(frames, g, part);
+      const Numbers delta = minus(state.part[part], velocity_state(frames, g, part));
+      Strains rate, change, t_rate, t_change;
+      strain_change(rows, frame, delta, rate);
+      strain_change(rows, frame, along.part[part], change);
+      stresses(rate, moduli.mu, moduli.plane, t_rate);
+      stresses(change, moduli.mu, moduli.plane, t_change);
+      const Native traces = dot_traces(rate, change);
+      by_mu[part] = dot(rate, change) + moduli.slope_mu * traces;
+      by_lambda[part] = moduli.slope_lambda * traces;
+      if (frame_pass) {
+        add_forces(rows, along.part[part], t_rate, force[part]);
+        add_forces(rows, delta, t_change, force[part]);
+      } else {
+        for (Native& t : t_change) t = -t;
+        add_forces(rows, frame, t_change, force[part]);
+      }
+    }
+    if (frame_pass) {
+      Group::add_element_value(model.solid, g, by_mu, out.damp_mu);
+      Group::add_element_value(model.solid, g, by_lambda, out.damp_lambda);
+    }
+    scatter(model, g, force, vectors);
+  });
+}
+
+void add_energy_slopes(const SoftModel& model, const double* x, double* weights, ThreadPool& pool) {
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x);
+    Native by_weight[kHourglassWeights][kParts];
+    for (int part = 0; part < kParts; ++part) {
+      Strains s;
+      strains(Rows(shape_of(model, g), part), state.part[part].F, state.part[part].h, s);
+      by_weight[0][part] = 0.5 * dot(s, s);
+      by_weight[1][part] = 0.5 * dot_traces(s, s);
+    }
+    add_weights(model, g, by_weight, weights);
+  });
+}
+
+void add_parameter_tangent(const SoftModel& model, const SoftParameters& p,
+                           const DampingFrames& frames, const double* x, Index k,
+                           const ParameterDirections& d, double* vectors, ThreadPool& pool) {
+  const Index size = 3 * model.num_nodes;
+  const double* weights = d.weights ? d.weights + k * model.weights_size() : nullptr;
+  const double* x_frame = d.x_frame ? d.x_frame + k * size : nullptr;
+  const double* x_velocity = d.x_velocity ? d.x_velocity + k * size : nullptr;
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x);
+    Numbers force[kParts] = {};
+    for (int part = 0; part < kParts; ++part) {
+      const Rows rows(shape_of(model, g), part);
+      const Numbers& now = state.part[part];
+      Strains s, t;
+      strains(rows, now.F, now.h, s);
+      stresses(s, weight(model, g, part, weights, 0), weight(model, g, part, weights, 1), t);
+      add_forces(rows, now, t, force[part]);
+    }
+    if (p.damp_mu) {
+      const GroupState d_frame(model, g, x_frame), d_velocity(model, g, x_velocity);
+      for (int part = 0; part < kParts; ++part) {
+        const Rows rows(shape_of(model, g), part);
+        const DampingModuli moduli(model, p, g, part);
+        const Numbers frame = frame_state(frames, g, part);
+        const Numbers delta = minus(state.part[part], velocity_state(frames, g, part));
+        const Native d_mu = direction_value<Group>(model.solid, g, part, d.damp_mu, k);
+        const Native d_lambda = direction_value<Group>(model.solid, g, part, d.damp_lambda, k);
+        Strains rate, change, moved, t, more;
+        strain_change(rows, frame, delta, rate);
+        stresses(rate, moduli.mu, moduli.plane, t);
+        add_forces(rows, d_frame.part[part], t, force[part]);
+        strain_change(rows, d_frame.part[part], delta, change);
+        strain_change(rows, frame, d_velocity.part[part], moved);
+        for (int n = 0; n < kStrains; ++n) change[n] -= moved[n];
+        stresses(rate, d_mu, moduli.along(d_mu, d_lambda), t);
+        stresses(change, moduli.mu, moduli.plane, more);
+        for (int n = 0; n < kStrains; ++n) t[n] += more[n];
+        add_forces(rows, frame, t, force[part]);
+      }
+    }
+    scatter(model, g, force, vectors);
+  });
+}
+
+void add_linearized_adjoint(const SoftModel& model, const SoftParameters& p, const double* x,
+                            const double* d, const double* z, double* weights, double* vectors,
+                            ThreadPool& pool) {
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x), first(model, g, z), second(model, g, d);
+    Numbers force[kParts];
+    Native by_weight[kHourglassWeights][kParts] = {};
+    for (int part = 0; part < kParts; ++part) {
+      const ForceJets jets(Rows(shape_of(model, g), part),
+                           state_jets(state.part[part], first.part[part], second.part[part]));
+      const Native w0 = weight(model, g, part, p.weights, 0);
+      const Native w1 = weight(model, g, part, p.weights, 1);
+      for_entries(jets, force[part],
+                  [&](int i, const Jet<Native>& f0, const Jet<Native>& f1) -> Native {
+                    const Native Z = i < 9 ? first.part[part].F[i] : first.part[part].h[i - 9];
+                    by_weight[0][part] += Z * (f0.v + f0.b);
+                    by_weight[1][part] += Z * (f1.v + f1.b);
+                    return w0 * f0.ab + w1 * f1.ab;
+                  });
+    }
+    add_weights(model, g, by_weight, weights);
+    scatter(model, g, force, vectors);
+  });
+}
+
+void add_linearized_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
+                            const double* d, const double* dx, const ParameterDirections& along,
+                            Index k, double* vectors, ThreadPool& pool) {
+  const double* moved = along.weights ? along.weights + k * model.weights_size() : nullptr;
+  for_hourglass(model, pool, [&](Index g) {
+    const GroupState state(model, g, x), first(model, g, dx), second(model, g, d);
+    Numbers force[kParts];
+    for (int part = 0; part < kParts; ++part) {
+      const ForceJets jets(Rows(shape_of(model, g), part),
+                           state_jets(state.part[part], first.part[part], second.part[part]));
+      Native w[2], dw[2];
+      for (int n = 0; n < 2; ++n) {
+        w[n] = weight(model, g, part, p.weights, n);
+        dw[n] = weight(model, g, part, moved, n);
+      }
+      for_entries(
+          jets, force[part], [&](int, const Jet<Native>& f0, const Jet<Native>& f1) -> Native {
+            return w[0] * f0.ab + w[1] * f1.ab + dw[0] * (f0.v + f0.b) + dw[1] * (f1.v + f1.b);
+          });
+    }
+    scatter(model, g, force, vectors);
+  });
+}
+
+void scalar_matrix(const HourglassShape& shape, Lane out[8][8]) {
+  Lane stiffness[kHourglassModes] = {};  // mean over the three axes at rest
+  for (int r = 0; r < kHourglassRows; ++r)
+    for (int j = 0; j < 3; ++j)
+      stiffness[mode_of(r)] += (1.0 / 3.0) * shape.row[r][j] * shape.row[r][j];
+  for (int a = 0; a < 8; ++a)
+    for (int b = 0; b < 8; ++b) {
+      out[a][b] = Lane{};
+      for (int m = 0; m < kHourglassModes; ++m)
+        out[a][b] += stiffness[m] * shape.gamma[m][a] * shape.gamma[m][b];
+    }
+}
+
+}  // namespace diffsim::hourglass
