@@ -166,8 +166,11 @@ class Op:
         sizes = call.sizes
         for name, spec in self.inputs.items():
             value = call[name]
+            # what belongs to an input that is not there is not there either
+            alone = isinstance(spec.optional, str) and not call[spec.optional].numel()
             if (
-                _fits(value.shape, spec, sizes)
+                not (alone and value.numel())
+                and _fits(value.shape, spec, sizes)
                 and value.dtype is spec.dtype
                 and value.is_cpu
                 and value.is_contiguous()
