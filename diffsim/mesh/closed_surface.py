@@ -20,11 +20,15 @@ if TYPE_CHECKING:
 SurfaceLike: TypeAlias = "trimesh.Trimesh | str | Path"
 
 
-def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
+def closed_surface(surface: SurfaceLike, *, may_cross: bool = False) -> tuple[Array, IntArray]:
     """Vertices (V, 3) [m] and triangles (F, 3), closed and oriented outwards.
 
     Vertices in the same place are merged (STL files store each triangle on its own) and triangles
     that collapse by that are dropped.
+
+    Args:
+        surface: A trimesh or the path of a file.
+        may_cross: Whether triangles may run through each other: of what was asked before.
 
     Raises:
         TypeError: neither a trimesh nor a path.
@@ -59,7 +63,8 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
             f"the surface encloses no volume ({volume:.3g} m^3): it is flat, or parts that are "
             "turned against each other cancel"
         )
-    refuse_crossings(x, faces, crossing_triangles(x, faces))
+    if not may_cross:
+        refuse_crossings(x, faces, crossing_triangles(x, faces))
     return x, faces if volume > 0 else faces[:, ::-1]
 
 

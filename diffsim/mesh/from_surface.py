@@ -99,7 +99,8 @@ def tetrahedralize(
             method = "stuffing"
     if method == "ftetwild":
         x, faces = closed_surface(surface)
-        if _choose_bodies(x, faces, keep) == "largest" and keep is not None:
+        _choose_bodies(x, faces, keep)
+        if keep == "largest":
             raise ValueError("keep='largest' is for method='stuffing'; 'ftetwild' keeps all bodies")
         return _warn_of_volume(_ftetwild(x, faces, spacing, tolerance), x, faces)
     if tolerance is not None:

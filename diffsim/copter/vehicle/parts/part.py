@@ -148,7 +148,8 @@ class Part:
             self.mesh.vertices.at(self.values), self.mesh.faces, process=False
         )
         try:
-            closed_surface(surface)
+            # a file's triangles are asked whether they cross when it is read
+            closed_surface(surface, may_cross=True)
         except MeshError as error:
             raise MeshError(
                 f"part {name!r} ({self.kind}) is not closed, its mass is undefined: {error}",
