@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from diffsim.cli.diagnose_export import flown_constants, is_text
 from diffsim.core.expression import parse_expression
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.core.units import factor
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.model_file import SavedModel, rebuilt
@@ -28,6 +29,7 @@ from diffsim.systems.outside import joint_drive
 from diffsim.systems.registry import setup_of
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 MUJOCO = "mujoco"
 FLOWN = ("kp", "load_inertia", "load_moment")  # constants that a drive on a joint needs to be flown
 MAX_RUNS = 20  # that an export is flown on
@@ -66,6 +68,15 @@ class Flight:
     model: float
     export: float
     apart: float
+
+    @classmethod
+    def of(
+        cls, run: str, channel: Channel, own: Array, flown: Array, seen: Array, good: Mask
+    ) -> Flight:
+        """Errors of one channel at the samples that are good, all (num_samples,)."""
+        pairs = ((own, seen), (flown, seen), (flown, own))
+        off = [float(np.abs(a - b)[good].mean()) for a, b in pairs]
+        return cls(run, *(_times(channel) * v for v in off))
 
 
 def runs_to_fly(study: Study) -> tuple[Run, ...]:
@@ -188,23 +199,21 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     except ImportError:
         return "MuJoCo is not installed: pip install mujoco"
     out = []
-    times = _times(answer.study.channels[0])
+    channel = answer.study.channels[0]
     study = replace(answer.study, export={MUJOCO: formulas})
     for run in answer.runs:
         constants = flown_constants(study, answer.saved, MUJOCO, run)
         flown, own, seen = fly(constants, run), answer.record(run)[:, 0], run.measured[:, 0]
-        good = is_read(seen)
-        off = [np.abs(a - b)[good].mean() for a, b in ((own, seen), (flown, seen), (flown, own))]
-        out.append(Flight(run.name, *(times * float(v) for v in off)))
+        out.append(Flight.of(run.name, channel, own, flown, seen, is_read(seen)))
     return out
 
 
-def is_read(position: Array) -> NDArray[np.bool_]:
+def is_read(position: Array) -> Mask:
     """Samples that are no single misreadings: near the median of the five around them."""
     padded = np.pad(position, 2, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, 5)
     away = np.abs(position - np.nanmedian(around, axis=1))
-    usual = 1.4826 * float(np.nanmedian(np.abs(position - np.nanmedian(position)))) + 1e-12
+    usual = SD_OVER_MAD * float(np.nanmedian(np.abs(position - np.nanmedian(position)))) + 1e-12
     return np.asarray(np.isfinite(position) & (away < usual))
 
 

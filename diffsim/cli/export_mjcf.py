@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from diffsim.causes.row import spell_plainly
 from diffsim.cli.export_flight import Answer, CarriedCause, Flight
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import write_bytes_atomic, write_text_atomic
 from diffsim.data.study import Run, Study
 from diffsim.systems.outside.description import MJCF, OutsideDescription
 from diffsim.systems.outside.mjcf import Mjcf
@@ -52,11 +52,9 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCau
         path = _carry(sim, described, cause, size, numbers)
         by = () if path is None else (path,)
         carried.append(CarriedCause(cause, by, answer.cost(components)))
-    text, files = sim.restated({n: v for n, v in numbers.items()})
+    text, files = sim.restated(numbers)
     wrote = [write_text_atomic(out / "model.xml", text)]
-    for name, content in files.items():
-        (out / name).write_bytes(content)
-        wrote.append(out / name)
+    wrote += [write_bytes_atomic(out / name, content) for name, content in files.items()]
     again = Mjcf(str(out / "model.xml"), **_readings(source.options))
     return wrote, carried, [_fly(answer, described, again, run) for run in answer.runs]
 
@@ -67,7 +65,7 @@ def _carry(
     """Let a number of the model hold a cause; the path of the number, None: there is none."""
     for law, path in _AT_JOINTS.items():
         for place in described.hooks.force:
-            if cause == f"{law}_at_{re.sub(r'[^A-Za-z0-9]+', '_', place).strip('_')}":
+            if cause == f"{law}_at_{spell_plainly(place)}":
                 full = path.format(place)
                 numbers[full] = numbers.get(full, sim.value_of(full)) + size
                 return full
@@ -82,11 +80,8 @@ def _fly(answer: Answer, described: OutsideDescription, sim: Mjcf, run: Run) -> 
     """The written file on a run, from the start of the answer in it."""
     starts = {}
     for name, quantity in described.start.items():
-        own = [v for c, v in answer.saved.values.items() if c in (name, f"{name}@{run.name}")]
-        starts[name] = own[0] if own else float(quantity.value)
-    flown, own_record, seen = sim.predict(starts, run), answer.record(run), run.measured
-    off = [
-        float(np.nanmean(np.abs(a - b)[:, 0]))
-        for a, b in ((own_record, seen), (flown, seen), (flown, own_record))
-    ]
-    return Flight(run.name, *off)
+        found = [v for c, v in answer.saved.values.items() if c in (name, f"{name}@{run.name}")]
+        starts[name] = found[0] if found else float(quantity.value)
+    flown, own = sim.predict(starts, run)[:, 0], answer.record(run)[:, 0]
+    seen = run.measured[:, 0]
+    return Flight.of(run.name, answer.study.channels[0], own, flown, seen, np.isfinite(seen))

@@ -168,6 +168,11 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
     assert flight["apart"] < 2e-4 < flight["export"], "six digits, forces of RK4 and of the joint"
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "answer/model.xml"))
     assert model.dof_damping[0] == pytest.approx(0.08) and model.body("rod").mass == 0.5
+    study["channels"][0]["shown_unit"] = "mrad"
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
+    (shown,) = export(tmp_path, "mujoco")["flights"]
+    for error in ("model", "export", "apart"):
+        assert shown[error] == pytest.approx(1e3 * flight[error])
 
 
 @pytest.mark.parametrize(
