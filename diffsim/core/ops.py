@@ -167,16 +167,17 @@ class Op:
         for name, spec in self.inputs.items():
             value = call[name]
             # what belongs to an input that is not there is not there either
-            alone = isinstance(spec.optional, str) and not call[spec.optional].numel()
+            owner = name if spec.optional is True else spec.optional or ""
+            is_absent = bool(owner) and not call[owner].numel()
             if (
-                not (alone and value.numel())
+                not is_absent
                 and _fits(value.shape, spec, sizes)
                 and value.dtype is spec.dtype
                 and value.is_cpu
                 and value.is_contiguous()
             ):
                 continue
-            if spec.optional and not call[name if spec.optional is True else spec.optional].numel():
+            if is_absent:
                 wanted = (0,) if value.numel() else value.shape
             else:
                 wanted = _shape(spec, value.shape, call)
