@@ -8,6 +8,9 @@ from torch import Tensor
 
 from diffsim.core.torch_names import is_batched, is_in_func, is_wrapped, on_constants, unwrapped
 
+#: Standard over median absolute deviation of a normal distribution: 1 / Phi^-1(3/4).
+SD_OVER_MAD = 1.4826
+
 
 def values_of(value: Tensor) -> Tensor:
     """The numbers behind the wrappers of ``torch.func``, mapped axes and all: for checks alone.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.steps import rest_and_jump
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ def jumps_of(
         return Jumps([], [], 0.0)
     change, least = np.abs(np.diff(seen)), LEAST * float(np.ptp(seen))
     away = np.abs(seen - median_filter(seen, size=WIDTH, mode="nearest"))
-    usual = max(1.4826 * float(np.median(away)), float(np.median(change)), noise)
+    usual = max(SD_OVER_MAD * float(np.median(away)), float(np.median(change)), noise)
     if not usual > 0.0:  # it rests but for what was commanded
         return Jumps([], [], 0.0)
     back = np.flatnonzero(away > max(JUMP_SD * usual, least))

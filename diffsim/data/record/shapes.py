@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.core.units import factor
 from diffsim.data.command_jumps import Jumps, jumps_of
 from diffsim.data.record.finding import Finding, rows_shown
@@ -172,7 +173,7 @@ def spikes(samples: Samples, sd: float = 0.0, speed: Samples | None = None) -> N
     if len(x) < 2 * FEW or samples.largest_change < 0.04 * samples.range:
         return none
     away = np.abs(x - median_filter(x, size=5, mode="nearest"))
-    usual = max(1.4826 * float(np.median(away)), samples.noise, sd)
+    usual = max(SD_OVER_MAD * float(np.median(away)), samples.noise, sd)
     limit = max(8.0 * usual, 0.04 * samples.range)
     rows = []
     for k in np.flatnonzero(away > limit):

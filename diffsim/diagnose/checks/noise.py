@@ -12,6 +12,7 @@ from scipy import linalg, sparse, special
 from scipy.ndimage import median_filter
 
 from diffsim.core.memo import Memo
+from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.signal import noise_std, scatter
 from diffsim.data.steps import rounding_sd
 from diffsim.data.study import Channel, Run
@@ -327,7 +328,7 @@ def _find_spikes(left: Array, usual: Array | None) -> NDArray[np.bool_]:
     # a channel that was never measured, or never five samples in a row, has no scale
     scale = np.zeros(away.shape[1])
     seen = np.isfinite(away).any(axis=0)
-    scale[seen] = 1.4826 * np.nanmedian(away[:, seen], axis=0)
+    scale[seen] = SD_OVER_MAD * np.nanmedian(away[:, seen], axis=0)
     if usual is not None:
         scale = np.maximum(scale, usual)
     return np.asarray(away > SPIKE * np.where(scale > 0.0, scale, np.inf))

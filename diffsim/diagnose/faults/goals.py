@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.study import Run
 from diffsim.diagnose.faults.layout import Layout
 from diffsim.diagnose.faults.local import Local
@@ -37,7 +38,6 @@ NUM_ABSOLUTE, NUM_CHOICES = 20, 6  # steps to the least absolute misfit, choices
 USUAL = 10.0  # goals of one channel that the usual offset of all channels weighs as much as
 FLOOR = 1e-3  # of a spread of goals' offsets, in sd of the noise
 LOOSE, LOOSE_ODDS = 3.0, 0.1  # times the usual offset, and how often
-DEVIATION = 1.4826  # sd of a normal distribution over its median absolute deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Tails:
         wide = np.ones(problem.runs[0].measured.shape[1])
         for k in np.unique(channel):
             own = value[channel == k]
-            wide[k] = max(DEVIATION * float(np.median(np.abs(own - np.median(own)))), 1.0)
+            wide[k] = max(SD_OVER_MAD * float(np.median(np.abs(own - np.median(own)))), 1.0)
         return cls(FIRST_SHARE * wide, wide, MISSED / (MISSED + TAKEN))
 
     def widened(self, factor: float) -> Tails:

@@ -196,6 +196,6 @@ def _wrong_data_sheets(fit: Fit, num_families: int) -> Iterator[_DataSheet]:
     for j, p in enumerate(problem.model.base):
         if "@" not in p.name and abs(fit.x[j]) > limit:
             posterior = evidence.weigh(members, wide={j: WRONG_SHEET_SD})
-            nats = posterior.nats - lost - np.log(max(num_families, 1))
+            nats = posterior.nats - lost - evidence.family_price
             x, sd = float(posterior.x[j]), float(posterior.sd[j])
             yield _DataSheet(p.name, nats, x, sd, posterior.chi2)

@@ -117,7 +117,8 @@ class LaplaceEvidence:
         num_unknowns: int | None = None,
     ):
         self.num_unknowns = len(responses) if num_unknowns is None else num_unknowns
-        self.problem, self.x0, self.num_families = problem, x, num_families
+        self.problem, self.x0 = problem, x
+        self.family_price = float(np.log(max(num_families, 1)))  # nats of one more family's choice
         self.scaled0 = problem.scaled(x)
         self.residual, self.jacobian = residual, jacobian
         slopes = jacobian / problem.stretch(x)
@@ -149,9 +150,8 @@ class LaplaceEvidence:
             hypothesis: Effects, and an unknown cause.
             wide: How many times wider the prior of a base parameter is, by its index.
         """
-        price = float(np.log(max(self.num_families, 1)))  # of the choice of one more family
         members = sorted(hypothesis.effects)
-        choice = sum(price + self.problem.effects[i].price for i in members)
+        choice = sum(self.family_price + self.problem.effects[i].price for i in members)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
         if hypothesis.unknown is None:
             nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0, wide)
@@ -163,7 +163,7 @@ class LaplaceEvidence:
         mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
         _, x, sd, chi2 = tried[best]
         # the unknown causes share what one more family may claim
-        price_unknown = price + np.log(self.num_unknowns)
+        price_unknown = self.family_price + np.log(self.num_unknowns)
         return SetPosterior(mean - choice - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
     def _gaussian(
