@@ -103,6 +103,11 @@ class CauseRow:
         ends = [end for size in self.size.values() for end in (size.low, size.high)]
         return small_unit(self.unit, ends or self.smallest_visible.values())
 
+    @property
+    def sheet(self) -> str:
+        """What a data sheet says, as its note has it: "0.4 +- 0.02"; empty without one."""
+        return self.note.partition("data sheet: ")[2].partition(" (")[0]
+
     def as_read(self) -> CauseRow:
         """The same with sizes in the unit in which a user reads them."""
         unit = self.read_unit

@@ -65,13 +65,10 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
         low, high = sorted((size.low / stated, size.high / stated))
         value = size.value / stated
         if words := factor_words(Interval(value, low, high)):
-            key = next((k for k, (f, _) in found.items() if _is_same(f, value)), words)
+            alike = (k for k, (f, _) in found.items() if abs(f - value) <= SAME * abs(f))
+            key = next(alike, words)
             found.setdefault(key, (value, []))[1].append(row)
     return [_say(words, value, rows) for words, (value, rows) in found.items()]
-
-
-def _is_same(one: float, other: float) -> bool:
-    return abs(one - other) <= SAME * abs(one)
 
 
 def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:
@@ -88,8 +85,7 @@ def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:
 
 def stated_of(row: CauseRow) -> float | None:
     """The number of the data sheet in a finding's note; None: it holds none."""
-    text = row.note.partition("data sheet: ")[2].partition(" ")[0]
     try:
-        return float(text)
+        return float(row.sheet.partition(" ")[0])
     except ValueError:
         return None

@@ -244,7 +244,7 @@ def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     """Sentences on data sheets where no cause is missing, the longest first."""
     row = rows[0].as_read()
     value, unit = next(iter(row.size.values())).value, after_number(row.unit)
-    prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
+    prior = row.sheet.partition(" +-")[0]
     number = next((n for d in (3, 4, 5) if (n := f"{value:.{d}g}") != prior), f"{value:.6g}")
     off = f"{row.words} is {number}{unit}, not {prior}{unit}"
     if len(rows) == 1:

@@ -364,8 +364,8 @@ def _data_sheets(answer: Answer) -> list[str]:
         if row.origin == DATA_SHEET:
             unit = after_number(row.unit)
             size = next(iter(row.size.values()))
-            sheet = row.note.partition("data sheet: ")[2].partition(" (")[0]
-            text = f"{opened(row.words)} is {ends(size)}{unit}, the data sheet says {sheet}{unit}"
+            said = f"{opened(row.words)} is {ends(size)}{unit}"
+            text = f"{said}, the data sheet says {row.sheet}{unit}"
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
