@@ -10,7 +10,7 @@ namespace diffsim {
 namespace {
 
 void bind_arrays(nb::module_& m) {
-  nb::class_<SoftArrays>(m, "SoftArrays")
+  nb::class_<SoftArrays>(m, "SoftArrays", nb::dynamic_attr())  // holds the tensors
       .def(nb::init<>())
       .def_rw("per_member", &SoftArrays::per_member)
       .def_rw("weights", &SoftArrays::weights)

@@ -45,7 +45,7 @@ struct ContactArrays {
 }  // namespace
 
 void bind_soft_contact(nb::module_& m) {
-  nb::class_<ContactArrays>(m, "ContactArrays")
+  nb::class_<ContactArrays>(m, "ContactArrays", nb::dynamic_attr())  // holds the tensors
       .def(nb::init<>())
       .def_rw("num_contacts", &ContactArrays::num_contacts)
       .def_rw("node", &ContactArrays::node)

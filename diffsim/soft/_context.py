@@ -259,7 +259,8 @@ def contact_addresses(num_contacts: int, tensors: Mapping[str, Tensor]) -> objec
     return _fill(arrays, tensors)
 
 
-def _fill(arrays: object, tensors: Mapping[str, Tensor]) -> object:
+def _fill(arrays: Any, tensors: Mapping[str, Tensor]) -> object:
+    arrays.tensors = tensors  # addresses are those of these tensors as long as they live
     for name, tensor in tensors.items():
         if tensor.numel():
             setattr(arrays, name, tensor.data_ptr())

@@ -27,7 +27,6 @@ class BoundGradient:
     def __init__(self, arrays: EnergyArrays, *, batch: int, handle: int, num_threads: int):
         self._context, self._num_threads = context(handle), num_threads
         arrays.require_shapes(arrays.shapes(batch, self._context.sizes))
-        self._arrays = arrays  # addresses are those of these tensors as long as they live
         self._inputs = soft_addresses(arrays.named())
         self._shape = (batch, self._context.num_nodes, 3)
 
