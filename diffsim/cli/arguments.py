@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from diffsim.core.executors import executor_word
 
 DIAGNOSES = "runs/diagnose"  # folder of the results, one folder per study
 QUICK, FULL = "quick", "full"  # what a diagnosis may simulate
+#: Folder of the published studies, by its place: its package would load PyTorch
+PUBLISHED = Path(__file__).parents[1] / "systems" / "published"
+
+
+def described() -> list[Path]:
+    """Studies of published data sets that are described in a file."""
+    return sorted(PUBLISHED.glob("*.yaml"))
 
 
 def positive(text: str) -> int:

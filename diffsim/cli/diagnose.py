@@ -7,7 +7,7 @@ import os
 from difflib import get_close_matches
 from pathlib import Path
 
-from diffsim.cli.arguments import DIAGNOSES, FULL, QUICK, fact, names, positive
+from diffsim.cli.arguments import DIAGNOSES, FULL, QUICK, described, fact, names, positive
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
@@ -240,19 +240,13 @@ def _refuse_early(args: argparse.Namespace) -> None:
             raise FileNotFoundError(
                 f"{file}: no such study; give study.yaml or the folder that has it"
             )
-    elif not path.exists() and given not in (names := _published_names()):
-        close = get_close_matches(given, names, n=2)
+    elif not path.exists() and given not in (known := [path.stem for path in described()]):
+        close = get_close_matches(given, known, n=2)
         hint = f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
         raise FileNotFoundError(
-            f"{given} is no file or folder of a study, and STUDY must be one of {names}, got "
+            f"{given} is no file or folder of a study, and STUDY must be one of {known}, got "
             f"{given!r}{hint}"
         )
     for file in (file for files in getattr(args, "new", ()) for file in files):
         if not file.is_file():
             raise FileNotFoundError(f"{file}: no such file of a new run")
-
-
-def _published_names() -> list[str]:
-    """Names of the published data sets; their package would load PyTorch."""
-    folder = Path(__file__).parent.parent / "systems" / "published"
-    return sorted(path.stem for path in folder.glob("*.yaml"))

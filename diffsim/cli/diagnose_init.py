@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from diffsim.cli.diagnose_inputs import described
+from diffsim.cli.arguments import described
 from diffsim.cli.init_target import require_target
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.cli.arguments import FULL, QUICK
+from diffsim.cli.arguments import FULL, QUICK, described
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
 from diffsim.core.version import __version__
@@ -24,7 +24,6 @@ from diffsim.diagnose.inputs import Inputs
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems import published
 from diffsim.systems.ode.traced import with_function
 from diffsim.systems.registry import setup_of
 
@@ -66,11 +65,6 @@ def study_file(given: str) -> Path:
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
     raise FileNotFoundError(f"{given} has no study.yaml")
-
-
-def described() -> list[Path]:
-    """Studies of published data sets that are described in a file."""
-    return sorted(Path(published.__file__).parent.glob("*.yaml"))
 
 
 def choose(

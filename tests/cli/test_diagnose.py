@@ -208,7 +208,7 @@ def test_what_cannot_be_drawn_is_said_before_anything_is_computed(monkeypatch, c
     monkeypatch.setattr("diffsim.cli.diagnose_steps._inputs", begins)
     monkeypatch.setattr("diffsim.cli.diagnose_steps.present", lambda name: name != "plotly")
     with pytest.raises(Computes):
-        main(["diagnose", "explain", "any"])
+        main(["diagnose", "explain", "emps"])
     (said,) = capsys.readouterr().out.splitlines()
     assert said.startswith("report.html will not be drawn") and advice(["plotly"]) in said
 

@@ -177,6 +177,6 @@ def test_a_described_published_set_is_found_by_its_name(folder, capsys, monkeypa
     described.mkdir()
     text = yaml.safe_dump({**BASE, "data": str(folder), "runs": BASE["runs"]})
     (described / "my_rig.yaml").write_text(text)
-    monkeypatch.setattr("diffsim.cli.diagnose_inputs.published.__file__", str(described / "_.py"))
+    monkeypatch.setattr("diffsim.cli.arguments.PUBLISHED", described)
     assert cli.main(["diagnose", "check", "my_rig"]) == 0
     assert "rig: 4 runs" in capsys.readouterr().out

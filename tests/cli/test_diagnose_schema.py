@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from diffsim.cli import main
-from diffsim.cli.diagnose_inputs import described
+from diffsim.cli.arguments import described
 
 KINDS = {
     "object": dict,
