@@ -365,8 +365,9 @@ def copy_with(error: Planted, untouched: Path, folder: Path) -> Iterator[Path]:
     shutil.copytree(untouched, tree, symlinks=True)
     try:
         (tree / error.file).write_text(text, encoding="utf-8")
-        # a cached file of the same second and size would pass for current
-        for cached in (tree / error.file).parent.glob(f"__pycache__/{Path(error.file).stem}.*"):
+        # a cached file of the same second and size would pass for current, wherever it is kept
+        kept = Path(importlib.util.cache_from_source(str(tree / error.file)))
+        for cached in kept.parent.glob(f"{Path(error.file).stem}.*"):
             cached.unlink()
         yield tree
     finally:
